@@ -1,0 +1,1 @@
+"""Circuit models behind one interface."""

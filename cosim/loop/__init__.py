@@ -1,0 +1,1 @@
+"""The time loop: ticks, computer, noise, lockstep, energy ledger."""

@@ -1,0 +1,1 @@
+"""Mechanics of the device: linkage, friction, operators. Knows no circuit."""

@@ -1,0 +1,1 @@
+"""Figures and pages: Run -> Figure -> one self-contained HTML page."""
