@@ -125,7 +125,12 @@ class SimulationError(CosimError):
     """
 
     def __init__(
-        self, message: str, *, deck: str | None = None, time_s: float | None = None, last_words: str | None = None
+        self,
+        message: str,
+        *,
+        deck: str | None = None,
+        time_s: float | None = None,
+        last_words: str | None = None,
     ) -> None:
         super().__init__(message)
         self.message = message

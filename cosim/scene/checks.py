@@ -1,0 +1,335 @@
+"""What is wrong between the keys of a scene, although each of them alone is in order.
+
+Each check asks for the values it needs by their dotted keys. A value that is missing or already
+refused makes `Values.get` raise `Skip` and only that check is left out: so one run reports
+single-key and cross-key problems together.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from cosim.errors import Problem
+
+Get = Callable[[str], Any]
+Check = Callable[[Get], Iterator[Problem]]
+
+
+class Skip(Exception):
+    """A check needs a value that is missing or already refused."""
+
+
+def _linkage_table(get: Get) -> Iterator[Problem]:
+    kind = get("device.linkage")
+    for name in ("chain", "slider"):
+        given = get(f"device.{name}") is not None
+        if name == kind and not given:
+            yield Problem(f'linkage = "{kind}" needs the table [device.{name}]', key=f"device.{name}")
+        if name != kind and given:
+            yield Problem(f'linkage = "{kind}" does not use this table', key=f"device.{name}")
+
+
+def joint_count(get: Get) -> int:
+    """Return the number of joints that the linkage states."""
+    if get("device.linkage") == "slider":
+        return 1
+    if get("device.chain") is None:
+        raise Skip
+    return len(get("device.chain.lengths_m"))
+
+
+def _list_length(key: str, *, empty_is_default: bool = False) -> Check:
+    def check(get: Get) -> Iterator[Problem]:
+        joints, values = joint_count(get), get(key)
+        if values is None or (empty_is_default and not values):
+            return
+        if len(values) != joints:
+            plural = "s" if joints != 1 else ""
+            yield Problem(
+                f"has {len(values)} values, but the linkage has {joints} joint{plural}",
+                key=key,
+                allowed=f"{joints} value{plural}",
+            )
+
+    return check
+
+
+def _of_linkage(kind: str, check: Check) -> Check:
+    def guarded(get: Get) -> Iterator[Problem]:
+        if get("device.linkage") == kind and get(f"device.{kind}") is not None:
+            yield from check(get)
+
+    return guarded
+
+
+def _coms_on_links(get: Get) -> Iterator[Problem]:
+    for i, (com, length) in enumerate(
+        zip(get("device.chain.coms_m"), get("device.chain.lengths_m"), strict=False)
+    ):
+        if com > length:
+            yield Problem(
+                "centre of mass lies beyond the end of its link",
+                key=f"device.chain.coms_m[{i}]",
+                value=com,
+                unit="m",
+                allowed=f"0 to {length:g}",
+            )
+
+
+def _joint_can_accelerate(get: Get) -> Iterator[Problem]:
+    masses, inertias = get("device.chain.masses_kg"), get("device.chain.inertias_kg_m2")
+    rotors = get("device.chain.rotor_inertia_kg_m2") or (0.0,)
+    # A joint whose links and rotors all weigh nothing makes the mass matrix singular.
+    outboard = sum(masses[-1:]) * get("device.chain.coms_m")[-1] ** 2 + sum(inertias[-1:]) + rotors[-1]
+    if not outboard > 0:
+        yield Problem(
+            "the last link has no inertia about its joint: give it mass, inertia or a rotor",
+            key="device.chain.masses_kg",
+            value=list(masses),
+            unit="kg",
+        )
+
+
+def _stops_ordered(get: Get) -> Iterator[Problem]:
+    key = f"device.{get('device.linkage')}.stops_rad"
+    for i, (low, high) in enumerate(get(key)):
+        if not low < high:
+            yield Problem(
+                "lower stop must lie below the upper one",
+                key=f"{key}[{i}]",
+                value=[low, high],
+                unit="rad",
+                allowed="[low, high] with low < high",
+            )
+
+
+def _start_once(get: Get) -> Iterator[Problem]:
+    given = [name for name in ("q_rad", "tip_m") if get(f"device.start.{name}") is not None]
+    if len(given) != 1:
+        message = "give one of q_rad and tip_m" + (", not both" if given else "")
+        yield Problem(message, key="device.start")
+
+
+def _start_reachable(get: Get) -> Iterator[Problem]:
+    tip = get("device.start.tip_m")
+    if tip is None:
+        return
+    if get("device.linkage") == "slider":
+        (x0, y0), (dx, dy) = get("device.slider.origin_m"), get("device.slider.direction")
+        across = abs((tip[0] - x0) * dy - (tip[1] - y0) * dx) / math.hypot(dx, dy)
+        if across > 1e-9:
+            yield Problem(
+                f"the slider cannot reach this point: it lies {across:.3g} m beside its line",
+                key="device.start.tip_m",
+                value=list(tip),
+                unit="m",
+            )
+        return
+    inner, outer = _reach(get)
+    if not inner <= math.hypot(*tip) <= outer:
+        yield Problem(
+            f"out of reach: {math.hypot(*tip):.4g} m from the base",
+            key="device.start.tip_m",
+            value=list(tip),
+            unit="m",
+            allowed=f"{inner:.4g} to {outer:.4g} from the base",
+        )
+
+
+def _reach(get: Get) -> tuple[float, float]:
+    lengths = get("device.chain.lengths_m")
+    # The tip cannot come closer to the base than the longest link exceeds all the others.
+    return max(0.0, 2 * max(lengths) - sum(lengths)), sum(lengths)
+
+
+def _start_between_stops(get: Get) -> Iterator[Problem]:
+    pose = get("device.start.q_rad")
+    stops = get(f"device.{get('device.linkage')}.stops_rad")
+    for i, (q, (low, high)) in enumerate(zip(pose or (), stops, strict=False)):
+        if low < high and not low <= q <= high:
+            yield Problem(
+                "starts beyond the end stop",
+                key=f"device.start.q_rad[{i}]",
+                value=q,
+                unit="rad",
+                allowed=f"{low:g} to {high:g}",
+            )
+
+
+def _wall_reachable(get: Get) -> Iterator[Problem]:
+    if get("wall") is None:
+        return
+    (px, py), (nx, ny) = get("wall.point_m"), get("wall.normal")
+    norm = math.hypot(nx, ny)
+    if norm == 0:
+        raise Skip
+    if get("device.linkage") == "slider":
+        dx, dy = get("device.slider.direction")
+        if abs(dx * nx + dy * ny) < 1e-9 * norm * math.hypot(dx, dy):
+            yield Problem(
+                "the slider moves along this wall and never meets it", key="wall.normal", value=[nx, ny]
+            )
+        return
+    distance = (px * nx + py * ny) / norm
+    reach = _reach(get)[1]
+    if abs(distance) >= reach:
+        yield Problem(
+            f"out of reach: the wall passes the base at {abs(distance):.4g} m",
+            key="wall.point_m",
+            value=[px, py],
+            unit="m",
+            allowed=f"a wall less than {reach:.4g} from the base",
+        )
+
+
+def _one_sample(get: Get) -> Iterator[Problem]:
+    period, duration = get("computer.period_s"), get("duration_s")
+    if period > duration:
+        yield Problem(
+            "longer than the whole run",
+            key="computer.period_s",
+            value=period,
+            unit="s",
+            allowed=f"> 0 and <= duration_s = {duration:g}",
+        )
+
+
+_PARTS = {
+    "discrete": ("discrete_stiffness_n_per_m", "discrete_damping_n_s_per_m"),
+    "analog": ("analog_stiffness_n_per_m", "analog_damping_n_s_per_m"),
+    "joint": ("joint_stiffness_n_m_per_rad", "joint_damping_n_m_s_per_rad"),
+}
+# Parts of the impedance a method must have and those that it cannot carry.
+_NEEDS = {
+    "discrete": ["discrete"],
+    "continuous": ["analog"],
+    "combined": ["discrete", "analog"],
+    "joint_pd": [],
+}
+_CARRIES = {**_NEEDS, "joint_pd": ["analog", "joint"]}
+
+
+def _method_has_its_gains(get: Get) -> Iterator[Problem]:
+    if get("computer.law") is not None:
+        return  # the user's own law decides what it reads
+    method = get("computer.method")
+    stated = {part: [k for k in keys if _nonzero(get(f"computer.{k}"))] for part, keys in _PARTS.items()}
+    for part in _NEEDS[method]:
+        if not stated[part]:
+            first, second = _PARTS[part]
+            yield Problem(f'method = "{method}" needs {first} or {second} above 0', key=f"computer.{first}")
+    if method == "joint_pd" and not stated["analog"] and not stated["joint"]:
+        yield Problem(
+            'method = "joint_pd" needs joint_stiffness_n_m_per_rad, or analog_stiffness_n_per_m'
+            " to derive the joints' gains from",
+            key="computer.joint_stiffness_n_m_per_rad",
+        )
+    for part, keys in stated.items():
+        if part not in _CARRIES[method]:
+            for key in keys:
+                value = get(f"computer.{key}")
+                yield Problem(
+                    f'method = "{method}" does not display this; set it to 0 or leave it out',
+                    key=f"computer.{key}",
+                    value=value if isinstance(value, float | int) else list(value),
+                )
+
+
+def _nonzero(value: Any) -> bool:
+    return any(value) if isinstance(value, tuple) else value != 0
+
+
+def _times_increase(key: str) -> Check:
+    def check(get: Get) -> Iterator[Problem]:
+        if get("operator.type") != "hand":
+            return
+        rows = get(key)
+        for i, (row, following) in enumerate(pairwise(rows)):
+            if not following[0] > row[0]:
+                yield Problem(
+                    "times must increase from row to row",
+                    key=f"{key}[{i + 1}]",
+                    value=list(following),
+                    allowed=f"t > {row[0]:g} s",
+                )
+
+    return check
+
+
+def _file_exists(key: str) -> Check:
+    def check(get: Get) -> Iterator[Problem]:
+        value = get(key)
+        if value is not None and not Path(value).is_file():
+            yield Problem("no such file", key=key, value=str(value))
+
+    return check
+
+
+def _class_in_file(key: str, needed: Callable[[Get], bool]) -> Check:
+    def check(get: Get) -> Iterator[Problem]:
+        value = get(key) if needed(get) else None
+        if value is None:
+            return
+        path, separator, name = str(value).rpartition(":")
+        if not separator or not path.endswith(".py") or not name.isidentifier():
+            yield Problem(
+                "must name a Python file and a class in it", key=key, value=value, allowed='"file.py:Class"'
+            )
+        elif not Path(path).is_file():
+            yield Problem("no such file", key=key, value=path)
+
+    return check
+
+
+def _part_files(get: Get) -> Iterator[Problem]:
+    for name, part in get("device.parts").items():
+        if isinstance(part, dict):
+            yield from _file_exists(f"device.parts.{name}.file")(get)
+
+
+CHECKS: tuple[Check, ...] = (
+    _linkage_table,
+    *(
+        _of_linkage("chain", _list_length(f"device.chain.{name}"))
+        for name in (
+            "masses_kg",
+            "coms_m",
+            "inertias_kg_m2",
+            "rotor_inertia_kg_m2",
+            "viscous_n_m_s",
+            "coulomb_n_m",
+        )
+    ),
+    _of_linkage("chain", _list_length("device.chain.stops_rad", empty_is_default=True)),
+    _of_linkage("slider", _list_length("device.slider.stops_rad", empty_is_default=True)),
+    _of_linkage("chain", _coms_on_links),
+    _of_linkage("chain", _joint_can_accelerate),
+    _stops_ordered,
+    _start_once,
+    _list_length("device.start.q_rad"),
+    _list_length("device.start.v_rad_per_s", empty_is_default=True),
+    _start_reachable,
+    _start_between_stops,
+    _list_length("computer.joint_stiffness_n_m_per_rad", empty_is_default=True),
+    _list_length("computer.joint_damping_n_m_s_per_rad", empty_is_default=True),
+    _wall_reachable,
+    _one_sample,
+    _method_has_its_gains,
+    _times_increase("operator.waypoints_s_m"),
+    _times_increase("operator.force_s_n"),
+    _file_exists("device.board"),
+    _part_files,
+    _class_in_file("operator.file", lambda get: get("operator.type") == "python"),
+    _class_in_file("computer.law", lambda get: True),
+)
+
+
+def cross_problems(get: Get) -> Iterator[Problem]:
+    """Yield what all checks find; `get` gives a value by dotted key or raises `Skip`."""
+    for check in CHECKS:
+        try:
+            yield from check(get)
+        except Skip:
+            continue

@@ -1,0 +1,211 @@
+"""Where the keys of a scene come from: files, the file they extend, and overrides.
+
+Layers are merged into one dictionary; each keeps what it stated, so that a problem names the file
+and the line to be mended.
+"""
+
+import json
+import os
+import re
+import tomllib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cosim.errors import InputError, Problem, fail
+
+Key = tuple[str | int, ...]
+
+
+@dataclass(frozen=True)
+class Layer:
+    """What one file, or one override, states."""
+
+    name: str
+    data: dict[str, Any]
+    text: str = field(repr=False, default="")
+
+
+def read_layer(path: Path) -> Layer:
+    """Read one TOML file with its own paths made absolute."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        fail("no such scene file", file=str(path))
+    except UnicodeDecodeError as error:
+        fail(f"is not UTF-8 text (byte {error.start})", file=str(path))
+    except OSError as error:
+        fail(f"cannot be read: {error.strerror}", file=str(path))
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        message = str(error)
+        line = re.search(r"at line (\d+)", message)
+        fail(f"TOML syntax: {message}", file=str(path), line=int(line[1]) if line else len(text.splitlines()))
+    return Layer(str(path), absolute_paths(data, path.parent), text)
+
+
+def read_layers(path: Path) -> list[Layer]:
+    """Return the layers of a scene file, the weakest first: the file it extends, then itself."""
+    layer = read_layer(path)
+    parent = layer.data.pop("extends", None)
+    if parent is None:
+        return [layer]
+    line = line_of(layer.text, ("extends",))
+    if not isinstance(parent, str):
+        fail("must be the path of a scene file", file=layer.name, key="extends", value=parent, line=line)
+    base_path = Path(os.path.abspath(path.parent / parent))
+    if not base_path.is_file():
+        fail("no such scene file", file=layer.name, key="extends", value=parent, line=line)
+    base = read_layer(base_path)
+    if "extends" in base.data:
+        fail(
+            "an extended scene may not extend another one: only one step is allowed",
+            file=base.name,
+            key="extends",
+            value=base.data["extends"],
+            line=line_of(base.text, ("extends",)),
+        )
+    return [base, layer]
+
+
+def override_layers(overrides: Iterable[str]) -> list[Layer]:
+    """Parse overrides ``a.b=value``: TOML values, bare words as text, paths from the current folder."""
+    layers, problems = [], []
+    for text in overrides:
+        key, separator, value = text.partition("=")
+        data = _parse_override(key.strip(), value.strip()) if separator else None
+        if data is None:
+            problems.append(Problem("must look like computer.period_s=0.01", file="override", value=text))
+        else:
+            layers.append(Layer("override", absolute_paths(data, Path.cwd())))
+    if problems:
+        raise InputError(problems)
+    return layers
+
+
+def _parse_override(key: str, value: str) -> dict[str, Any] | None:
+    if not key or "\n" in key or "\n" in value:
+        return None
+    for written in (value, json.dumps(value, ensure_ascii=False)):
+        try:
+            return tomllib.loads(f"{key} = {written}")
+        except tomllib.TOMLDecodeError:
+            continue
+    return None
+
+
+def absolute_paths(data: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return `data` with the files it names made absolute from `folder`, lists made tuples."""
+    data = freeze(data)
+    device, operator, computer = (data.get(name) for name in ("device", "operator", "computer"))
+    if isinstance(device, dict):
+        _set_path(device, "board", folder)
+        parts, values = device.get("parts"), device.get("values")
+        for part in parts.values() if isinstance(parts, dict) else ():
+            if isinstance(part, dict):
+                _set_path(part, "file", folder)
+        if isinstance(values, dict):
+            device["values"] = _flat_values(values)
+    for table, name in ((operator, "file"), (computer, "law")):
+        if isinstance(table, dict) and isinstance(table.get(name), str):
+            table[name] = os.path.abspath(folder / table[name])
+    return data
+
+
+def _set_path(table: dict[str, Any], name: str, folder: Path) -> None:
+    if isinstance(table.get(name), str):
+        table[name] = Path(os.path.abspath(folder / table[name]))
+
+
+def _flat_values(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Join nested keys, because ``values.xdiff1.r1 = "10k"`` names an instance, not a table."""
+    flat: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, dict):
+            flat |= _flat_values(value, f"{prefix}{name}.")
+        else:
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            flat[prefix + name] = repr(value) if number else value
+    return flat
+
+
+def freeze(value: Any) -> Any:
+    """Return a copy of TOML data with tuples for lists."""
+    if isinstance(value, dict):
+        return {key: freeze(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return tuple(freeze(item) for item in value)
+    return value
+
+
+def merge(layers: Sequence[Layer]) -> dict[str, Any]:
+    """Merge the layers table by table; later ones win."""
+    merged: dict[str, Any] = {}
+    for layer in layers:
+        merged = _merge(merged, layer.data, ())
+    return merged
+
+
+def _merge(base: dict[str, Any], top: dict[str, Any], path: tuple[str, ...]) -> dict[str, Any]:
+    # Another type of operator has other keys: the old ones would only be in the way.
+    if path == ("operator",) and top.get("type", base.get("type")) != base.get("type"):
+        return top
+    # q_rad and tip_m are two ways of saying one thing: the later way replaces the earlier.
+    if path == ("device", "start") and {"q_rad", "tip_m"} & top.keys():
+        base = {key: value for key, value in base.items() if key not in ("q_rad", "tip_m", "elbow")}
+    merged = dict(base)
+    for key, value in top.items():
+        old = merged.get(key)
+        if isinstance(old, dict) and isinstance(value, dict):
+            value = _merge(old, value, (*path, key))
+        merged[key] = value
+    return merged
+
+
+def locate(layers: Sequence[Layer], key: Key) -> tuple[str, int | None]:
+    """Return name and line of the layer that states `key`, or its nearest enclosing table."""
+    names = tuple(part for part in key if isinstance(part, str))
+    for depth in range(len(names), 0, -1):
+        for layer in reversed(layers):
+            if _states(layer.data, names[:depth]):
+                return layer.name, line_of(layer.text, names[:depth])
+    files = [layer for layer in layers if layer.text]
+    return (files[-1].name if files else layers[-1].name), None
+
+
+def _states(data: Any, names: Sequence[str]) -> bool:
+    for name in names:
+        if not isinstance(data, dict) or name not in data:
+            return False
+        data = data[name]
+    return True
+
+
+_HEADER = re.compile(r"^\s*\[\s*([^\[\]]+?)\s*\]\s*(#.*)?$")
+_ASSIGN = re.compile(r"^\s*([A-Za-z0-9_\-.\"']+(?:\s*\.\s*[A-Za-z0-9_\-\"']+)*)\s*=")
+
+
+def line_of(text: str, names: Sequence[str]) -> int | None:
+    """Return the line that states a key, else the line of its nearest enclosing table or key.
+
+    A plain scan: tomllib keeps no positions. Written in another way than ``[table]`` and
+    ``key = value`` a key is simply not found, and only the file is named.
+    """
+    wanted, best, depth = tuple(names), None, 0
+    table: tuple[str, ...] = ()
+    for number, line in enumerate(text.splitlines(), start=1):
+        if header := _HEADER.match(line):
+            table = here = _split_key(header[1])
+        elif assign := _ASSIGN.match(line):
+            here = table + _split_key(assign[1])
+        else:
+            continue
+        if len(here) > depth and here == wanted[: len(here)]:
+            best, depth = number, len(here)
+    return best
+
+
+def _split_key(text: str) -> tuple[str, ...]:
+    return tuple(part.strip().strip("\"'") for part in text.split("."))
