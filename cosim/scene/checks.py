@@ -48,9 +48,9 @@ def _list_length(key: str, *, empty_is_default: bool = False) -> Check:
         if len(values) != joints:
             plural = "s" if joints != 1 else ""
             yield Problem(
-                f"has {len(values)} values, but the linkage has {joints} joint{plural}",
+                f"lists {len(values)}, but the linkage has {joints} joint{plural}",
                 key=key,
-                allowed=f"{joints} value{plural}",
+                value=list(values),
             )
 
     return check
@@ -101,7 +101,7 @@ def _stops_ordered(get: Get) -> Iterator[Problem]:
                 key=f"{key}[{i}]",
                 value=[low, high],
                 unit="rad",
-                allowed="[low, high] with low < high",
+                allowed="low < high",
             )
 
 
@@ -130,11 +130,10 @@ def _start_reachable(get: Get) -> Iterator[Problem]:
     inner, outer = _reach(get)
     if not inner <= math.hypot(*tip) <= outer:
         yield Problem(
-            f"out of reach: {math.hypot(*tip):.4g} m from the base",
+            f"out of reach: {math.hypot(*tip):.4g} m from the base; the links span {inner:.4g} to {outer:.4g} m",
             key="device.start.tip_m",
             value=list(tip),
             unit="m",
-            allowed=f"{inner:.4g} to {outer:.4g} from the base",
         )
 
 
@@ -176,11 +175,10 @@ def _wall_reachable(get: Get) -> Iterator[Problem]:
     reach = _reach(get)[1]
     if abs(distance) >= reach:
         yield Problem(
-            f"out of reach: the wall passes the base at {abs(distance):.4g} m",
+            f"out of reach: the wall passes the base at {abs(distance):.4g} m, the links reach {reach:.4g} m",
             key="wall.point_m",
             value=[px, py],
             unit="m",
-            allowed=f"a wall less than {reach:.4g} from the base",
         )
 
 

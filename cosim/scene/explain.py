@@ -67,7 +67,7 @@ class Field:
             tuple: "a list",
             Path: "the path of a file as text",
         }
-        return nouns.get(kind, "one of the choices")
+        return nouns.get(kind, "text or a table")
 
 
 def clean_key(error: Mapping[str, Any]) -> Key:
@@ -82,6 +82,8 @@ def clean_key(error: Mapping[str, Any]) -> Key:
 
 def is_real(error: Mapping[str, Any]) -> bool:
     """Tell real errors from those that only follow from another one."""
+    if error["type"] == "too_short":  # pydantic counts only the items that were accepted
+        return not error["input"]
     return bool(error["type"] != "default_factory_not_called")
 
 
@@ -152,11 +154,9 @@ def _wrong_count(key: Key, data: Mapping[str, Any]) -> Problem:
     assert field is not None
     count, value = len(get_args(field.annotation)), _value_at(key, data)
     return Problem(
-        f"has {len(value)} values instead of {count}",
+        f"has {len(value)} value{'s' if len(value) != 1 else ''} instead of {count}",
         key=dotted(key),
         value=_plain(value),
-        unit=field.unit,
-        allowed=f"{count} values",
     )
 
 
@@ -164,12 +164,10 @@ def field_at(key: Sequence[str | int], data: Mapping[str, Any]) -> Field | None:
     """Return what the schema says about `key`; `data` decides between the kinds of operator."""
     field = Field(SceneTables, (), None)
     for depth, part in enumerate(key):
-        field_or_none = (
-            _item(field, part) if isinstance(part, int) else _child(field, part, key[:depth], data)
-        )
-        if field_or_none is None:
+        found = _item(field, part) if isinstance(part, int) else _child(field, part, key[:depth], data)
+        if found is None:
             return None
-        field = field_or_none
+        field = found
     return field
 
 
@@ -185,9 +183,8 @@ def _child(field: Field, name: str, key: Sequence[str | int], data: Mapping[str,
 
 
 def _models(annotation: Any, key: Sequence[str | int], data: Mapping[str, Any]) -> list[type[BaseModel]]:
-    models = [
-        t for t in (annotation, *get_args(annotation)) if isinstance(t, type) and issubclass(t, BaseModel)
-    ]
+    kinds = [_unwrapped(kind, (), None).annotation for kind in (annotation, *get_args(annotation))]
+    models = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
     if tuple(key) == ("operator",):
         kind = _value_at(("operator", "type"), data)
         exact = [m for m in models if kind in get_args(m.model_fields["type"].annotation)]

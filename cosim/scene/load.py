@@ -56,7 +56,7 @@ def _build(layers: Sequence[Layer], file: Path) -> Scene:
     for problem in cross_problems(_Values(data, refused).get):
         problems.append(_placed(problem, layers, _split(problem.key or "")))
     if problems or scene is None:
-        raise InputError(dict.fromkeys(problems))
+        raise InputError(sorted(problems, key=lambda problem: (problem.file or "", problem.line or 0)))
     scene._file = file
     return scene
 

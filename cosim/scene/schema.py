@@ -12,7 +12,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, Tag
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag
 from pydantic_core import PydanticCustomError
 
 
@@ -29,6 +29,13 @@ def _normalised(vector: tuple[float, float]) -> tuple[float, float]:
         raise PydanticCustomError("zero_vector", "must not be the zero vector")
     # A vector that is already normal to rounding is kept, so that a stored scene loads to itself.
     return vector if abs(norm - 1.0) < 1e-15 else (vector[0] / norm, vector[1] / norm)
+
+
+def _no_bool(value: Any) -> Any:
+    # True equals 1, so a list of allowed integers alone would let it pass.
+    if isinstance(value, bool):
+        raise PydanticCustomError("literal_error", "is not one of the choices")
+    return value
 
 
 # Upper limits are far outside of anything built; they exist to catch a value written in a wrong unit.
@@ -207,7 +214,7 @@ class Start(Table):
 
     q_rad: tuple[Angle, ...] | None = None
     tip_m: Point | None = None
-    elbow: Literal[1, -1] = 1
+    elbow: Annotated[Literal[1, -1], BeforeValidator(_no_bool)] = 1
     v_rad_per_s: tuple[Rate, ...] = ()
 
 
@@ -261,7 +268,7 @@ class Encoder(Table):
     """``[computer.encoder]``: on the motor, so a joint turn counts pulses x decoding x gear."""
 
     pulses_per_rev: int = Field(default=500, ge=1, le=10_000_000)
-    decoding: Literal[1, 2, 4] = 4
+    decoding: Annotated[Literal[1, 2, 4], BeforeValidator(_no_bool)] = 4
 
 
 class Dac(Table):
