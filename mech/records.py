@@ -1,0 +1,103 @@
+"""Memory layout shared by the compiled kernels, the Python faces and whoever calls the kernels from C.
+
+Every record is passed as ``arr[0]`` of a structured array with one element, so that a compiled
+callback can rebuild it from a bare address. SI units throughout, angles in radians.
+"""
+
+from enum import IntEnum
+
+import numpy as np
+
+__all__ = ["KNOTS", "LINKAGE", "NMAX", "OPERATOR", "WORK", "OperatorKind", "new_work"]
+
+NMAX = 6
+"""Most joints of a chain."""
+
+KNOTS = 256
+"""Most rows of an operator's waypoint table, and of its force table."""
+
+
+class OperatorKind(IntEnum):
+    """Who holds the fingertip."""
+
+    NONE = 0
+    MASS = 1
+    HAND = 2
+    USER = 3
+
+
+# Chain: the links' absolute angles are phi_i = q_1 + ... + q_i. With d_ki = length_i for i < k and
+# com_k for i = k,
+#     couple_ij = sum_k mass_k d_ki d_kj (+ inertia_i on the diagonal)     [kg m^2]
+#     moment_i  = sum_k mass_k d_ki                                        [kg m]
+# hold all there is to know about the masses of a planar chain.
+# Slider: one joint, a drum of radius length[0]; tip = origin + length[0] q direction.
+LINKAGE = np.dtype(
+    [
+        ("n", np.int64),
+        ("slider", np.int64),
+        # Effects in force: 0 skips the work.
+        ("coriolis", np.int64),
+        ("heavy", np.int64),
+        ("viscous_on", np.int64),
+        ("coulomb_on", np.int64),
+        ("stops_on", np.int64),
+        ("origin", np.float64, (2,)),  # m
+        ("direction", np.float64, (2,)),  # unit vector, slider only
+        ("gravity", np.float64, (2,)),  # m/s^2, zero when off
+        ("length", np.float64, (NMAX,)),  # m
+        ("couple", np.float64, (NMAX, NMAX)),  # kg m^2
+        ("moment", np.float64, (NMAX,)),  # kg m
+        ("armature", np.float64, (NMAX,)),  # kg m^2 at the joint: rotor inertia times gear^2
+        ("viscous", np.float64, (NMAX,)),  # N m s
+        ("coulomb", np.float64, (NMAX,)),  # N m
+        ("coulomb_speed", np.float64),  # rad/s, width of the tanh
+        ("stop_low", np.float64, (NMAX,)),  # rad
+        ("stop_high", np.float64, (NMAX,)),  # rad
+        ("stop_stiffness", np.float64),  # N m/rad
+        ("stop_damping", np.float64),  # N m s/rad^2: torque per depth and speed
+    ],
+    align=True,
+)
+
+OPERATOR = np.dtype(
+    [
+        ("kind", np.int64),
+        ("callback", np.int64),  # address of void f(t, x, y, vx, vy, double force[2]), kind USER
+        ("paths", np.int64),  # rows in use of `path`
+        ("forces", np.int64),  # rows in use of `force`
+        ("mass", np.float64),  # kg, moves with the fingertip
+        ("falls", np.float64),  # 1: gravity pulls the mass; 0: the arm carries its own weight
+        ("damping", np.float64),  # N s/m
+        ("stiffness", np.float64),  # N/m
+        ("path", np.float64, (KNOTS, 3)),  # s, m, m
+        ("force", np.float64, (KNOTS, 3)),  # s, N, N
+    ],
+    align=True,
+)
+
+# What `kernels.dynamics` leaves behind for the caller, and its scratch memory.
+WORK = np.dtype(
+    [
+        ("r", np.float64, (2,)),  # m, fingertip
+        ("rdot", np.float64, (2,)),  # m/s
+        ("f_op", np.float64, (2,)),  # N, operator on device, with weight and inertia of its mass
+        ("f_drive", np.float64, (2,)),  # N, the same without weight and inertia
+        ("jac", np.float64, (2, NMAX)),  # m/rad
+        ("tau_visc", np.float64, (NMAX,)),  # N m, on the joint: opposes motion
+        ("tau_coul", np.float64, (NMAX,)),  # N m, on the joint
+        ("tau_stop", np.float64, (NMAX,)),  # N m, on the joint
+        ("mass", np.float64, (NMAX, NMAX)),  # kg m^2, joint space, with rotors and operator's mass
+        ("bias", np.float64, (NMAX,)),  # N m, Coriolis and gravity of the device, without operator's weight
+        ("cos", np.float64, (NMAX,)),
+        ("sin", np.float64, (NMAX,)),
+        ("rate", np.float64, (NMAX,)),  # rad/s, absolute
+        ("factor", np.float64, (NMAX, NMAX)),
+    ],
+    align=True,
+)
+
+
+def new_work() -> np.ndarray:
+    """Return zeroed working memory for `kernels.dynamics`, shape (1,), dtype `WORK`."""
+    return np.zeros(1, WORK)
