@@ -130,7 +130,7 @@ def _start_reachable(get: Get) -> Iterator[Problem]:
     inner, outer = _reach(get)
     if not inner <= math.hypot(*tip) <= outer:
         yield Problem(
-            f"out of reach: {math.hypot(*tip):.4g} m from the base; the links span {inner:.4g} to {outer:.4g} m",
+            f"out of reach: {math.hypot(*tip):.4g} m from the base, the links: {inner:.4g} to {outer:.4g} m",
             key="device.start.tip_m",
             value=list(tip),
             unit="m",
