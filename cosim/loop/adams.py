@@ -1,0 +1,56 @@
+"""The linkage's integrator in lockstep: a variable-step Adams predictor and corrector.
+
+The circuit needs the joint angles at a point whose motor current is not known yet: it gets the predictor
+(acceleration extrapolated along its last slope: local error O(h^3) in v, O(h^4) in q). When ngspice has
+accepted the point, the current is known and the corrector (a parabola through the last three accelerations)
+takes the linkage there. Their difference is Milne's estimate of what the coupling got wrong, for free.
+
+Right after a discontinuity (a DAC step) nothing behind is smooth: the first step holds the acceleration of
+its *end*, as backward Euler does in ngspice at the same step, so that the jump is taken with its right-hand
+limit and the circuit's own delay keeps its first moment.
+
+`s.history` counts the accelerations of the present smooth piece: 0 right after a discontinuity (`a` is its
+left-hand limit), 1 when `a` belongs to the piece, 2 when `a_old` does too.
+"""
+
+from __future__ import annotations
+
+from numba import njit
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def predict(s, h, q_out, v_out):
+    """Angles and speeds [rad, rad/s] a time `h` after the last accepted point."""
+    for j in range(s.n):
+        slope = (s.a[j] - s.a_old[j]) / s.h_old if s.history > 1 else 0.0
+        q_out[j] = s.q[j] + h * (s.v[j] + h * (s.a[j] / 2 + h * slope / 6))
+        v_out[j] = s.v[j] + h * (s.a[j] + h * slope / 2)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def correct(s, h, a_new):
+    """Take q and v over the step `h` with `a_new` [rad/s^2] at its end; returns the defect [rad].
+
+    The defect is the largest |predicted - corrected| of any joint, speeds weighted with the step.
+    """
+    defect = 0.0
+    first = s.history == 0
+    for j in range(s.n):
+        if first:
+            q = s.q[j] + h * (s.v[j] + h * a_new[j] / 2)
+            v = s.v[j] + h * a_new[j]
+        else:
+            # a(x) = a + b x + c x^2 through -h_old, 0, h
+            right = (a_new[j] - s.a[j]) / h
+            c = 0.0
+            if s.history > 1:
+                c = (right - (s.a[j] - s.a_old[j]) / s.h_old) / (h + s.h_old)
+            b = right - c * h
+            q = s.q[j] + h * (s.v[j] + h * (s.a[j] / 2 + h * (b / 6 + h * c / 12)))
+            v = s.v[j] + h * (s.a[j] + h * (b / 2 + h * c / 3))
+        e = abs(q - s.q_trial[j]) + h * abs(v - s.v_trial[j])
+        if not e <= defect:  # a NaN gets through, and is seen
+            defect = e
+        s.q[j] = q
+        s.v[j] = v
+    return defect

@@ -1,0 +1,255 @@
+"""The sampled computer: encoders, the control algorithm of section III, DAC codes.
+
+Everything here runs once per sample, compiled. The law works in physical units (rad, N m/rad, N m s/rad,
+N m at the joints); `to_volts` turns its wishes into DAC voltages with the board's *nominal* design constants
+only, so that a changed resistor changes what the device renders and not what the computer believes.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+from numba import njit
+
+from mech.kernels import jacobian, tip
+from mech.records import NMAX
+
+
+class Method(IntEnum):
+    """What the computer displays at a contact (paper, section III; joint PD: Fig. 18)."""
+
+    DISCRETE = 0
+    CONTINUOUS = 1
+    COMBINED = 2
+    JOINT_PD = 3
+
+
+class Path(IntEnum):
+    """Which DAC carries the discrete force: the equilibrium `u` or the direct command `cmd`."""
+
+    U = 0
+    CMD = 1
+
+
+#: What a computer is told once. Units: s, N/m, N s/m, m, N m/rad, rad, V; `encoder_step`, `dac_step` = 0 and
+#: `dac_range` = inf are the null forms of encoder and DAC.
+COMPUTER = np.dtype(
+    [
+        ("n", "i8"),
+        ("method", "i8"),
+        ("path", "i8"),
+        ("period", "f8"),
+        ("kp", "f8"),
+        ("kd", "f8"),
+        ("k_dp", "f8"),
+        ("k_dd", "f8"),
+        ("point", "f8", 2),
+        ("normal", "f8", 2),
+        ("joint_gain", "f8", NMAX),
+        ("encoder_step", "f8"),
+        ("velocity_keep", "f8"),
+        ("v_rad", "f8"),
+        ("volts_per_stiffness", "f8"),
+        ("volts_per_damping", "f8"),
+        ("v_nm", "f8"),
+        ("dac_step", "f8"),
+        ("dac_range", "f8"),
+    ],
+    align=True,
+)
+
+#: What a computer knows at a sample, and what it asks for (matrices row-major, k[i, j]: joint j to motor i).
+SAMPLE = np.dtype(
+    [
+        ("tick", "i8"),
+        ("time", "f8"),
+        ("q", "f8", NMAX),
+        ("v", "f8", NMAX),
+        ("q_last", "f8", NMAX),
+        ("contact", "i8"),
+        ("pen", "f8"),
+        ("u", "f8", NMAX),
+        ("ksp", "f8", (NMAX, NMAX)),
+        ("ksd", "f8", (NMAX, NMAX)),
+        ("cmd", "f8", NMAX),
+        ("saturated", "i8"),
+        ("unsolved", "i8"),
+        ("jac", "f8", (2, NMAX)),
+        ("r", "f8", 2),
+    ],
+    align=True,
+)
+
+#: Newton steps to the contact point: quadratic convergence from a few millimetres needs four.
+_NEWTON_STEPS = 30
+#: The fingertip of q_d is on the wall to this distance [m]; a thousandth of what an encoder step moves it.
+_ON_THE_WALL_M = 1e-9
+
+
+def channels(n: int) -> list[str]:
+    """Names of the DAC channels of an n-joint board, in the order of the volts array."""
+    joints = range(1, n + 1)
+    pairs = [f"{i}{j}" for i in joints for j in joints]
+    return (
+        [f"u{j}" for j in joints]
+        + [f"ksp{ij}" for ij in pairs]
+        + [f"ksd{ij}" for ij in pairs]
+        + [f"cmd{i}" for i in joints]
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def read_encoders(c, x, tick, q):
+    """Joint angles as the encoders show them, and their backward difference as velocity [rad, rad/s]."""
+    x.tick = tick
+    x.time = tick * c.period
+    for j in range(c.n):
+        seen = q[j]
+        if c.encoder_step > 0.0:
+            seen = np.floor(seen / c.encoder_step + 0.5) * c.encoder_step
+        if tick == 0:
+            x.q_last[j] = seen
+            x.v[j] = 0.0
+        x.v[j] = c.velocity_keep * x.v[j] + (1.0 - c.velocity_keep) * (seen - x.q_last[j]) / c.period
+        x.q_last[j] = seen
+        x.q[j] = seen
+
+
+@njit(cache=True, error_model="numpy")
+def equilibrium(c, p, x):
+    """q_d of (9): joint angles that put the fingertip on its projection on the wall, nearest to the pose.
+
+    Newton's method with the least-norm step; a redundant arm keeps its posture, a one-joint arm solves the
+    normal direction only. Sets `x.unsolved` when the wall cannot be reached and leaves the pose there.
+    """
+    n0, n1 = c.normal[0], c.normal[1]
+    tx = x.r[0] + x.pen * n0
+    ty = x.r[1] + x.pen * n1
+    for j in range(c.n):
+        x.u[j] = x.q[j]
+    x.unsolved = 1
+    for _ in range(_NEWTON_STEPS):
+        tip(p, x.u, x.r)
+        ex, ey = tx - x.r[0], ty - x.r[1]
+        along = n0 * ex + n1 * ey
+        miss = abs(along) if c.n == 1 else np.sqrt(ex * ex + ey * ey)
+        if miss < _ON_THE_WALL_M:
+            x.unsolved = 0
+            break
+        jacobian(p, x.u, x.jac)
+        if c.n == 1:
+            w = n0 * x.jac[0, 0] + n1 * x.jac[1, 0]
+            if w == 0.0:
+                break
+            x.u[0] += along / w
+        else:
+            a = b = d = 0.0
+            for j in range(c.n):
+                a += x.jac[0, j] * x.jac[0, j]
+                b += x.jac[0, j] * x.jac[1, j]
+                d += x.jac[1, j] * x.jac[1, j]
+            det = a * d - b * b
+            if not det > 1e-14 * (a + d) * (a + d):
+                break
+            fx, fy = (d * ex - b * ey) / det, (a * ey - b * ex) / det
+            for j in range(c.n):
+                x.u[j] += x.jac[0, j] * fx + x.jac[1, j] * fy
+    if x.unsolved:
+        for j in range(c.n):
+            x.u[j] = x.q[j]
+    tip(p, x.q, x.r)
+    jacobian(p, x.q, x.jac)
+
+
+@njit(cache=True, error_model="numpy")
+def law(c, p, x):
+    """The control algorithm of section III: (6) out of contact, (7)-(9) and (12) in contact.
+
+    Ksp is rank one for a frictionless wall (22) and is never inverted: the discrete force that the path `u`
+    must carry lies in its range, along w = J^T n, and needs only a division by w.w.
+    """
+    n = c.n
+    tip(p, x.q, x.r)
+    x.pen = c.normal[0] * (c.point[0] - x.r[0]) + c.normal[1] * (c.point[1] - x.r[1])
+    x.contact = 1 if x.pen > 0.0 else 0
+    x.unsolved = 0
+    for i in range(n):
+        x.u[i] = x.q[i]
+        x.cmd[i] = 0.0
+        for j in range(n):
+            x.ksp[i, j] = 0.0
+            x.ksd[i, j] = 0.0
+    if x.contact == 0:
+        return
+    if c.method == 0:
+        jacobian(p, x.q, x.jac)
+    else:
+        equilibrium(c, p, x)
+    w = x.jac[0]  # row 0 becomes J^T n, the joint torques of a unit normal force
+    speed = 0.0
+    for j in range(n):
+        w[j] = c.normal[0] * x.jac[0, j] + c.normal[1] * x.jac[1, j]
+        speed += w[j] * x.v[j]
+    if c.method == 3:
+        for i in range(n):
+            x.ksp[i, i] = c.joint_gain[i] if c.joint_gain[i] >= 0.0 else c.k_dp * w[i] * w[i]
+            x.ksd[i, i] = c.k_dd * w[i] * w[i]
+    elif c.method != 0:
+        for i in range(n):
+            for j in range(n):
+                x.ksp[i, j] = c.k_dp * w[i] * w[j]
+                x.ksd[i, j] = c.k_dd * w[i] * w[j]
+    if c.method == 1 or (c.kp == 0.0 and c.kd == 0.0):
+        return
+    force = c.kp * x.pen - c.kd * speed
+    if c.path == 0 and c.method == 2:
+        ww = 0.0
+        for j in range(n):
+            ww += w[j] * w[j]
+        for j in range(n):
+            x.u[j] += w[j] * force / (c.k_dp * ww)
+    else:
+        for j in range(n):
+            x.cmd[j] = w[j] * force
+
+
+@njit(cache=True, error_model="numpy")
+def _code(c, volts):
+    """One DAC: the voltage of the nearest code, and whether the wish was out of range."""
+    if c.dac_step > 0.0:
+        volts = np.floor(volts / c.dac_step + 0.5) * c.dac_step
+        top = c.dac_range - c.dac_step
+    else:
+        top = c.dac_range
+    if volts > top:
+        return top, 1
+    if volts < -c.dac_range:
+        return -c.dac_range, 1
+    return volts, 0
+
+
+@njit(cache=True, error_model="numpy")
+def to_volts(c, x, volts):
+    """DAC voltages [V] for the wishes in `x`, in the order of `channels`; counts clipped channels in `x.saturated`."""
+    n = c.n
+    x.saturated = 0
+    at = 0
+    for j in range(n):
+        volts[at], over = _code(c, c.v_rad * x.u[j])
+        x.saturated += over
+        at += 1
+    for i in range(n):
+        for j in range(n):
+            volts[at], over = _code(c, c.volts_per_stiffness * x.ksp[i, j])
+            x.saturated += over
+            at += 1
+    for i in range(n):
+        for j in range(n):
+            volts[at], over = _code(c, c.volts_per_damping * x.ksd[i, j])
+            x.saturated += over
+            at += 1
+    for i in range(n):
+        volts[at], over = _code(c, c.v_nm * x.cmd[i])
+        x.saturated += over
+        at += 1

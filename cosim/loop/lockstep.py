@@ -1,0 +1,331 @@
+"""What ngspice calls while it integrates: sources, step control, accepted points - compiled.
+
+ngspice owns time. Per point it asks `synchronise` for the step, polls `source` for every EXTERNAL source at
+the trial time, and hands the accepted values to `accepted`, where the linkage takes its step. Sample instants
+are landed on exactly: the step is cut to them, and a breakpoint set beforehand makes ngspice take the first
+step behind a DAC step with backward Euler.
+"""
+
+from __future__ import annotations
+
+import numba
+from numba import carray, cfunc, njit, types
+
+from cosim.loop.adams import correct, predict
+from cosim.loop.computer import law, read_encoders, to_volts
+from cosim.loop.native import call_plain, call_with_time, doubles_at, vector_value
+from cosim.loop.state import QUEUE, STATE, Fault
+from mech.kernels import dynamics
+
+_NOT_FINITE, _DIVERGED, _COLLAPSED = Fault.NOT_FINITE, Fault.DIVERGED, Fault.STEP_COLLAPSED
+_SAMPLE_LOST = Fault.SAMPLE_LOST
+#: A predicted angle this wrong [rad] after one step is no prediction: the coupling has diverged.
+_DIVERGENCE_RAD = 0.5
+#: The next step aims at this share of the tolerance, and grows at most this much.
+_SAFETY, _GROWTH = 0.8, 4.0
+_NEVER = 1e300
+
+_record = numba.from_dtype(STATE)
+_f8, _i4, _i8, _u1 = types.float64, types.int32, types.int64, types.uint8
+
+
+@njit(cache=True, error_model="numpy")
+def noise_at(s, t, joint):
+    """What the potentiometer of a joint adds to its angle [rad]: grid noise linear in time, then in angle."""
+    value = 0.0
+    if s.noise != 0:
+        table = carray(doubles_at(s.noise), (s.noise_rows * s.n,))
+        x = t / s.noise_dt - s.noise_tick
+        at = s.noise_tick * s.n + joint
+        value += table[at] + x * (table[at + s.n] - table[at])
+    if s.position_noise != 0:
+        table = carray(doubles_at(s.position_noise), (s.position_points * s.n,))
+        x = (s.q_trial[joint] - s.position_lo) / s.position_step
+        x = min(max(x, 0.0), s.position_points - 1.000001)
+        k = int(x)
+        at = k * s.n + joint
+        value += table[at] + (x - k) * (table[at + s.n] - table[at])
+    return value
+
+
+@njit(cache=True, error_model="numpy")
+def _is_gain(s, channel):
+    return s.n <= channel < s.n + 2 * s.n * s.n
+
+
+@njit(cache=True, error_model="numpy")
+def fill(s, t):
+    """Values of all EXTERNAL sources at the trial time `t`."""
+    n = s.n
+    s.t_trial = t
+    predict(s, t - s.t, s.q_trial, s.v_trial)
+    for j in range(n):
+        s.out[j] = s.q_trial[j]
+        if s.noise != 0 or s.position_noise != 0:
+            s.out[j] += noise_at(s, t, j)
+    for j in range(s.speeds):
+        s.out[n + j] = s.gear * s.v_trial[j]
+    if s.ramping:
+        for i in range(s.dacs):
+            k = s.dac_channel[i]
+            part = (t - s.dac_start[0 if _is_gain(s, k) else 1]) / s.settle
+            part = min(max(part, 0.0), 1.0)
+            s.out[s.dac_first + i] = s.dac_from[k] + part * (s.dac_to[k] - s.dac_from[k])
+
+
+@cfunc(_i4(types.CPointer(_f8), _f8, types.CPointer(_u1), _i4, types.CPointer(_record)), cache=True)
+def source(voltage, t, name, ident, user):
+    """GetVSRCData: sources are named v00, v01, ... in the order of `STATE.out`."""
+    s = carray(user, 1)[0]
+    if t != s.t_trial:
+        fill(s, t)
+    digits = carray(name, 3)
+    voltage[0] = s.out[(digits[1] - 48) * 10 + digits[2] - 48]
+    s.source_calls += 1
+    return 0
+
+
+@njit(cache=True, error_model="numpy")
+def _release(s, group):
+    """The oldest waiting sample reaches the DACs of a group; True if a driven voltage changes."""
+    slot = s.queue_out[group] % QUEUE
+    start = s.queue_time[slot] + (s.skew if group == 1 else 0.0)
+    s.queue_out[group] += 1
+    s.dac_start[group] = start
+    changed = False
+    for i in range(s.dacs):
+        k = s.dac_channel[i]
+        if _is_gain(s, k) != (group == 0):
+            continue
+        s.dac_from[k] = s.dac_to[k]
+        s.dac_to[k] = s.queue[slot, k]
+        changed = changed or s.dac_to[k] != s.dac_from[k]
+        if s.settle == 0.0:
+            s.out[s.dac_first + i] = s.dac_to[k]
+    if s.settle > 0.0 and changed:
+        s.ramping = 1
+    return changed
+
+
+@njit(cache=True, error_model="numpy")
+def compute_sample(s):
+    """One sample of the computer at the present state; its voltages wait in the queue for the DACs."""
+    read_encoders(s.c, s.x, s.tick, s.q)
+    if s.law_address != 0:
+        call_plain(s.law_address)
+    else:
+        law(s.c, s.p, s.x)
+    slot = s.queue_in % QUEUE
+    to_volts(s.c, s.x, s.queue[slot])
+    s.queue_time[slot] = (s.tick + s.delay_ticks) * s.c.period + s.delay_s
+    s.queue_in += 1
+    if s.queue_in - min(s.queue_out[0], s.queue_out[1]) > QUEUE:
+        s.fault = _SAMPLE_LOST
+    s.tick += 1
+    _write_sample(s)
+
+
+@njit(cache=True, error_model="numpy")
+def _write_sample(s):
+    n = s.n
+    width = 8 + 4 * n + 2 * n * n
+    row = carray(doubles_at(s.samples + 8 * width * s.samples_used), (width,))
+    x = s.x
+    row[0], row[1], row[2], row[3] = x.tick, x.time, x.contact, x.pen
+    row[4], row[5], row[6], row[7] = x.saturated, x.unsolved, x.r[0], x.r[1]
+    at = 8
+    for j in range(n):
+        row[at], row[at + n], row[at + 2 * n], row[at + 3 * n] = x.q[j], x.v[j], x.u[j], x.cmd[j]
+        at += 1
+    at += 3 * n
+    for i in range(n):
+        for j in range(n):
+            row[at], row[at + n * n] = x.ksp[i, j], x.ksd[i, j]
+            at += 1
+    s.samples_used += 1
+    if s.samples_used == s.samples_capacity:
+        call_plain(s.drain_address)
+
+
+@njit(cache=True, error_model="numpy")
+def _next_event(s):
+    """Time of the next instant the step must land on; breakpoints are set where a DAC will jump."""
+    at = s.t_end
+    if s.tick <= s.last_tick:
+        at = min(at, s.tick * s.c.period)
+    for group in range(2):
+        if s.queue_out[group] < s.queue_in:
+            slot = s.queue_out[group] % QUEUE
+            at = min(at, s.queue_time[slot] + (s.skew if group == 1 else 0.0))
+    if s.ramping:
+        for group in range(2):
+            end = s.dac_start[group] + s.settle
+            if end > s.t + s.delta_min:
+                at = min(at, end)
+    if s.noise != 0:
+        at = min(at, (s.noise_tick + 1) * s.noise_dt)
+    return at
+
+
+@njit(cache=True, error_model="numpy")
+def announce(s, now):
+    """Tell ngspice where the DACs will jump next, so that it starts afresh there (order one)."""
+    if s.tick <= s.last_tick:
+        call_with_time(s.breakpoint_address, s.tick * s.c.period)
+    change = s.queue_time[(s.queue_in - 1) % QUEUE]
+    if change > now:
+        call_with_time(s.breakpoint_address, change)
+    if s.skew > 0.0:
+        call_with_time(s.breakpoint_address, change + s.skew)
+
+
+@njit(cache=True, error_model="numpy")
+def begin(s):
+    """Sample 0, before ngspice finds the operating point: a computer without delay is there at power-up.
+
+    A delayed one finds the DACs out of contact: gains and commands zero, equilibria at the pose.
+    """
+    for j in range(s.n):
+        s.dac_to[j] = s.c.v_rad * s.q[j]
+    compute_sample(s)
+    for group in range(2):
+        if s.queue_time[0] + (s.skew if group == 1 else 0.0) <= s.delta_min:
+            _release(s, group)
+    s.ramping = 0
+    for i in range(s.dacs):
+        k = s.dac_channel[i]
+        s.dac_from[k] = s.dac_to[k]
+        s.out[s.dac_first + i] = s.dac_to[k]
+    s.t_event = _next_event(s)
+
+
+@njit(cache=True, error_model="numpy")
+def process_events(s, t):
+    """Everything due at the accepted time `t`: noise grid, ramp ends, samples, DACs."""
+    now = t + s.delta_min
+    if s.noise != 0 and (s.noise_tick + 1) * s.noise_dt <= now:
+        s.noise_tick += 1
+        s.history = min(s.history, 1)
+    if s.ramping and max(s.dac_start[0], s.dac_start[1]) + s.settle <= now:
+        fill(s, t)
+        s.ramping = 0
+        s.history = min(s.history, 1)
+    if s.tick <= s.last_tick and s.tick * s.c.period <= now:
+        compute_sample(s)
+        announce(s, now)
+    jumped = False
+    for group in range(2):
+        while s.queue_out[group] < s.queue_in:
+            slot = s.queue_out[group] % QUEUE
+            if s.queue_time[slot] + (s.skew if group == 1 else 0.0) > now:
+                break
+            jumped = _release(s, group) or jumped
+    if jumped:
+        s.discontinuities += 1
+        s.history = 0 if s.settle == 0.0 else min(s.history, 1)
+    s.t_event = _next_event(s)
+    return jumped
+
+
+@cfunc(_i4(_f8, types.CPointer(_f8), _f8, _i4, _i4, _i4, types.CPointer(_record)), cache=True)
+def synchronise(t, delta, old, redo, ident, where, user):
+    """GetSyncData: before a step (0) set its length; after one (1) count what ngspice rejected."""
+    s = carray(user, 1)[0]
+    if where == 1:
+        s.rejected += redo
+        return 0
+    h = delta[0]
+    if s.announced == 0:
+        s.announced = 1
+        announce(s, t + s.delta_min)
+    if s.t_event <= t + s.delta_min and process_events(s, t):
+        h = s.h_first
+    h = min(h, s.h_max, s.h_couple, s.h_pole)
+    rest = s.t_event - t
+    if rest > 0.0:
+        if h > 0.999 * rest:
+            h = rest
+        elif h > 0.5 * rest:
+            h = 0.5 * rest
+    delta[0] = h
+    if s.fault != 0:
+        call_plain(s.drain_address)
+    return 0
+
+
+@njit(cache=True, error_model="numpy")
+def evaluate(s, t, q, v, a_out):
+    """Accelerations [rad/s^2] at a state, the motors' torques `s.tau` given."""
+    dynamics(s.p, s.op, t, q, v, s.tau, a_out, s.w)
+
+
+@njit(cache=True, error_model="numpy")
+def advance(s, t):
+    """Take the linkage to the accepted time `t`, the motors' torques there being in `s.tau`."""
+    h = t - s.t
+    evaluate(s, t, s.q_trial, s.v_trial, s.a_trial)
+    s.defect = correct(s, h, s.a_trial)
+    for j in range(s.n):
+        s.a_old[j] = s.a[j]
+    evaluate(s, t, s.q, s.v, s.a)
+    s.t = t
+    s.h_old = h
+    s.history = min(s.history + 1, 2)
+    if not s.defect < _DIVERGENCE_RAD:
+        s.fault = _DIVERGED
+    s.defect_max = max(s.defect_max, s.defect)
+    s.defect_sum += s.defect
+    # the predictor's local error is of third order: aim the next step at the tolerance
+    share = s.defect / (_SAFETY * s.tol)
+    grow = _GROWTH if share * _GROWTH**3 < 1.0 else share ** (-1.0 / 3.0)
+    s.h_couple = h * grow
+
+
+@cfunc(_i4(types.CPointer(_i8), _i4, _i4, types.CPointer(_record)), cache=True)
+def accepted(data, count, ident, user):
+    """SendData: the point is final; the linkage takes its step and the row is written."""
+    s = carray(user, 1)[0]
+    vectors = carray(data, (2,))[1]
+    t = vector_value(vectors, s.time_index)
+    for j in range(s.n):
+        s.tau[j] = s.torque_per_amp * vector_value(vectors, s.current_index[j])
+        if not abs(s.tau[j]) < _NEVER:
+            s.fault = _NOT_FINITE
+    if t > s.t:
+        if t != s.t_trial:
+            fill(s, t)
+        advance(s, t)
+    else:
+        evaluate(s, t, s.q, s.v, s.a)
+        s.history = 1
+    s.points += 1
+    row = carray(doubles_at(s.rows + 8 * s.columns * s.rows_used), (s.columns,))
+    n = s.n
+    row[0] = t
+    row[1], row[2], row[3], row[4] = s.w.r[0], s.w.r[1], s.w.f_op[0], s.w.f_op[1]
+    at = 5
+    for j in range(n):
+        row[at] = s.q[j]
+        row[at + n] = s.v[j]
+        row[at + 2 * n] = s.a[j]
+        row[at + 3 * n] = s.tau[j] / s.torque_per_amp
+        row[at + 4 * n] = s.w.tau_visc[j]
+        row[at + 5 * n] = s.w.tau_coul[j]
+        row[at + 6 * n] = s.w.tau_stop[j]
+        row[at + 7 * n] = s.out[j]
+        at += 1
+    at += 7 * n
+    for i in range(s.dacs):
+        row[at] = s.out[s.dac_first + i]
+        at += 1
+    for i in range(s.nodes):
+        value = vector_value(vectors, s.node_index[i])
+        if abs(value) > s.node_peak[i]:
+            s.node_peak[i] = abs(value)
+        if i < s.nodes_recorded:
+            row[at] = value
+            at += 1
+    s.rows_used += 1
+    if s.rows_used == s.rows_capacity or s.fault != 0:
+        call_plain(s.drain_address)
+    return 0

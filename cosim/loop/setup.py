@@ -1,0 +1,303 @@
+"""From a scene and the board's constants to the compiled lockstep's memory."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.circuits.port import DesignConstants
+from cosim.circuits.spice import Drive
+from cosim.errors import InputError, Problem
+from cosim.loop.computer import COMPUTER, Method, Path, channels
+from cosim.loop.noise import Noise, no_noise, potentiometer_noise
+from cosim.loop.state import QUEUE, STATE
+from cosim.scene import Scene
+from cosim.scene import schema
+from mech.linkage import Chain, Slider
+from mech.operator import Hand, NoOperator, PointMass
+
+_METHOD = {
+    schema.Method.DISCRETE: Method.DISCRETE,
+    schema.Method.CONTINUOUS: Method.CONTINUOUS,
+    schema.Method.COMBINED: Method.COMBINED,
+    schema.Method.JOINT_PD: Method.JOINT_PD,
+}
+#: The first step behind a jump, as a share of the longest step (backward Euler; see adams.py).
+FIRST_STEP_SHARE = 0.01
+
+
+def mechanism(scene: Scene, gear: float) -> Chain | Slider:
+    """Linkage of the scene with the effects that are off left out."""
+    effects = scene.effects
+    device = scene.device
+    if device.chain is not None and device.linkage is schema.Linkage.CHAIN:
+        chain = device.chain
+        zeros = (0.0,) * len(chain.lengths_m)
+        return Chain(
+            lengths_m=chain.lengths_m,
+            masses_kg=chain.masses_kg,
+            coms_m=chain.coms_m,
+            inertias_kg_m2=chain.inertias_kg_m2,
+            rotor_inertia_kg_m2=chain.rotor_inertia_kg_m2,
+            gear=gear,
+            gravity_m_per_s2=chain.gravity_m_per_s2 if effects.gravity else (0.0, 0.0),
+            coriolis=effects.coriolis,
+            viscous_n_m_s=chain.viscous_n_m_s if effects.viscous else zeros,
+            coulomb_n_m=chain.coulomb_n_m if effects.coulomb else zeros,
+            coulomb_speed_rad_per_s=chain.coulomb_speed_rad_per_s,
+            stops_rad=chain.stops_rad,
+            stop_stiffness_n_m_per_rad=chain.stop_stiffness_n_m_per_rad,
+            stop_damping_n_m_s=chain.stop_damping_n_m_s,
+        )
+    slider = device.slider
+    assert slider is not None  # the scene's checks hold this
+    return Slider(
+        radius_m=slider.radius_m,
+        mass_kg=slider.mass_kg,
+        rotor_inertia_kg_m2=slider.rotor_inertia_kg_m2,
+        gear=gear,
+        direction=slider.direction,
+        origin_m=slider.origin_m,
+        gravity_m_per_s2=slider.gravity_m_per_s2 if effects.gravity else (0.0, 0.0),
+        viscous_n_m_s=slider.viscous_n_m_s if effects.viscous else 0.0,
+        coulomb_n_m=slider.coulomb_n_m if effects.coulomb else 0.0,
+        coulomb_speed_rad_per_s=slider.coulomb_speed_rad_per_s,
+        stops_rad=slider.stops_rad,
+        stop_stiffness_n_m_per_rad=slider.stop_stiffness_n_m_per_rad,
+        stop_damping_n_m_s=slider.stop_damping_n_m_s,
+    )
+
+
+def operator(scene: Scene) -> Any:
+    """The operator of the scene as mechanics knows it (a user's class is called from the worker)."""
+    given = scene.operator
+    if isinstance(given, schema.MassOperator):
+        return PointMass(mass_kg=given.mass_kg)
+    if isinstance(given, schema.HandOperator):
+        return Hand(
+            mass_kg=given.mass_kg,
+            damping_n_s_per_m=given.damping_n_s_per_m,
+            stiffness_n_per_m=given.stiffness_n_per_m,
+            waypoints_s_m=given.waypoints_s_m,
+            force_s_n=given.force_s_n,
+        )
+    return NoOperator()
+
+
+def drive(scene: Scene) -> Drive:
+    """Pins that this scene moves; all others are held at 0 V."""
+    computer, n = scene.computer, scene.joints
+    analog = computer.method is not schema.Method.DISCRETE
+    discrete = computer.discrete_stiffness_n_per_m > 0 or computer.discrete_damping_n_s_per_m > 0
+    damped = analog and computer.analog_damping_n_s_per_m > 0
+    by_cmd = discrete and (
+        computer.command_path is schema.CommandPath.CMD
+        or computer.method in (schema.Method.DISCRETE, schema.Method.JOINT_PD)
+    )
+    user = computer.law is not None
+    chosen = []
+    for name in channels(n):
+        diagonal = name[-1] == name[-2]
+        if name.startswith("ksp"):
+            used = analog and (computer.method is not schema.Method.JOINT_PD or diagonal)
+        elif name.startswith("ksd"):
+            used = damped and (computer.method is not schema.Method.JOINT_PD or diagonal)
+        elif name.startswith("cmd"):
+            used = by_cmd and computer.method is not schema.Method.CONTINUOUS
+        else:
+            used = True
+        if used or user:
+            chosen.append(name)
+    speeds = scene.effects.motor is not schema.MotorLevel.IDEAL
+    return Drive(joints=n, speeds=speeds, channels=tuple(chosen))
+
+
+def noise(scene: Scene) -> Noise:
+    """The potentiometers' noise of the scene (null form: nothing drawn)."""
+    kind = scene.effects.pot_noise
+    if kind is schema.PotNoise.NONE:
+        return no_noise(scene.joints)
+    pot = scene.device.potentiometer
+    return potentiometer_noise(
+        kind.value,
+        scene.joints,
+        scene.seed,
+        scene.duration_s,
+        pot.noise_rad,
+        pot.noise_bandwidth_hz,
+        pot.position_period_rad,
+        span_rad=2 * math.pi,
+    )
+
+
+def encoder_step(scene: Scene, gear: float) -> float:
+    """Joint angle of one encoder count [rad]; 0 when the effect is off."""
+    encoder = scene.computer.encoder
+    if not scene.effects.encoder:
+        return 0.0
+    return 2 * math.pi / (encoder.pulses_per_rev * encoder.decoding * gear)
+
+
+def computer_record(scene: Scene, constants: DesignConstants) -> NDArray[np.void]:
+    """Pack what the compiled computer needs (`COMPUTER`, one record)."""
+    c = np.zeros((), COMPUTER)
+    computer, dac = scene.computer, scene.computer.dac
+    c["n"] = scene.joints
+    c["method"] = _METHOD[computer.method]
+    c["path"] = Path.U if computer.command_path is schema.CommandPath.U else Path.CMD
+    c["period"] = computer.period_s
+    c["kp"] = computer.discrete_stiffness_n_per_m
+    c["kd"] = computer.discrete_damping_n_s_per_m
+    c["k_dp"] = computer.analog_stiffness_n_per_m
+    c["k_dd"] = computer.analog_damping_n_s_per_m
+    if scene.wall is not None:
+        c["point"], c["normal"] = scene.wall.point_m, scene.wall.normal
+    c["joint_gain"] = -1.0
+    for j, gain in enumerate(computer.joint_stiffness_n_m_per_rad):
+        c["joint_gain"][j] = gain
+    c["encoder_step"] = encoder_step(scene, constants.gear)
+    cutoff = computer.velocity.filter_hz
+    c["velocity_keep"] = 0.0 if cutoff is None else math.exp(-2 * math.pi * cutoff * computer.period_s)
+    c["v_rad"] = constants.v_rad
+    c["volts_per_stiffness"] = constants.v_fs / constants.k_fs
+    c["volts_per_damping"] = constants.v_fs / constants.c_fs
+    c["v_nm"] = constants.v_nm
+    c["dac_range"] = math.inf
+    if scene.effects.dac:
+        reach = dac.range_v if dac.range_v is not None else constants.dac_v
+        bits = dac.bits if dac.bits is not None else round(constants.dac_bits)
+        c["dac_range"] = reach
+        c["dac_step"] = 2 * reach / 2**bits
+    return c
+
+
+def start(scene: Scene, linkage: Chain | Slider) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Initial angles [rad] and speeds [rad/s]; `InputError` when the tip is out of reach."""
+    given = scene.device.start
+    n = scene.joints
+    if given.q_rad is not None:
+        q = np.array(given.q_rad, dtype=float)
+    else:
+        assert given.tip_m is not None  # the scene's checks hold this
+        try:
+            q = np.asarray(linkage.inverse(np.array(given.tip_m), elbow=given.elbow), dtype=float)
+        except ValueError as error:
+            raise InputError(
+                [Problem(str(error), file=scene.file, key="device.start.tip_m", value=given.tip_m, unit="m")]
+            ) from None
+    v = np.array(given.v_rad_per_s, dtype=float) if given.v_rad_per_s else np.zeros(n)
+    return q, v
+
+
+@dataclass
+class Memory:
+    """A packed lockstep: the record and the arrays it points to (kept alive here).
+
+    Attributes
+    ----------
+    state : one `STATE` record
+    rows, samples : buffers that compiled code fills and Python drains, [capacity, columns]
+    """
+
+    state: NDArray[np.void]
+    rows: NDArray[np.float64]
+    samples: NDArray[np.float64]
+    noise: Noise
+    drive: Drive
+
+
+def columns(drive: Drive, recorded: tuple[str, ...]) -> list[str]:
+    """Names of the columns of `rows`, as `accepted` writes them (visc, coul, stop: torques in N m; pot in rad)."""
+    joint = range(1, drive.joints + 1)
+    names = ["time", "x", "y", "fx", "fy"]
+    for kind in ("q", "v", "a", "imot", "tau_visc", "tau_coul", "tau_stop", "pot"):
+        names += [f"{kind}{j}" for j in joint]
+    return names + list(drive.channels) + list(recorded)
+
+
+def sample_columns(joints: int) -> list[str]:
+    """Names of the columns of `samples`, as `_write_sample` writes them."""
+    joint = range(1, joints + 1)
+    pairs = [f"{a}{b}" for a in joint for b in joint]
+    names = ["tick", "time", "contact", "pen", "saturated", "unsolved", "x", "y"]
+    for kind in ("q_enc", "v_enc", "u_rad", "cmd_nm"):
+        names += [f"{kind}{j}" for j in joint]
+    return names + [f"ksp{ab}" for ab in pairs] + [f"ksd{ab}" for ab in pairs]
+
+
+def pack(
+    scene: Scene,
+    constants: DesignConstants,
+    circuit: Drive,
+    recorded: tuple[str, ...],
+    watched: tuple[str, ...],
+    row_capacity: int = 2048,
+    sample_capacity: int = 256,
+) -> Memory:
+    """Build the lockstep's memory at time 0, the first sample not yet computed.
+
+    Parameters
+    ----------
+    recorded : nodes written at every point; watched : further nodes of which only the peak is kept
+    """
+    n = scene.joints
+    linkage = mechanism(scene, constants.gear)
+    state = np.zeros(1, STATE)
+    s = state[0]
+    packed, person = linkage.pack(operator(scene))
+    s["p"], s["op"] = packed, person
+    s["n"] = n
+    q, v = start(scene, linkage)
+    s["q"][:n], s["v"][:n] = q, v
+    s["torque_per_amp"] = constants.kt * constants.gear
+    s["gear"] = constants.gear
+    s["t_trial"] = math.nan
+    s["speeds"] = n if circuit.speeds else 0
+    names = channels(n)
+    s["dac_channel"][: len(circuit.channels)] = [names.index(c) for c in circuit.channels]
+    s["dacs"] = len(circuit.channels)
+    s["dac_first"] = n + s["speeds"]
+    if scene.effects.dac:
+        s["settle"], s["skew"] = scene.computer.dac.settling_s, scene.computer.dac.skew_s
+    s["c"] = computer_record(scene, constants)
+    period = scene.computer.period_s
+    if scene.effects.delay:
+        s["delay_ticks"] = scene.computer.delay_periods
+        s["delay_s"] = scene.computer.delay_fraction * period
+    if s["delay_ticks"] + 2 > QUEUE:
+        raise InputError(
+            [
+                Problem(
+                    "a sample would be lost",
+                    file=scene.file,
+                    key="computer.delay_periods",
+                    value=scene.computer.delay_periods,
+                    allowed=f"<= {QUEUE - 2}",
+                )
+            ]
+        )
+    s["last_tick"] = math.floor(scene.duration_s / period * (1 + 1e-12))
+    s["t_end"] = scene.duration_s
+    drawn = noise(scene)
+    if drawn.dt > 0:
+        s["noise"], s["noise_rows"], s["noise_dt"] = drawn.grid.ctypes.data, len(drawn.grid), drawn.dt
+    if len(drawn.table):
+        s["position_noise"], s["position_points"] = drawn.table.ctypes.data, len(drawn.table)
+        s["position_lo"], s["position_step"] = drawn.lo, drawn.step
+    solver = scene.solver
+    s["h_max"] = min(solver.max_step_s, period)
+    s["h_first"] = FIRST_STEP_SHARE * s["h_max"]
+    s["h_couple"] = s["h_max"]
+    s["h_pole"] = s["h_max"]
+    s["tol"] = solver.coupling_tolerance_rad
+    s["delta_min"] = 1e-12 * max(period, scene.duration_s * 1e-3)
+    rows = np.zeros((row_capacity, len(columns(circuit, recorded))))
+    samples = np.zeros((sample_capacity, len(sample_columns(n))))
+    s["rows"], s["rows_capacity"], s["columns"] = rows.ctypes.data, len(rows), rows.shape[1]
+    s["samples"], s["samples_capacity"] = samples.ctypes.data, len(samples)
+    s["nodes"], s["nodes_recorded"] = len(recorded) + len(watched), len(recorded)
+    return Memory(state, rows, samples, drawn, circuit)

@@ -1,0 +1,125 @@
+"""The one block of memory that ngspice hands back to every compiled callback.
+
+ngspice knows one user pointer; behind it lies a `STATE` record: mechanics, computer, DAC channels, events,
+step control and counters of one lockstep run.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cosim.loop.computer import COMPUTER, SAMPLE
+from mech.records import LINKAGE, NMAX, OPERATOR, WORK
+
+#: DAC channels of the largest board: u, ksp, ksd, cmd.
+CHANNELS = 2 * NMAX + 2 * NMAX * NMAX
+#: Samples that may be under way between the computer and the DACs (delay of several periods).
+QUEUE = 16
+
+STATE = np.dtype(
+    [
+        # mechanics at the last accepted point
+        ("p", LINKAGE),
+        ("op", OPERATOR),
+        ("w", WORK),
+        ("n", "i8"),
+        ("t", "f8"),
+        ("q", "f8", NMAX),
+        ("v", "f8", NMAX),
+        ("a", "f8", NMAX),
+        ("a_old", "f8", NMAX),
+        ("a_trial", "f8", NMAX),
+        ("h_old", "f8"),
+        ("history", "i8"),  # accelerations on the present smooth piece, 0 to 2 (see adams.py)
+        ("tau", "f8", NMAX),
+        ("torque_per_amp", "f8"),
+        ("gear", "f8"),
+        # the trial point that ngspice is solving
+        ("t_trial", "f8"),
+        ("q_trial", "f8", NMAX),
+        ("v_trial", "f8", NMAX),
+        # EXTERNAL sources: first the potentiometers, then the speeds (if any), then the driven DAC channels
+        ("out", "f8", 2 * NMAX + CHANNELS),
+        ("speeds", "i8"),
+        ("dacs", "i8"),
+        ("dac_first", "i8"),
+        ("dac_channel", "i8", CHANNELS),
+        # DAC channels [V]: ramp from `dac_from` to `dac_to` over `settle` from `dac_start`
+        ("volts", "f8", CHANNELS),
+        ("dac_from", "f8", CHANNELS),
+        ("dac_to", "f8", CHANNELS),
+        ("dac_start", "f8", 2),  # group 0: gains; group 1: equilibria and commands
+        ("settle", "f8"),
+        ("skew", "f8"),
+        ("ramping", "i8"),
+        # the computer
+        ("c", COMPUTER),
+        ("x", SAMPLE),
+        ("law_address", "i8"),  # a user's Python law, 0 for the built-in one
+        ("delay_ticks", "i8"),
+        ("delay_s", "f8"),
+        ("tick", "i8"),
+        ("last_tick", "i8"),
+        ("queue", "f8", (QUEUE, CHANNELS)),
+        ("queue_time", "f8", QUEUE),
+        ("queue_in", "i8"),
+        ("queue_out", "i8", 2),
+        # potentiometer noise: linear between grid ticks
+        ("noise", "i8"),  # address of the samples [ticks, n], 0 without noise
+        ("noise_rows", "i8"),
+        ("noise_dt", "f8"),
+        ("noise_tick", "i8"),
+        ("position_noise", "i8"),  # address of a table over one turn [points, n], 0 without
+        ("position_points", "i8"),
+        ("position_lo", "f8"),
+        ("position_step", "f8"),
+        # step control
+        ("h_max", "f8"),
+        ("h_first", "f8"),
+        ("h_couple", "f8"),
+        ("h_pole", "f8"),
+        ("tol", "f8"),
+        ("t_event", "f8"),
+        ("announced", "i8"),
+        ("t_end", "f8"),
+        ("delta_min", "f8"),
+        # where ngspice's accepted values are
+        ("time_index", "i8"),
+        ("current_index", "i8", NMAX),
+        ("nodes", "i8"),
+        ("node_index", "i8", 256),
+        ("node_peak", "f8", 256),
+        # rows of results
+        ("rows", "i8"),
+        ("rows_capacity", "i8"),
+        ("rows_used", "i8"),
+        ("columns", "i8"),
+        ("nodes_recorded", "i8"),
+        ("samples", "i8"),
+        ("samples_capacity", "i8"),
+        ("samples_used", "i8"),
+        # Python called from compiled code
+        ("drain_address", "i8"),
+        ("breakpoint_address", "i8"),
+        # counters and verdict
+        ("points", "i8"),
+        ("rejected", "i8"),
+        ("source_calls", "i8"),
+        ("discontinuities", "i8"),
+        ("defect", "f8"),
+        ("defect_max", "f8"),
+        ("defect_sum", "f8"),
+        ("fault", "i8"),
+    ],
+    align=True,
+)
+
+
+class Fault:
+    """Why compiled code stopped the run (`STATE.fault`)."""
+
+    NONE = 0
+    NOT_FINITE = 1
+    DIVERGED = 2
+    STEP_COLLAPSED = 3
+    SAMPLE_LOST = 4

@@ -1,0 +1,149 @@
+"""A control law of the user's own: a Python class in a file, called once per sample.
+
+The class has one method, `control(sample) -> Command`; everything around it (encoders, DACs, delay, skew)
+stays as the scene says. It runs in the simulation's process and is trusted as any Python file is.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cosim.errors import InputError, Problem, SimulationError
+from mech.kernels import jacobian, tip
+from mech.records import NMAX
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What the computer knows at a sample.
+
+    Attributes
+    ----------
+    tick, time_s : number and time of the sample
+    q_rad, v_rad_per_s : [n] encoder angles and their difference quotient
+    tip_m : [2] fingertip at `q_rad`; jacobian : [2, n] m/rad
+    wall_point_m, wall_normal : [2] the wall of the scene
+    """
+
+    tick: int
+    time_s: float
+    q_rad: NDArray[np.float64]
+    v_rad_per_s: NDArray[np.float64]
+    tip_m: NDArray[np.float64]
+    jacobian: NDArray[np.float64]
+    wall_point_m: NDArray[np.float64]
+    wall_normal: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Command:
+    """What the computer asks of the board; what is left out is zero (`u_rad`: the present pose).
+
+    Attributes
+    ----------
+    u_rad : [n] equilibria; stiffness, damping : [n, n] N m/rad and N m s/rad, row = motor, column = joint
+    torque_n_m : [n] direct command at the joints
+    """
+
+    u_rad: ArrayLike | None = None
+    stiffness: ArrayLike = field(default=0.0)
+    damping: ArrayLike = field(default=0.0)
+    torque_n_m: ArrayLike = field(default=0.0)
+
+
+def load_law(where: str, scene: Path | None) -> Any:
+    """Make one object of the class `file.py:Class`, the file relative to the scene.
+
+    Raises
+    ------
+    InputError
+        When the file or the class is missing, cannot be made, or has no method `control`.
+    """
+
+    def refuse(why: str) -> InputError:
+        return InputError([Problem(why, file=None if scene is None else str(scene), key="computer.law", value=where)])
+
+    file, _, name = where.rpartition(":")
+    path = Path(file) if scene is None else scene.parent / file
+    if not file or not name:
+        raise refuse("a control law is named as 'file.py:Class'")
+    if not path.is_file():
+        raise refuse(f"there is no file {path}")
+    spec = importlib.util.spec_from_file_location("cosim_user_law", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+        law = getattr(module, name)()
+    except Exception as error:
+        raise refuse(f"{type(error).__name__}: {error}") from error
+    if not callable(getattr(law, "control", None)):
+        raise refuse(f"the class {name} has no method control(sample)")
+    return law
+
+
+class UserLaw:
+    """Bridge from compiled code to the user's `control`.
+
+    Parameters
+    ----------
+    law : object with `control(sample) -> Command`
+    state : the `STATE` record that compiled code works on
+    failed : called with what went wrong; must stop the run
+    """
+
+    def __init__(self, law: Any, state: np.void, failed: Callable[[BaseException], None]) -> None:
+        self.law, self.state, self.failed = law, state, failed
+        self.callback = ctypes.CFUNCTYPE(None)(self._sample)
+        self.address = ctypes.cast(self.callback, ctypes.c_void_p).value
+
+    def _sample(self) -> None:
+        try:
+            self._control()
+        except BaseException as error:  # ctypes would print it and go on
+            self.failed(error)
+
+    def _control(self) -> None:
+        n = int(self.state["n"])
+        c, x, p = self.state["c"], self.state["x"], self.state["p"]
+        q = x["q"][:n].copy()
+        r, jac = np.zeros(2), np.zeros((2, NMAX))
+        padded = np.zeros(NMAX)
+        padded[:n] = q
+        tip(p, padded, r)
+        jacobian(p, padded, jac)
+        pen = float(c["normal"] @ (c["point"] - r))
+        sample = Sample(
+            tick=int(x["tick"]),
+            time_s=float(x["time"]),
+            q_rad=q,
+            v_rad_per_s=x["v"][:n].copy(),
+            tip_m=r.copy(),
+            jacobian=jac[:, :n].copy(),
+            wall_point_m=c["point"].copy(),
+            wall_normal=c["normal"].copy(),
+        )
+        command = self.law.control(sample)
+        x["r"], x["pen"], x["contact"] = r, pen, int(pen > 0)
+        x["u"][:n] = _checked("u_rad", q if command.u_rad is None else command.u_rad, (n,), sample)
+        x["cmd"][:n] = _checked("torque_n_m", command.torque_n_m, (n,), sample)
+        x["ksp"][:n, :n] = _checked("stiffness", command.stiffness, (n, n), sample)
+        x["ksd"][:n, :n] = _checked("damping", command.damping, (n, n), sample)
+
+
+def _checked(what: str, given: ArrayLike, shape: tuple[int, ...], sample: Sample) -> NDArray[np.float64]:
+    value = np.broadcast_to(np.asarray(given, dtype=float), shape)
+    if not np.isfinite(value).all():
+        raise SimulationError(
+            f"the control law's {what} is not finite at sample {sample.tick}: {value.tolist()}", time_s=sample.time_s
+        )
+    return value
