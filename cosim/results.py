@@ -1,0 +1,280 @@
+"""`Run`: what a simulation leaves behind, in memory and in a folder.
+
+A result folder holds
+
+* ``signals.raw``: every recorded point, ngspice's binary raw format;
+* ``signals.parquet`` and, on request, ``signals.csv``: the same for other tools;
+* ``samples.csv``: one row for each sample of the computer;
+* ``run.json``: resolved scene, plan, events, measures, energy ledger, statistics, provenance.
+"""
+
+import csv
+import importlib.metadata
+import json
+import os
+import platform
+import shutil
+import sys
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import cosim
+from cosim.errors import CosimError, fail
+from cosim.rawfile import Signals, read_raw
+from cosim.scene import Scene, scene_from_dict
+from cosim.staging import Staging, disk_errors
+
+RAW, SAMPLES, RECORD = "signals.raw", "samples.csv", "run.json"
+FORMATS = ("parquet", "csv")
+_FORMAT_VERSION = 1
+# Rows handled at once when exporting: some megabytes, whatever the length of the run.
+_CHUNK = 1 << 15
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished simulation.
+
+    Attributes
+    ----------
+    scene
+        The scene that ran.
+    signals
+        Recorded signals by name, memory-mapped, one value an accepted time point, SI units.
+    samples
+        What the computer saw and wrote, one value a sample, SI units.
+    plan
+        Effects in force, circuit model and what was left out, JSON-ready.
+    events
+        What happened and when, JSON-ready.
+    measures
+        Name -> {value, unit, text}.
+    ledger
+        Energies [J] by name and how well they close.
+    stats
+        Wall time, points, rejected points and the like.
+    provenance
+        Versions, seed and command, see `provenance`.
+    """
+
+    scene: Scene
+    signals: Signals
+    samples: Mapping[str, NDArray[np.float64]]
+    plan: Mapping[str, Any] = field(default_factory=dict)
+    events: Sequence[Mapping[str, Any]] = ()
+    measures: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    ledger: Mapping[str, Any] = field(default_factory=dict)
+    stats: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def save(self, folder: str | os.PathLike[str], formats: Collection[str] = ("parquet",)) -> Path:
+        """Write the result folder whole, or not at all.
+
+        Parameters
+        ----------
+        folder
+            Must not exist, be empty, or hold an earlier result, which is replaced.
+        formats
+            Further forms of the signals, of `FORMATS`.
+
+        Returns
+        -------
+        Path
+            The folder.
+
+        Raises
+        ------
+        InputError
+            When it cannot be written or is somebody else's; nothing is left behind then.
+        """
+        with Staging(folder, RECORD) as stage:
+            self.write_into(stage.path, formats)
+            stage.publish()
+            return stage.target
+
+    def write_into(self, folder: Path, formats: Collection[str] = ("parquet",)) -> None:
+        """Write the files into an existing folder, which may already hold the raw file."""
+        unknown = set(formats) - set(FORMATS)
+        if unknown:
+            raise ValueError(f"unknown formats {sorted(unknown)}; known are {FORMATS}")
+        raw = folder / RAW
+        with disk_errors(folder):
+            if self.signals.path.absolute() != raw.absolute():
+                _link_or_copy(self.signals.path, raw)
+            if "parquet" in formats:
+                write_parquet(folder / "signals.parquet", self.signals)
+            if "csv" in formats:
+                write_csv(folder / "signals.csv", self.signals)
+            write_csv(folder / SAMPLES, self.samples)
+            (folder / RECORD).write_text(json_text(self._record()) + "\n", encoding="utf-8")
+
+    def _record(self) -> dict[str, Any]:
+        return {
+            "format": _FORMAT_VERSION,
+            "title": self.scene.title,
+            "scene": self.scene.as_dict(),
+            "scene_digest": self.scene.digest(),
+            "plan": self.plan,
+            "measures": self.measures,
+            "ledger": self.ledger,
+            "events": list(self.events),
+            "stats": self.stats,
+            "provenance": self.provenance,
+        }
+
+    @staticmethod
+    def load(folder: str | os.PathLike[str]) -> "Run":
+        """Load a result folder; the signals stay on the disk.
+
+        Raises
+        ------
+        InputError
+            When the folder holds no result, or a damaged one.
+        """
+        place = Path(folder)
+        try:
+            record = json.loads((place / RECORD).read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            fail("is not a result folder: it holds no run.json", file=str(place))
+        except (OSError, ValueError) as error:
+            fail(f"cannot be read: {error}", file=str(place / RECORD))
+        if not isinstance(record, dict) or record.get("format") != _FORMAT_VERSION:
+            fail("was written by another version of cosim", file=str(place / RECORD))
+        return Run(
+            scene=scene_from_dict(record["scene"]),
+            signals=read_raw(place / RAW),
+            samples=read_csv(place / SAMPLES),
+            plan=record["plan"],
+            events=record["events"],
+            measures=record["measures"],
+            ledger=record["ledger"],
+            stats=record["stats"],
+            provenance=record["provenance"],
+        )
+
+
+def provenance(
+    scene: Scene, *, command: Sequence[str] | None = None, ngspice: str | None = None, **more: Any
+) -> dict[str, Any]:
+    """Return what is needed to repeat a run: versions, seed, command, scene file and its digest.
+
+    Parameters
+    ----------
+    scene
+        The scene that ran.
+    command
+        Command line; by default that of this process.
+    ngspice
+        Version of the library, as it told itself.
+    more
+        Further entries, for example the digest of the netlist.
+    """
+    packages = ("numpy", "scipy", "numba", "PySpice", "pydantic")
+    return {
+        "versions": {
+            "cosim": cosim.__version__,
+            "python": platform.python_version(),
+            "ngspice": ngspice,
+            **{package: _version(package) for package in packages},
+        },
+        "platform": platform.platform(),
+        "command": list(sys.argv if command is None else command),
+        "seed": scene.seed,
+        "scene_file": str(scene.file) if scene.file else None,
+        "scene_digest": scene.digest(),
+        **more,
+    }
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def json_text(value: Any) -> str:
+    """Return `value` as JSON; numpy's numbers are taken, NaN and infinity are refused.
+
+    Raises
+    ------
+    CosimError
+        When a number is not finite, with the path that leads to it.
+    """
+    bad = _not_finite(value, "")
+    if bad:
+        raise CosimError(f"internal: {bad} is not a finite number and would not be valid JSON")
+    return json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False, default=_plain)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, Mapping):
+        return dict(value)
+    raise TypeError(f"{type(value).__name__} is not JSON-ready")
+
+
+def _not_finite(value: Any, path: str) -> str | None:
+    if isinstance(value, float | np.floating | np.ndarray):
+        return None if np.all(np.isfinite(value)) else (path or "value")
+    items = (
+        value.items()
+        if isinstance(value, Mapping)
+        else enumerate(value)
+        if isinstance(value, list | tuple)
+        else ()
+    )
+    return next((bad for key, item in items if (bad := _not_finite(item, f"{path}.{key}".lstrip(".")))), None)
+
+
+def write_csv(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
+    """Write columns of equal length; numbers keep every digit."""
+    length = len(next(iter(columns.values()))) if columns else 0
+    with disk_errors(path), path.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(columns)
+        for start in range(0, length, _CHUNK):
+            block = [column[start : start + _CHUNK].tolist() for column in columns.values()]
+            writer.writerows(zip(*block, strict=True))
+
+
+def read_csv(path: Path) -> dict[str, NDArray[np.float64]]:
+    """Read columns of numbers written by `write_csv`."""
+    try:
+        with path.open(encoding="utf-8", newline="") as stream:
+            rows = csv.reader(stream)
+            names = next(rows, [])
+            table = np.array(list(rows), dtype=np.float64).reshape(-1, len(names) or 1)
+    except (OSError, ValueError) as error:
+        fail(f"cannot be read: {error}", file=str(path))
+    return {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(names)}
+
+
+def write_parquet(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
+    """Write columns of equal length as Parquet, a piece at a time."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    schema = pa.schema([(name, pa.from_numpy_dtype(column.dtype)) for name, column in columns.items()])
+    length = len(next(iter(columns.values()))) if columns else 0
+    with disk_errors(path), pq.ParquetWriter(path, schema) as writer:
+        for start in range(0, length, _CHUNK):
+            block = [
+                pa.array(np.ascontiguousarray(column[start : start + _CHUNK])) for column in columns.values()
+            ]
+            writer.write_table(pa.Table.from_arrays(block, schema=schema))
+
+
+def _link_or_copy(source: Path, target: Path) -> None:
+    try:
+        os.link(source, target)
+    except OSError:  # another file system, or one without links
+        shutil.copyfile(source, target)

@@ -1,0 +1,93 @@
+"""Output folders that appear whole or not at all."""
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Self
+
+from cosim.errors import InputError, Problem, fail
+
+
+@contextmanager
+def disk_errors(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Turn what the file system refuses into an `InputError` that names `path`."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(Problem(f"cannot be written: {reason}", file=os.fspath(path))) from error
+
+
+class Staging:
+    """A temporary folder beside `target` that takes its place when it is complete.
+
+    Made before a simulation starts, it also tells early that the place cannot be written.
+
+    Parameters
+    ----------
+    target
+        Folder that shall appear.
+    marker
+        File that a folder of this kind contains. An existing target is replaced only when it is empty
+        or has this file: a folder of the user's own is never deleted.
+
+    Attributes
+    ----------
+    path
+        The temporary folder.
+    """
+
+    def __init__(self, target: str | os.PathLike[str], marker: str) -> None:
+        self.target = Path(os.path.abspath(target))
+        self._marker = marker
+        self._refuse_foreign()
+        with disk_errors(self.target):
+            self.target.parent.mkdir(parents=True, exist_ok=True)
+            self.path = Path(tempfile.mkdtemp(prefix=f".{self.target.name}.", dir=self.target.parent))
+            # mkdtemp makes it private; a result is as public as the user's other files.
+            umask = os.umask(0)
+            os.umask(umask)
+            self.path.chmod(0o777 & ~umask)
+
+    def _refuse_foreign(self) -> None:
+        with disk_errors(self.target):
+            if not os.path.lexists(self.target):
+                return
+            foreign = not self.target.is_dir() or (
+                any(self.target.iterdir()) and not (self.target / self._marker).is_file()
+            )
+        if foreign:
+            fail(
+                f"exists and is not a folder that holds {self._marker}; choose another one",
+                file=str(self.target),
+            )
+
+    def publish(self) -> None:
+        """Give the folder its final name, in place of an earlier result."""
+        self._refuse_foreign()
+        with disk_errors(self.target):
+            if not self.target.exists():
+                self.path.rename(self.target)
+                return
+            # A folder that is not empty cannot be renamed over: the old one steps aside first.
+            old = Path(tempfile.mkdtemp(prefix=f".{self.target.name}.", dir=self.target.parent))
+            self.target.rename(old)
+            try:
+                self.path.rename(self.target)
+            except OSError:
+                old.rename(self.target)
+                raise
+        shutil.rmtree(old, ignore_errors=True)
+
+    def discard(self) -> None:
+        """Remove the temporary folder if it is still there."""
+        shutil.rmtree(self.path, ignore_errors=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.discard()
