@@ -1,0 +1,342 @@
+"""One flat deck from a board file, its blocks, and parts at the levels that the effects ask for.
+
+The deck holds the board's subcircuit and all it needs, but no sources and no instance of the board: whoever
+simulates adds ``xboard <nets> <board>`` and the sources behind `Deck.text`. ngspice never sees an include.
+"""
+
+import hashlib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from cosim.errors import InputError, Problem, fail, nearest
+from cosim.ngspice.flatten import Reader
+from cosim.ngspice.lines import Line, read_lines, tokens
+from cosim.ngspice.netlist import Block, Netlist, parse
+from cosim.ngspice.overrides import apply_overrides
+from cosim.ngspice.parts import Part, PartSwap, Shelf
+
+__all__ = ["Amplifier", "Deck", "PartSwap", "board_pins", "load_deck"]
+
+_JOINT_PINS = ("pot{j}", "vel{j}", "u{j}", "cmd{j}", "imot{j}")
+_PAIR_PINS = ("ksp{i}{j}", "ksd{i}{j}")
+MOST_JOINTS = 6
+
+
+@dataclass(frozen=True)
+class Amplifier:
+    """An amplifier inside the board, for headroom figures.
+
+    Attributes
+    ----------
+    path
+        Instance path, for example ``xboard.xsum1.xop``.
+    part, role
+        Name and role of the part.
+    out_node
+        Name that ngspice gives its output node; a pin of the board has the net's name, taken to be the pin's.
+    swing_param
+        Name of the deck's parameter (readable as ``const.<name>`` if it is a ``.csparam``) with the output
+        limit [V], or ``None`` if the part states none.
+    """
+
+    path: str
+    part: str
+    role: str | None
+    out_node: str
+    swing_param: str | None
+
+
+@dataclass(frozen=True)
+class Deck:
+    """A flat, checked netlist of a board; equal inputs give equal text.
+
+    Attributes
+    ----------
+    lines
+        Its lines with their origins; the first is the title.
+    board, pins, joints
+        Name of the board's subcircuit, its pins in order (lower case), and the number of joints.
+    amplifiers
+        All instances of parts that state an output pin.
+    parts
+        Parts in the deck with their levels.
+    notes
+        What was ignored, in words.
+    path
+        The board file.
+    """
+
+    lines: tuple[Line, ...]
+    board: str
+    pins: tuple[str, ...]
+    joints: int
+    amplifiers: tuple[Amplifier, ...]
+    parts: tuple[Part, ...]
+    notes: tuple[str, ...]
+    path: Path
+
+    @property
+    def text(self) -> str:
+        """The deck without ``.end``, ready for more lines behind it."""
+        return "".join(line.text + "\n" for line in self.lines)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the text."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
+
+
+def board_pins(joints: int) -> tuple[str, ...]:
+    """Return the pins that a board for so many joints must have, in the customary order."""
+    each = [form.format(j=j) for form in _JOINT_PINS[:3] for j in range(1, joints + 1)]
+    pairs = [
+        form.format(i=i, j=j)
+        for form in _PAIR_PINS
+        for i in range(1, joints + 1)
+        for j in range(1, joints + 1)
+    ]
+    last = [form.format(j=j) for form in _JOINT_PINS[3:] for j in range(1, joints + 1)]
+    return (*each, *pairs, *last, "vcc", "vee")
+
+
+def load_deck(
+    path: str | Path,
+    *,
+    levels: Mapping[str, str] | None = None,
+    parts: Mapping[str, PartSwap | str] | None = None,
+    overrides: Mapping[str, str] | None = None,
+    trust: bool = False,
+    root: str | Path | None = None,
+) -> Deck:
+    """Read a board and all that belongs to it into one flat deck.
+
+    Parameters
+    ----------
+    path
+        Board file: a netlist fragment with one subcircuit that has the pins of `board_pins`.
+    levels
+        Role of a part (`ROLES`) -> section of its ``.lib`` file, ``ideal`` where nothing is said. ``driver``
+        is the kind of drive (``voltage`` or ``current``), ``driver_level`` the level of its amplifier.
+    parts
+        Name or role of a part -> the part's name or the vendor's model that stands in for it.
+    overrides
+        Name of a ``.param``, designator of an element, or ``instance.parameter`` -> new value.
+    trust
+        Whether to let control blocks, file access and includes from anywhere pass.
+    root
+        Folder that includes may not leave; the board's own by default.
+
+    Raises
+    ------
+    InputError
+        For a missing file or pin, a refused statement, an unknown part, level or override.
+    """
+    path = Path(path)
+    reader = Reader(Path(root) if root is not None else path.parent, trust)
+    shelf = Shelf(path.parent, reader, dict(levels or {}), _lower(parts or {}))
+    net = parse(_without_title(path, reader.read(path)))
+    board = _board(path, net)
+    _complete(net, board, shelf)
+    apply_overrides(net, board, overrides or {})
+    joints = _joints(board)
+    blocks = _reachable(net, board)
+    top = [line for line in net.top if not line.keyword.startswith((".control", ".endc"))]
+    lines = [Line(f"{board.name}: {joints} joint{'s' if joints > 1 else ''}")]
+    if shelf.pspice:
+        lines.append(Line("*@ ngbehavior=psa"))
+    lines += top
+    for block in blocks:
+        lines += block.lines
+    return Deck(
+        tuple(lines),
+        board.name,
+        board.pins,
+        joints,
+        tuple(_amplifiers(net, board, shelf)),
+        tuple(shelf.used[name] for name in sorted(shelf.used) if name in net.blocks),
+        tuple(_notes(net)),
+        path,
+    )
+
+
+def _lower(parts: Mapping[str, PartSwap | str]) -> dict[str, PartSwap | str]:
+    return {key.lower(): value.lower() if isinstance(value, str) else value for key, value in parts.items()}
+
+
+def _without_title(path: Path, lines: list[Line]) -> list[Line]:
+    """Drop the first line if it can only be a title; one that starts with a dot or star is read."""
+    first = read_lines(path)[:1]
+    if first and lines and lines[0] == first[0] and first[0].lineno == 1 and first[0].text[0] not in ".*":
+        return lines[1:]
+    return lines
+
+
+def _board(path: Path, net: Netlist) -> Block:
+    """Return the subcircuit that is a board: the one with a pin ``imot1``."""
+    found = [block for block in net.blocks.values() if "imot1" in block.pins]
+    if len(found) == 1:
+        _check_pins(found[0])
+        return found[0]
+    here = [block for block in net.blocks.values() if block.header.file == str(path)]
+    if not found and len(here) == 1:
+        _check_pins(here[0])
+    names = ", ".join(block.name for block in found or here) or "none"
+    fail(f"the file must define exactly one board, a .subckt with pin imot1 and the others; found: {names}",
+         file=str(path))  # fmt: skip
+
+
+def _joints(board: Block) -> int:
+    return sum(re.fullmatch(r"imot\d+", pin) is not None for pin in board.pins)
+
+
+def _check_pins(board: Block) -> None:
+    """Raise an `InputError` that lists every missing, unknown and doubled pin."""
+    joints = max(_joints(board), 1)
+    file, line = board.header.file, board.header.lineno
+    if joints > MOST_JOINTS:
+        fail(f"a board has at most {MOST_JOINTS} joints", file=file, line=line, key=board.name, value=joints)
+    wanted = board_pins(joints)
+    problems = [
+        Problem(
+            f"board {board.name} of {joints} joint{'s' if joints > 1 else ''} lacks the pin",
+            file=file,
+            line=line,
+            key=pin,
+        )
+        for pin in wanted
+        if pin not in board.pins
+    ]
+    problems += [
+        Problem(
+            f"board {board.name} has an unknown pin, nearest is {nearest(pin, wanted)}",
+            file=file,
+            line=line,
+            key=pin,
+        )
+        for pin in board.pins
+        if pin not in wanted
+    ]
+    doubled = sorted({pin for pin in board.pins if board.pins.count(pin) > 1})
+    problems += [
+        Problem(f"board {board.name} has the pin twice", file=file, line=line, key=pin) for pin in doubled
+    ]
+    if problems:
+        raise InputError(problems)
+
+
+def _complete(net: Netlist, board: Block, shelf: Shelf) -> None:
+    """Swap parts, and add every part that is instantiated but not defined."""
+    problems: list[Problem] = []
+    wanted, seen = [board.name], {board.name}
+    while wanted:
+        block = net.blocks[wanted.pop(0)]
+        for instance in block.references():
+            swapped = None if block.is_part else shelf.swapped(instance)
+            name = instance.block
+            if swapped is not None:
+                line, model = swapped
+                block.body[instance.index] = line
+                name = line_block = tokens(line.text)[-1].lower()
+                if line_block not in seen:
+                    net.add(model)
+            elif name not in net.blocks:
+                part = shelf.take(name)
+                if part is None:
+                    near = nearest(name, [*net.blocks, *shelf.names()])
+                    problems.append(
+                        Problem(
+                            f"subcircuit '{name}' is not defined" + (f", nearest is {near}" if near else ""),
+                            file=instance.line.file,
+                            line=instance.line.lineno,
+                            value=instance.line.text,
+                        )
+                    )
+                    continue
+                net.add(part)
+            pins = net.blocks[name].pins if name in net.blocks else ()
+            nodes = len(instance.nodes)
+            if name not in net.blocks:
+                fail(f"the part's file does not define .subckt {name}", file=instance.line.file)
+            if swapped is None and nodes != len(pins):
+                problems.append(
+                    Problem(
+                        f"{instance.name} connects {nodes} nodes, {name} has {len(pins)} ({' '.join(pins)})",
+                        file=instance.line.file,
+                        line=instance.line.lineno,
+                        value=instance.line.text,
+                    )
+                )
+            if name not in seen:
+                seen.add(name)
+                wanted.append(name)
+    if problems:
+        raise InputError(problems)
+
+
+def _reachable(net: Netlist, board: Block) -> list[Block]:
+    """Return the board and all it instantiates, the board last."""
+    found: dict[str, Block] = {}
+
+    def visit(block: Block) -> None:
+        for instance in block.references():
+            if instance.block not in found:
+                visit(net.blocks[instance.block])
+        found[block.name] = block
+
+    visit(board)
+    return list(found.values())
+
+
+def _amplifiers(net: Netlist, board: Block, shelf: Shelf) -> list[Amplifier]:
+    """Walk the instances and list the amplifiers with the names ngspice gives their outputs."""
+    found: list[Amplifier] = []
+
+    def walk(block: Block, path: str, nets: dict[str, str]) -> None:
+        for instance in block.instances():
+            if instance.block not in net.blocks:
+                continue  # defined inside a vendor's model
+            child = net.blocks[instance.block]
+            names = [
+                nets.get(node, "0" if node in ("0", "gnd") else f"{path}.{node}") for node in instance.nodes
+            ]
+            inner = dict(zip(child.pins, names, strict=True))
+            here = f"{path}.{instance.name}"
+            part = shelf.used.get(child.name)
+            if part is not None and part.out is not None:
+                if part.out not in inner:
+                    fail(f"part {part.name} has no pin {part.out}", file=child.header.file, key="out")
+                found.append(Amplifier(here, part.name, part.role, inner[part.out], part.swing))
+            elif part is None:
+                walk(child, here, inner)
+
+    walk(board, "xboard", {pin: pin for pin in board.pins} | _globals(net))
+    return found
+
+
+def _globals(net: Netlist) -> dict[str, str]:
+    words = [tokens(line.text)[1:] for line in net.top if line.keyword == ".global"]
+    return {name.lower(): name.lower() for row in words for name in row}
+
+
+def _notes(net: Netlist) -> list[str]:
+    """Say what was ignored, once per file and kind."""
+    counts: dict[tuple[str, str], int] = {}
+    for line in net.dropped:
+        if line.keyword not in (".end", ".title"):
+            key = (line.file, line.keyword)
+            counts[key] = counts.get(key, 0) + 1
+    notes = [
+        f"{file}: ignored {count} {word} line{'s' if count > 1 else ''}"
+        for (file, word), count in counts.items()
+    ]
+    outside: dict[str, list[str]] = {}
+    for line in net.bench:
+        outside.setdefault(line.file, []).append(tokens(line.text)[0])
+    notes += [
+        f"{file}: ignored elements outside the board's subcircuit: {', '.join(names[:8])}"
+        + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+        for file, names in outside.items()
+    ]
+    return notes

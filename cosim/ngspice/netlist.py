@@ -1,0 +1,214 @@
+"""The structure of a netlist: subcircuits, the statements outside them, and who instantiates whom."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from cosim.errors import InputError, Problem, fail
+from cosim.ngspice.lines import Line, assignments, join, tokens
+from cosim.ngspice.safety import DROPPED
+
+__all__ = ["Block", "Instance", "Netlist", "parse"]
+
+
+@dataclass
+class Block:
+    """One subcircuit.
+
+    Attributes
+    ----------
+    name, pins
+        As on the ``.subckt`` line, in lower case.
+    params
+        Parameters with their default values.
+    header, body
+        The lines; nested definitions stay in the body as they are.
+    local
+        Names of nested subcircuits.
+    is_part
+        Whether it came from a part's or a vendor's file and not from the board or its blocks.
+    """
+
+    name: str
+    pins: tuple[str, ...]
+    params: dict[str, str]
+    header: Line
+    body: list[Line] = field(default_factory=list)
+    local: set[str] = field(default_factory=set)
+    is_part: bool = False
+
+    @property
+    def lines(self) -> list[Line]:
+        """All lines of the definition."""
+        return [self.header, *self.body, Line(f".ends {self.name}", self.header.file, self.header.lineno)]
+
+    def instances(self) -> list["Instance"]:
+        """Return the instances of other subcircuits, those in nested definitions left out."""
+        found, depth = [], 0
+        for index, line in enumerate(self.body):
+            if line.keyword == ".subckt":
+                depth += 1
+            elif line.keyword in (".ends", ".eom"):
+                depth -= 1
+            elif depth == 0 and line.keyword.startswith("x"):
+                found.append(Instance.of(line, index))
+        return found
+
+    def references(self) -> list["Instance"]:
+        """Return all instances of subcircuits that are not defined inside this one."""
+        every = (Instance.of(line, i) for i, line in enumerate(self.body) if line.keyword.startswith("x"))
+        return [instance for instance in every if instance.block not in self.local]
+
+
+@dataclass(frozen=True)
+class Instance:
+    """An X line: ``xname node ... block param=value ...``, in lower case; `index` is its place in the body."""
+
+    name: str
+    nodes: tuple[str, ...]
+    block: str
+    extra: tuple[str, ...]
+    line: Line
+    index: int
+
+    @classmethod
+    def of(cls, line: Line, index: int) -> "Instance":
+        """Read an X line."""
+        words = tokens(line.text)
+        plain = [word for word in words if "=" not in word and word.lower() not in ("params:", "params")]
+        if len(plain) < 2:
+            fail("an instance needs a subcircuit's name", file=line.file, line=line.lineno, value=line.text)
+        extra = tuple(word for word in words if "=" in word)
+        return cls(
+            plain[0].lower(), tuple(n.lower() for n in plain[1:-1]), plain[-1].lower(), extra, line, index
+        )
+
+    def rewritten(
+        self,
+        *,
+        nodes: Iterable[str] | None = None,
+        block: str | None = None,
+        extra: Iterable[str] | None = None,
+    ) -> Line:
+        """Return the line with other nodes, another subcircuit or other parameters."""
+        words = tokens(self.line.text)[:1]
+        words += self.nodes if nodes is None else nodes
+        words.append(self.block if block is None else block)
+        words += self.extra if extra is None else extra
+        return self.line.rewritten(join(words))
+
+
+@dataclass
+class Netlist:
+    """What a set of lines defines.
+
+    Attributes
+    ----------
+    blocks
+        Subcircuits by name.
+    top
+        Statements outside subcircuits that describe the circuit (``.param``, ``.model``, ...).
+    bench
+        Elements outside subcircuits.
+    dropped
+        Harmless statements that are ignored.
+    """
+
+    blocks: dict[str, Block] = field(default_factory=dict)
+    top: list[Line] = field(default_factory=list)
+    bench: list[Line] = field(default_factory=list)
+    dropped: list[Line] = field(default_factory=list)
+
+    def add(self, other: "Netlist") -> None:
+        """Take over what `other` defines; two different things of one name are an error."""
+        problems = []
+        for name, block in other.blocks.items():
+            mine = self.blocks.setdefault(name, block)
+            if [line.text for line in mine.lines] != [line.text for line in block.lines]:
+                problems.append(_twice(f"subcircuit {name}", block.header, mine.header))
+        known = {line.text for line in self.top}
+        named = {_definition(line): line for line in self.top}
+        for line in other.top:
+            if line.text in known:
+                continue
+            rival = named.get(_definition(line))
+            if rival is not None and line.keyword in (".model", ".func"):
+                problems.append(_twice(f"{line.keyword[1:]} {_definition(line)[1]}", line, rival))
+            self.top.append(line)
+        self.bench += other.bench
+        self.dropped += other.dropped
+        if problems:
+            raise InputError(problems)
+
+
+def parse(lines: Iterable[Line], *, is_part: bool = False) -> Netlist:
+    """Sort lines into subcircuits and the rest.
+
+    Raises
+    ------
+    InputError
+        For ``.subckt`` without ``.ends``, ``.ends`` without ``.subckt``, and two definitions of one name.
+    """
+    net = Netlist()
+    problems: list[Problem] = []
+    stack: list[Block] = []
+    for line in lines:
+        word = line.keyword
+        if word == ".subckt":
+            block = _header(line, is_part)
+            if stack:
+                stack[0].body.append(line)
+                stack[0].local.add(block.name)
+            stack.append(block)
+        elif word in (".ends", ".eom"):
+            if not stack:
+                problems.append(Problem(f"{word} without .subckt", file=line.file, line=line.lineno))
+                continue
+            block = stack.pop()
+            if stack:
+                stack[0].body.append(line)
+            elif block.name not in net.blocks:
+                net.blocks[block.name] = block
+            elif [row.text for row in block.lines] != [row.text for row in net.blocks[block.name].lines]:
+                problems.append(
+                    _twice(f"subcircuit {block.name}", block.header, net.blocks[block.name].header)
+                )
+        elif word in DROPPED:
+            net.dropped.append(line)
+        elif word.startswith("*@"):
+            continue
+        elif stack:
+            stack[0].body.append(line)
+        elif word.startswith("."):
+            net.top.append(line)
+        else:
+            net.bench.append(line)
+    for block in stack:
+        problems.append(
+            Problem(f".subckt {block.name} without .ends", file=block.header.file, line=block.header.lineno)
+        )
+    if problems:
+        raise InputError(problems)
+    return net
+
+
+def _header(line: Line, is_part: bool) -> Block:
+    words = tokens(line.text)
+    if len(words) < 2:
+        raise InputError(Problem(".subckt needs a name", file=line.file, line=line.lineno))
+    pins: list[str] = []
+    for word in words[2:]:
+        if "=" in word or word.lower() in ("params:", "optional:", "text:"):
+            break
+        pins.append(word.lower())
+    return Block(words[1].lower(), tuple(pins), assignments(words[2:]), line, is_part=is_part)
+
+
+def _definition(line: Line) -> tuple[str, str]:
+    words = tokens(line.text)
+    name = words[1].lower() if len(words) > 1 else ""
+    return line.keyword, name.partition("(")[0]
+
+
+def _twice(what: str, here: Line, there: Line) -> Problem:
+    return Problem(f"{what} is defined again, differently from {there.file}:{there.lineno}", file=here.file,
+                   line=here.lineno)  # fmt: skip

@@ -1,0 +1,231 @@
+"""Parts by name or role: which file, which level, and which other part stands in for it."""
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from cosim.errors import InputError, Problem, fail, nearest
+from cosim.ngspice.flatten import Reader, sections
+from cosim.ngspice.lines import Line, assignments, read_lines, tokens
+from cosim.ngspice.netlist import Block, Instance, Netlist, parse
+
+__all__ = ["ROLES", "Part", "PartSwap", "Shelf"]
+
+ROLES = ("opamp", "vca", "driver", "motor", "potentiometer")
+"""What a part can be, as the ``*@ role=`` line of its file says."""
+
+_DIALECTS = ("ngspice", "pspice")
+
+
+@dataclass(frozen=True)
+class PartSwap:
+    """A vendor's model in place of a part.
+
+    Attributes
+    ----------
+    file
+        The vendor's file.
+    subckt
+        Name of the subcircuit in it.
+    pins
+        How its pins meet those of the part it replaces: either the vendor's pin names in the order of the
+        part's pins (``"1 2 3 4 5"``), or the part's pin names in the order of the vendor's pins
+        (``"p m vcc vee out"``).
+    dialect
+        ``"ngspice"`` or ``"pspice"``; the latter switches ngspice's compatibility mode on for the deck.
+    """
+
+    file: str | Path
+    subckt: str
+    pins: str | Iterable[str] = ""
+    dialect: str = "ngspice"
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part as used in a deck; `out` is its output pin, `swing` the parameter with its output limit [V]."""
+
+    name: str
+    role: str | None
+    out: str | None = None
+    swing: str | None = None
+    level: str | None = None
+
+
+@dataclass
+class Shelf:
+    """The ``parts`` and ``blocks`` folders beside a board, with the levels and swaps that a scene asks for.
+
+    Attributes
+    ----------
+    folder
+        Folder of the board file.
+    reader
+        Reads what the shelf holds.
+    levels
+        Level of each role; ``driver`` is the kind of drive, ``driver_level`` the level of its amplifier.
+    swaps
+        Name or role of a part -> what stands in for it.
+    used
+        Parts taken from the shelf so far.
+    """
+
+    folder: Path
+    reader: Reader
+    levels: Mapping[str, str]
+    swaps: Mapping[str, "PartSwap | str"]
+    used: dict[str, Part] = field(default_factory=dict)
+    pspice: bool = False
+
+    def __post_init__(self) -> None:
+        known = {*ROLES, "driver_level"}
+        problems = [
+            Problem(
+                f"unknown role, nearest is {nearest(role, known)}", key=role, allowed=", ".join(sorted(known))
+            )
+            for role in self.levels
+            if role not in known
+        ]
+        if problems:
+            raise InputError(problems)
+
+    def names(self) -> list[str]:
+        """Return the names of all parts on the shelf."""
+        return sorted(file.stem.lower() for file in (self.folder / "parts").glob("*.lib"))
+
+    def take(self, name: str) -> Netlist | None:
+        """Return the netlist that defines the subcircuit `name`, or ``None`` if the shelf has none.
+
+        A part comes at the level its role has in `levels` (``ideal`` where nothing is said); the role
+        ``driver`` comes from one of the two driver blocks.
+        """
+        file = self._file(name)
+        if file is not None:
+            part = self._part(name, file)
+            named = sections(read_lines(file))
+            level = part.level if named else None
+            if level is not None and level not in named:
+                fail(f"part {name} has no such level", file=str(file), key=part.role, value=level,
+                     allowed=", ".join(s for s in named if s != "data"))  # fmt: skip
+            self.used[name] = part
+            return parse(self.reader.read(file, level), is_part=True)
+        if name == "driver":
+            kind = self.levels.get("driver", "voltage")
+            block = self.folder / "blocks" / f"driver_{kind}.cir"
+            if not block.is_file():
+                kinds = [
+                    found.stem.partition("_")[2] for found in (self.folder / "blocks").glob("driver_*.cir")
+                ]
+                fail("there is no such kind of driver", file=str(block), key="driver", value=kind,
+                     allowed=", ".join(sorted(kinds)))  # fmt: skip
+            return parse(self.reader.read(block))
+        return None
+
+    def swapped(self, instance: Instance) -> tuple[Line, Netlist] | None:
+        """Return the instance's line with what stands in for its part, and the netlist that defines that."""
+        file = self._file(instance.block)
+        if file is None:
+            return None
+        part = self._part(instance.block, file)
+        swap = self.swaps.get(part.name, self.swaps.get(part.role or ""))
+        if swap is None or swap == part.name:
+            return None
+        original = self._block(part.name)
+        if isinstance(swap, str):
+            name = swap.lower()
+            net = self.take(name)
+            if net is None:
+                near = nearest(name, self.names())
+                fail("no such part" + (f", nearest is {near}" if near else ""), key=part.name, value=swap,
+                     allowed=", ".join(self.names()))  # fmt: skip
+            order = _by_name(original, net.blocks[name])
+        else:
+            name = swap.subckt.lower()
+            net = self._vendor(swap)
+            order = _pin_map(swap, original, net.blocks[name])
+            self.used[name] = Part(name, part.role, out=order[part.out] if part.out else None)
+        if len(instance.nodes) != len(original.pins):
+            fail(f"{part.name} has {len(original.pins)} pins, {instance.name} connects {len(instance.nodes)}",
+                 file=instance.line.file, line=instance.line.lineno)  # fmt: skip
+        here = dict(zip(original.pins, instance.nodes, strict=True))
+        there = {vendor: here[mine] for mine, vendor in order.items()}
+        nodes = [there[pin] for pin in net.blocks[name].pins]
+        return instance.rewritten(nodes=nodes, block=name, extra=()), net
+
+    def _file(self, name: str) -> Path | None:
+        folder = self.folder / "parts"
+        # by listing, since letter case counts in a folder but not in SPICE
+        return next((file for file in sorted(folder.glob("*.lib")) if file.stem.lower() == name), None)
+
+    def _part(self, name: str, file: Path) -> Part:
+        words = next((tokens(row.text)[1:] for row in read_lines(file) if row.text.startswith("*@")), [])
+        said = assignments(words)
+        role = said.get("role")
+        if role is not None and role not in ROLES:
+            fail("unknown role", file=str(file), key="role", value=role, allowed=", ".join(ROLES))
+        level = self.levels.get("driver_level" if role == "driver" else role or "", "ideal")
+        out, swing = said.get("out"), said.get("swing")
+        return Part(name, role, out and out.lower(), swing and swing.lower(), level)
+
+    def _block(self, name: str) -> Block:
+        """Return a part's subcircuit at any level; all levels have the same pins."""
+        file = self._file(name)
+        assert file is not None
+        for section in [*sections(read_lines(file)), None]:
+            block = parse(self.reader.read(file, section), is_part=True).blocks.get(name)
+            if block is not None:
+                return block
+        fail(f"the file does not define .subckt {name}", file=str(file))
+
+    def _vendor(self, swap: PartSwap) -> Netlist:
+        """Return what a vendor's file says about one subcircuit, the rest of the file left out."""
+        if swap.dialect not in _DIALECTS:
+            fail("unknown dialect", key="dialect", value=swap.dialect, allowed=", ".join(_DIALECTS))
+        file = Path(swap.file)
+        self.pspice |= swap.dialect == "pspice"
+        reader = Reader(file.parent, self.reader.trust, swap.dialect == "pspice")
+        whole = parse(reader.read(file), is_part=True)
+        name = swap.subckt.lower()
+        if name not in whole.blocks:
+            near = nearest(name, whole.blocks)
+            fail(f"no such subcircuit{f', nearest is {near}' if near else ''}", file=str(file), key="subckt",
+                 value=swap.subckt, allowed=", ".join(list(whole.blocks)[:8]))  # fmt: skip
+        wanted, blocks = [name], {}
+        while wanted:
+            block = whole.blocks[wanted.pop()]
+            blocks[block.name] = block
+            wanted += [
+                x.block for x in block.references() if x.block in whole.blocks and x.block not in blocks
+            ]
+        words = set(
+            re.findall(r"[^\s(){}=,]+", " ".join(row.text.lower() for b in blocks.values() for row in b.body))
+        )
+        top = [row for row in whole.top if row.keyword != ".model" or tokens(row.text)[1].lower() in words]
+        return Netlist(blocks, top, [], whole.dropped)
+
+
+def _by_name(original: Block, other: Block) -> dict[str, str]:
+    if set(original.pins) != set(other.pins):
+        fail(f"pins of {other.name} ({' '.join(other.pins)}) are not those of {original.name} "
+             f"({' '.join(original.pins)})", file=other.header.file, line=other.header.lineno)  # fmt: skip
+    return {pin: pin for pin in original.pins}
+
+
+def _pin_map(swap: PartSwap, original: Block, vendor: Block) -> dict[str, str]:
+    """Return the part's pin name -> the vendor's pin name."""
+    words = [
+        w.lower()
+        for w in (re.split(r"[\s,]+", swap.pins.strip()) if isinstance(swap.pins, str) else swap.pins)
+    ]
+    if sorted(words) == sorted(original.pins) and len(words) == len(vendor.pins):
+        return dict(zip(words, vendor.pins, strict=True))
+    if sorted(words) == sorted(vendor.pins) and len(words) == len(original.pins):
+        return dict(zip(original.pins, words, strict=True))
+    fail(
+        f"the pin map must list the model's pins ({' '.join(vendor.pins)}) in the order of the part's "
+        f"({' '.join(original.pins)}), or the part's pins in the order of the model's",
+        file=str(swap.file),
+        key="pins",
+        value=" ".join(words),
+    )
