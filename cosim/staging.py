@@ -32,7 +32,8 @@ class Staging:
         Folder that shall appear.
     marker
         File that a folder of this kind contains. An existing target is replaced only when it is empty
-        or has this file: a folder of the user's own is never deleted.
+        or has this file: a folder of the user's own is never deleted. Without a marker only an empty
+        target is replaced.
 
     Attributes
     ----------
@@ -40,7 +41,7 @@ class Staging:
         The temporary folder.
     """
 
-    def __init__(self, target: str | os.PathLike[str], marker: str) -> None:
+    def __init__(self, target: str | os.PathLike[str], marker: str | None = None) -> None:
         self.target = Path(os.path.abspath(target))
         self._marker = marker
         self._refuse_foreign()
@@ -56,14 +57,16 @@ class Staging:
         with disk_errors(self.target):
             if not os.path.lexists(self.target):
                 return
-            foreign = not self.target.is_dir() or (
-                any(self.target.iterdir()) and not (self.target / self._marker).is_file()
-            )
-        if foreign:
-            fail(
-                f"exists and is not a folder that holds {self._marker}; choose another one",
-                file=str(self.target),
-            )
+            if not self.target.is_dir():
+                fail("exists and is not a folder", file=str(self.target))
+            if not any(self.target.iterdir()):
+                return
+            if self._marker is None:
+                fail("exists and is not empty; nothing was changed", file=str(self.target))
+            if not (self.target / self._marker).is_file():
+                fail(
+                    f"is not empty and holds no {self._marker}; choose another folder", file=str(self.target)
+                )
 
     def publish(self) -> None:
         """Give the folder its final name, in place of an earlier result."""

@@ -1,0 +1,174 @@
+"""``cosim new``: lay out a folder with a board, its blocks and parts, and scenes to start from."""
+
+import math
+import os
+import shutil
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from cosim.assets import netlists_folder, scenes_folder
+from cosim.circuits.boardgen import board_text
+from cosim.errors import fail
+from cosim.staging import Staging, disk_errors
+
+_MAX_JOINTS = 6
+
+
+def new_project(folder: str | os.PathLike[str], joints: int = 2) -> list[Path]:
+    """Lay out a project.
+
+    Parameters
+    ----------
+    folder
+        Must not exist, or be empty.
+    joints
+        Number of joints of the board, 1 to 6.
+
+    Returns
+    -------
+    list of Path
+        The files written, relative to `folder`, sorted.
+
+    Raises
+    ------
+    InputError
+        When the folder is in use or cannot be written, or the number of joints is not possible;
+        nothing is left behind then.
+    """
+    if not 1 <= joints <= _MAX_JOINTS:
+        fail("is out of range", key="--joints", value=joints, allowed=f"1 to {_MAX_JOINTS}")
+    with Staging(folder) as stage:
+        with disk_errors(stage.target):
+            _lay_out(stage.path, stage.target.name, joints)
+        written = sorted(path.relative_to(stage.path) for path in stage.path.rglob("*") if path.is_file())
+        stage.publish()
+    return written
+
+
+def _lay_out(folder: Path, name: str, joints: int) -> None:
+    board, scenes = folder / "netlists" / f"board{joints}.cir", folder / "scenes"
+    for part in ("blocks", "parts"):
+        shutil.copytree(netlists_folder() / part, board.parent / part)
+    board.write_text(board_text(joints), encoding="utf-8")
+    scenes.mkdir()
+    for source in _scenes_for(board.name):
+        shutil.copyfile(source, scenes / source.name)
+    if not any(scenes.iterdir()):
+        (scenes / "press.toml").write_text(_press_scene(joints), encoding="utf-8")
+    first = min(scenes.iterdir()).name
+    (folder / "README.md").write_text(
+        _README.format(name=name, board=board.name, scene=first), encoding="utf-8"
+    )
+
+
+def _scenes_for(board: str) -> list[Path]:
+    """Return the shipped scenes that run on a board of this file name."""
+    scenes = {path.name: tomllib.loads(path.read_text("utf-8")) for path in scenes_folder().glob("*.toml")}
+    return [scenes_folder() / name for name in sorted(scenes) if _board_of(name, scenes) == board]
+
+
+def _board_of(name: str, scenes: dict[str, dict[str, Any]]) -> str | None:
+    scene = scenes.get(name, {})
+    board = scene.get("device", {}).get("board")
+    if board is None and "extends" in scene:
+        return _board_of(scene["extends"], scenes)
+    return Path(board).name if board else None
+
+
+def _press_scene(joints: int) -> str:
+    # The paper's arm of 0.2 m and 0.2 kg, cut into more links; its bend of 1.1 rad is shared by the
+    # joints after the first, so that the pose stays far from full stretch.
+    length, mass = 0.2 / joints, 0.2 / joints
+    pose = [0.6] + [1.1 / (joints - 1)] * (joints - 1)
+    angles = [sum(pose[: i + 1]) for i in range(joints)]
+    x = sum(length * math.cos(angle) for angle in angles)
+    y = sum(length * math.sin(angle) for angle in angles)
+
+    def listed(value: float) -> str:
+        return "[" + ", ".join([f"{value:.5g}"] * joints) + "]"
+
+    return _PRESS.format(
+        joints=joints,
+        lengths=listed(length),
+        masses=listed(mass),
+        coms=listed(length / 2),
+        inertias=listed(mass * length**2 / 12),
+        rotors=listed(2e-6),
+        viscous=listed(5e-4),
+        pose="[" + ", ".join(f"{q:.6g}" for q in pose) + "]",
+        x=f"{x:.5f}",
+        y=f"{y:.5f}",
+        wall_y=f"{y - 0.002:.5f}",
+    )
+
+
+_PRESS = """\
+# A hand presses on a wall and holds still: does the wall push back along its normal as commanded?
+
+title = "Static push on a wall, {joints} joints"
+duration_s = 2.0
+seed = 1
+
+[device]
+board = "../netlists/board{joints}.cir"
+linkage = "chain"
+
+[device.chain]
+# Assumptions to replace by your device's values: uniform rods, 0.2 m and 0.2 kg in all.
+lengths_m = {lengths}
+masses_kg = {masses}
+coms_m = {coms}
+inertias_kg_m2 = {inertias}
+rotor_inertia_kg_m2 = {rotors}
+viscous_n_m_s = {viscous}
+
+[device.start]
+q_rad = {pose}  # 2 mm above the wall
+
+[computer]
+period_s = 0.025
+method = "continuous"
+analog_stiffness_n_per_m = 100.0
+
+[wall]
+point_m = [{x}, {wall_y}]
+normal = [0.0, 1.0]
+
+[operator]
+type = "hand"
+waypoints_s_m = [[0.0, {x}, {y}], [0.2, {x}, {wall_y}]]
+# At 10 mm the hand's own 135 N/m take 1.35 N back: 1 N on 100 N/m is left.
+force_s_n = [[0.2, 0.0, 0.0], [0.7, 0.0, -2.35]]
+
+[effects]
+opamp = "gbw"
+vca = "gbw"
+driver = "voltage"
+driver_level = "gbw"
+motor = "full"
+encoder = true
+dac = true
+coriolis = true
+viscous = true
+"""
+
+_README = """\
+# {name}
+
+| folder | what it holds |
+|---|---|
+| `netlists/{board}` | the board; its pins are the interface, its `.csparam`s are what the computer believes |
+| `netlists/blocks/` | amplifiers, multiplier, driver: component values are named `.param` lines to edit |
+| `netlists/parts/` | op-amps, multiplier, motor, potentiometer, each in levels `ideal`, `gbw`, `full` |
+| `scenes/` | what is simulated: device, computer, wall, operator, effects |
+
+Run a scene and write its report:
+
+    cosim run scenes/{scene} -o out
+    cosim report out
+
+Edit a value in `netlists/blocks/` and run again, or try values without editing:
+
+    cosim run scenes/{scene} --set r_diff_in=9k,10k,11k
+"""

@@ -1,0 +1,100 @@
+"""``--set NAME=V1,V2,V3``: values to try without copying files.
+
+NAME is a key of the scene (``computer.period_s``, ``seed``) or a name of the netlist: a parameter or an
+element (``r_diff_in``, ``R12``), or one instance's (``xdiff1.r1``, which begins with an x as all
+instances of subcircuits do).
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+from cosim.errors import InputError, Problem
+
+_TOP_LEVEL = ("title", "duration_s", "seed", "extends")
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One name and the values to try for it, as written."""
+
+    name: str
+    values: tuple[str, ...]
+
+    @property
+    def is_netlist(self) -> bool:
+        """Whether the name is the netlist's and not the scene's."""
+        if "." in self.name:
+            return self.name[0] in "xX"
+        return self.name not in _TOP_LEVEL
+
+    def override(self, value: str) -> str:
+        """Return the override for `cosim.scene.load_scene` that sets this value."""
+        prefix = "device.values." if self.is_netlist else ""
+        return f"{prefix}{self.name}={value}"
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One combination of values: what to show, and the overrides that make it."""
+
+    values: tuple[tuple[str, str], ...]
+    overrides: tuple[str, ...]
+
+    @property
+    def label(self) -> str:
+        """Text such as ``R12=8.2k seed=3``; empty for the scene as it stands."""
+        return " ".join(f"{name}={value}" for name, value in self.values)
+
+
+def parse_settings(texts: Iterable[str]) -> tuple[Setting, ...]:
+    """Parse the texts of ``--set``.
+
+    Raises
+    ------
+    InputError
+        For a text without a name or a value, and for a name given twice.
+    """
+    settings: list[Setting] = []
+    problems: list[Problem] = []
+    for text in texts:
+        name, _, values = text.partition("=")
+        setting = Setting(name.strip(), tuple(split_values(values)))
+        if not setting.name or not all(setting.values):
+            problems.append(Problem("must look like R12=8.2k or R12=8.2k,10k,12k", key="--set", value=text))
+        elif any(setting.name == other.name for other in settings):
+            problems.append(Problem("is set twice; write all values in one --set", key="--set", value=text))
+        settings.append(setting)
+    if problems:
+        raise InputError(problems)
+    return tuple(settings)
+
+
+def split_values(text: str) -> list[str]:
+    """Split at commas outside of brackets, braces and quotes: a point ``[0.1, 0.2]`` is one value."""
+    values, depth, quote = [""], 0, ""
+    for char in text:
+        if quote:
+            quote = "" if char == quote else quote
+        elif char in "\"'":
+            quote = char
+        elif char in "[{(":
+            depth += 1
+        elif char in "]})":
+            depth -= 1
+        if char == "," and depth == 0 and not quote:
+            values.append("")
+        else:
+            values[-1] += char
+    return [value.strip() for value in values]
+
+
+def variants(settings: Sequence[Setting]) -> list[Variant]:
+    """Return every combination of the values, the last setting changing fastest."""
+    return [
+        Variant(
+            values=tuple((s.name, value) for s, value in zip(settings, chosen, strict=True)),
+            overrides=tuple(s.override(value) for s, value in zip(settings, chosen, strict=True)),
+        )
+        for chosen in product(*(s.values for s in settings))
+    ]
