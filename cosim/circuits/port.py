@@ -1,49 +1,12 @@
-"""The board's pins and design constants: the interface that every circuit model shares."""
+"""The board's design constants: with its pins, the interface that every circuit model shares."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from math import isfinite
 
-from cosim.errors import InputError, Problem, nearest
-
-
-def pins(joints: int) -> list[str]:
-    """Pins of a board with `joints` joints (design table): names decide, their order is free."""
-    j = range(1, joints + 1)
-    pairs = [f"{a}{b}" for a in j for b in j]
-    return (
-        [f"pot{i}" for i in j]
-        + [f"vel{i}" for i in j]
-        + [f"u{i}" for i in j]
-        + [f"ksp{ab}" for ab in pairs]
-        + [f"ksd{ab}" for ab in pairs]
-        + [f"cmd{i}" for i in j]
-        + [f"imot{i}" for i in j]
-        + ["vcc", "vee"]
-    )
-
-
-def require_pins(found: Iterable[str], joints: int, file: str) -> None:
-    """Raise `InputError` naming every missing and every unknown pin of a board file."""
-    have, want = {pin.lower() for pin in found}, pins(joints)
-    problems = [
-        Problem(f"the board has no pin '{pin}', which a device with {joints} joint(s) needs", file=file)
-        for pin in want
-        if pin not in have
-    ]
-    for pin in sorted(have.difference(want)):
-        hint = nearest(pin, want)
-        problems.append(
-            Problem(
-                f"the board has a pin '{pin}' that a device with {joints} joint(s) does not know"
-                + (f"; did you mean '{hint}'?" if hint else ""),
-                file=file,
-            )
-        )
-    if problems:
-        raise InputError(problems)
+from cosim.errors import InputError, Problem
 
 
 @dataclass(frozen=True)

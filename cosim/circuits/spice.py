@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cosim.circuits.port import DesignConstants, pins
-from cosim.ngspice.deck import Deck
+from cosim.ngspice.deck import Deck, board_pins
 
 #: The external sources are called v00 ... v99, two digits that compiled code reads: n = 6 needs 96.
 MOST_SOURCES = 100
+#: Supplies of every board [V] (design table: vcc, vee are driven by the deck).
+SUPPLY_V = 15.0
 
 
 @dataclass(frozen=True)
@@ -78,11 +79,11 @@ def testbench(board: Deck, drive: Drive, sources: dict[str, str]) -> list[str]:
     `sources` maps a pin to what follows its nodes on the source's line (`dc 1`, `external`, `pwl(...)`);
     a pin that is not in it is held at 0 V.
     """
-    lines = ["Vcc vcc 0 {v_supply}", "Vee vee 0 {-v_supply}", f"Xboard {' '.join(board.pins)} {board.board}"]
+    lines = [f"Vcc vcc 0 {SUPPLY_V}", f"Vee vee 0 {-SUPPLY_V}", f"Xboard {' '.join(board.pins)} {board.board}"]
     for number, pin in enumerate(drive.sources()):
         lines.append(f"v{number:02d} {pin} 0 {sources[pin]}")
     passive = set(drive.sources()) | {"vcc", "vee"} | {f"imot{j}" for j in range(1, drive.joints + 1)}
-    lines += [f"Vz{pin} {pin} 0 0" for pin in pins(drive.joints) if pin not in passive]
+    lines += [f"Vz{pin} {pin} 0 0" for pin in board_pins(drive.joints) if pin not in passive]
     return lines
 
 
@@ -99,5 +100,3 @@ def lockstep_deck(board: Deck, drive: Drive, tolerances: Tolerances, nodes: tupl
     ]
     return "\n".join(lines) + "\n"
 
-
-CONSTANTS = DesignConstants.names()

@@ -164,6 +164,8 @@ def _next_event(s):
                 at = min(at, end)
     if s.noise != 0:
         at = min(at, (s.noise_tick + 1) * s.noise_dt)
+    if s.knot < s.knots:
+        at = min(at, carray(doubles_at(s.knot_times), (s.knots,))[s.knot])
     return at
 
 
@@ -205,6 +207,9 @@ def process_events(s, t):
     now = t + s.delta_min
     if s.noise != 0 and (s.noise_tick + 1) * s.noise_dt <= now:
         s.noise_tick += 1
+        s.history = min(s.history, 1)
+    if s.knot < s.knots and carray(doubles_at(s.knot_times), (s.knots,))[s.knot] <= now:
+        s.knot += 1
         s.history = min(s.history, 1)
     if s.ramping and max(s.dac_start[0], s.dac_start[1]) + s.settle <= now:
         fill(s, t)
@@ -270,6 +275,7 @@ def advance(s, t):
     evaluate(s, t, s.q, s.v, s.a)
     s.t = t
     s.h_old = h
+    s.used = s.history
     s.history = min(s.history + 1, 2)
     if not s.defect < _DIVERGENCE_RAD:
         s.fault = _DIVERGED
@@ -302,8 +308,9 @@ def accepted(data, count, ident, user):
     row = carray(doubles_at(s.rows + 8 * s.columns * s.rows_used), (s.columns,))
     n = s.n
     row[0] = t
-    row[1], row[2], row[3], row[4] = s.w.r[0], s.w.r[1], s.w.f_op[0], s.w.f_op[1]
-    at = 5
+    row[1] = s.used
+    row[2], row[3], row[4], row[5] = s.w.r[0], s.w.r[1], s.w.f_op[0], s.w.f_op[1]
+    at = 6
     for j in range(n):
         row[at] = s.q[j]
         row[at + n] = s.v[j]

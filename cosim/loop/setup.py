@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +16,7 @@ from cosim.loop.noise import Noise, no_noise, potentiometer_noise
 from cosim.loop.state import QUEUE, STATE
 from cosim.scene import Scene
 from cosim.scene import schema
-from mech.linkage import Chain, Slider
-from mech.operator import Hand, NoOperator, PointMass
+from mech import Chain, Hand, NoOperator, Operator, PointMass, Slider, load_user
 
 _METHOD = {
     schema.Method.DISCRETE: Method.DISCRETE,
@@ -49,7 +47,7 @@ def mechanism(scene: Scene, gear: float) -> Chain | Slider:
             viscous_n_m_s=chain.viscous_n_m_s if effects.viscous else zeros,
             coulomb_n_m=chain.coulomb_n_m if effects.coulomb else zeros,
             coulomb_speed_rad_per_s=chain.coulomb_speed_rad_per_s,
-            stops_rad=chain.stops_rad,
+            stops_rad=chain.stops_rad or None,
             stop_stiffness_n_m_per_rad=chain.stop_stiffness_n_m_per_rad,
             stop_damping_n_m_s=chain.stop_damping_n_m_s,
         )
@@ -66,14 +64,14 @@ def mechanism(scene: Scene, gear: float) -> Chain | Slider:
         viscous_n_m_s=slider.viscous_n_m_s if effects.viscous else 0.0,
         coulomb_n_m=slider.coulomb_n_m if effects.coulomb else 0.0,
         coulomb_speed_rad_per_s=slider.coulomb_speed_rad_per_s,
-        stops_rad=slider.stops_rad,
+        stops_rad=slider.stops_rad or None,
         stop_stiffness_n_m_per_rad=slider.stop_stiffness_n_m_per_rad,
         stop_damping_n_m_s=slider.stop_damping_n_m_s,
     )
 
 
-def operator(scene: Scene) -> Any:
-    """The operator of the scene as mechanics knows it (a user's class is called from the worker)."""
+def operator(scene: Scene) -> Operator:
+    """The operator of the scene as mechanics knows it; a user's class is loaded from its file."""
     given = scene.operator
     if isinstance(given, schema.MassOperator):
         return PointMass(mass_kg=given.mass_kg)
@@ -85,6 +83,8 @@ def operator(scene: Scene) -> Any:
             waypoints_s_m=given.waypoints_s_m,
             force_s_n=given.force_s_n,
         )
+    if isinstance(given, schema.PythonOperator):
+        return load_user(given.file, scene.file.parent if scene.file else ".")
     return NoOperator()
 
 
@@ -208,12 +208,14 @@ class Memory:
     samples: NDArray[np.float64]
     noise: Noise
     drive: Drive
+    operator: Operator
+    knots: NDArray[np.float64]
 
 
 def columns(drive: Drive, recorded: tuple[str, ...]) -> list[str]:
     """Names of the columns of `rows`, as `accepted` writes them (visc, coul, stop: torques in N m; pot in rad)."""
     joint = range(1, drive.joints + 1)
-    names = ["time", "x", "y", "fx", "fy"]
+    names = ["time", "rule", "x", "y", "fx", "fy"]
     for kind in ("q", "v", "a", "imot", "tau_visc", "tau_coul", "tau_stop", "pot"):
         names += [f"{kind}{j}" for j in joint]
     return names + list(drive.channels) + list(recorded)
@@ -248,8 +250,8 @@ def pack(
     linkage = mechanism(scene, constants.gear)
     state = np.zeros(1, STATE)
     s = state[0]
-    packed, person = linkage.pack(operator(scene))
-    s["p"], s["op"] = packed, person
+    person = operator(scene)
+    s["p"], s["op"] = linkage.pack()[0], person.pack()[0]
     s["n"] = n
     q, v = start(scene, linkage)
     s["q"][:n], s["v"][:n] = q, v
@@ -300,4 +302,6 @@ def pack(
     s["rows"], s["rows_capacity"], s["columns"] = rows.ctypes.data, len(rows), rows.shape[1]
     s["samples"], s["samples_capacity"] = samples.ctypes.data, len(samples)
     s["nodes"], s["nodes_recorded"] = len(recorded) + len(watched), len(recorded)
-    return Memory(state, rows, samples, drawn, circuit)
+    knots = np.array([t for t in person.knots_s if 0.0 < t < scene.duration_s])
+    s["knot_times"], s["knots"] = knots.ctypes.data, len(knots)
+    return Memory(state, rows, samples, drawn, circuit, person, knots)

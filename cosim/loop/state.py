@@ -31,6 +31,7 @@ STATE = np.dtype(
         ("a_trial", "f8", NMAX),
         ("h_old", "f8"),
         ("history", "i8"),  # accelerations on the present smooth piece, 0 to 2 (see adams.py)
+        ("used", "i8"),  # history behind the last step: which rule took it
         ("tau", "f8", NMAX),
         ("torque_per_amp", "f8"),
         ("gear", "f8"),
@@ -73,6 +74,10 @@ STATE = np.dtype(
         ("position_points", "i8"),
         ("position_lo", "f8"),
         ("position_step", "f8"),
+        # instants at which the operator's force has a kink
+        ("knot_times", "i8"),
+        ("knots", "i8"),
+        ("knot", "i8"),
         # step control
         ("h_max", "f8"),
         ("h_first", "f8"),

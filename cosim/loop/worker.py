@@ -115,8 +115,8 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     simulator = Simulator()
     circuit = drive(scene)
     text = lockstep_deck(board, circuit, tolerances, nodes)
-    simulator.load(text, lines=board.lines, name=board.name)
-    constants = read_constants(simulator, board.name)
+    simulator.load(text, lines=board.lines, name=str(board.path))
+    constants = read_constants(simulator, str(board.path))
     memory = pack(scene, constants, circuit, recorded, nodes[len(recorded) :])
     state = memory.state[0]
     recorder = Recorder(memory, simulator, Path(payload["folder"]), report)

@@ -1,0 +1,110 @@
+"""The energy ledger: who put energy into the device, and where it went.
+
+Device: linkage and rotors. Over the run
+
+    E_kin + E_grav  =  start  +  W_motors + W_operator + W_viscous + W_coulomb + W_stops  +  residual
+
+with the last three negative. Works are integrals of torque times speed with the same interpolants that the
+integrator used: torque constant at its right-hand value behind a jump, else linear or a parabola; speed a
+cubic through speeds and accelerations. The residual is therefore a measure of the mechanical integration.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from mech.kernels import energy, jacobian
+from mech.records import NMAX
+
+#: Names of the works, in the order of `works`' columns.
+WORKS = ("motors", "operator", "viscous", "coulomb", "stops")
+#: Gauss-Legendre of three points on [0, 1]: exact for torque (2) times speed (3) of degree five.
+_NODES = (0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15))
+_WEIGHTS = (5 / 18, 8 / 18, 5 / 18)
+
+
+@njit(cache=True, error_model="numpy")
+def torques_and_energy(p, nobody, n, torque_per_amp, rows, first, torques, energies):
+    """Joint torques of the five workers [rows, 5, n] and (kinetic, gravity) energy [rows, 2] at every row."""
+    jac = np.zeros((2, NMAX))
+    q = np.zeros(NMAX)
+    v = np.zeros(NMAX)
+    for k in range(len(rows)):
+        row = rows[k]
+        for j in range(n):
+            q[j] = row[first + j]
+            v[j] = row[first + n + j]
+        jacobian(p, q, jac)
+        for j in range(n):
+            torques[k, 0, j] = torque_per_amp * row[first + 3 * n + j]
+            torques[k, 1, j] = jac[0, j] * row[first - 2] + jac[1, j] * row[first - 1]
+            torques[k, 2, j] = row[first + 4 * n + j]
+            torques[k, 3, j] = row[first + 5 * n + j]
+            torques[k, 4, j] = row[first + 6 * n + j]
+        energies[k, 0], energies[k, 1] = energy(p, nobody, q, v)
+
+
+@njit(cache=True, error_model="numpy")
+def works(n, rows, first, torques, out):
+    """Work of each worker over each step [rows, 5] J; row 0 is zero."""
+    for k in range(1, len(rows)):
+        h = rows[k, 0] - rows[k - 1, 0]
+        rule = rows[k, 1]
+        for i in range(5):
+            total = 0.0
+            for j in range(n):
+                g1, g0 = torques[k, i, j], torques[k - 1, i, j]
+                v0, v1 = rows[k - 1, first + n + j], rows[k, first + n + j]
+                a0, a1 = rows[k - 1, first + 2 * n + j], rows[k, first + 2 * n + j]
+                c = 0.0
+                if rule == 0.0:
+                    g0 = g1
+                    a0 = a1
+                elif rule == 2.0 and k > 1:
+                    old = rows[k - 1, 0] - rows[k - 2, 0]
+                    c = ((g1 - g0) / h - (g0 - torques[k - 2, i, j]) / old) / (h + old)
+                for m in range(3):
+                    x = _NODES[m]
+                    y = 1.0 - x
+                    g = g0 * y + g1 * x - c * h * h * x * y
+                    v = y * y * (1 + 2 * x) * v0 + x * x * (3 - 2 * x) * v1 + h * x * y * (y * a0 - x * a1)
+                    total += _WEIGHTS[m] * g * v
+            out[k, i] = total * h
+
+
+def summary(
+    energies: NDArray[np.float64], totals: NDArray[np.float64], spring_j: NDArray[np.float64]
+) -> dict[str, Any]:
+    """The ledger of a run [J].
+
+    Parameters
+    ----------
+    energies : [rows, 2] kinetic and gravity energy
+    totals : [5] work of each worker over the run, in the order of `WORKS`
+    spring_j : [rows] energy stored in the analog springs as commanded
+
+    Returns
+    -------
+    dict
+        'start_j', 'end_j', 'work_j' by worker, 'spring_end_j', 'spring_max_j', 'turnover_j' (sum of all
+        |work|), 'residual_j' and 'closure' = |residual| / largest of turnover and energies.
+    """
+    held = energies.sum(axis=1)
+    residual = float(held[-1] - held[0] - totals.sum())
+    scale = max(float(np.abs(totals).sum()), float(np.abs(held).max()), 1e-12)
+    return {
+        "start_j": float(held[0]),
+        "end_j": float(held[-1]),
+        "kinetic_end_j": float(energies[-1, 0]),
+        "gravity_end_j": float(energies[-1, 1]),
+        "work_j": {name: float(value) for name, value in zip(WORKS, totals, strict=True)},
+        "spring_end_j": float(spring_j[-1]),
+        "spring_max_j": float(spring_j.max()),
+        "turnover_j": float(np.abs(totals).sum()),
+        "residual_j": residual,
+        "closure": abs(residual) / scale,
+    }
