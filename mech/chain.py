@@ -126,7 +126,8 @@ class Chain(Linkage):
         # arm from the later of the two joints.
         arm = force[0] * jac[1] - force[1] * jac[0]
         later = np.maximum.outer(np.arange(self.n), np.arange(self.n))
-        return np.negative(arm[later])
+        stiffness: Array = -arm[later]
+        return stiffness
 
     def _where(self) -> str:
         least, most = self.reach_m

@@ -26,6 +26,7 @@ __all__ = [
     "bias",
     "dynamics",
     "energy",
+    "flow",
     "inverse",
     "jacobian",
     "mass_matrix",
@@ -249,6 +250,31 @@ def dynamics(
                 y -= pull * w.sin[i]
         w.f_op[0] -= mass * x
         w.f_op[1] -= mass * y
+
+
+@njit(cache=True, error_model="numpy")
+def flow(p: Record, op: Record, t: float, y: Vector, tau: Vector, rate_out: Vector, w: Record) -> None:
+    """Rate of the state and of the energy ledger, for an integrator that owns time.
+
+    `y` holds q [rad], v [rad/s] and five works [J]: motors, operator (without weight and inertia of its
+    mass), viscous friction, Coulomb friction, end stops; shape (2 n + 5,), as `rate_out`.
+    """
+    n = p.n
+    q = y[:n]
+    v = y[n : 2 * n]
+    dynamics(p, op, t, q, v, tau, rate_out[n : 2 * n], w)
+    power = rate_out[2 * n :]
+    power[0] = 0.0
+    power[1] = w.f_drive[0] * w.rdot[0] + w.f_drive[1] * w.rdot[1]
+    power[2] = 0.0
+    power[3] = 0.0
+    power[4] = 0.0
+    for i in range(n):
+        rate_out[i] = v[i]
+        power[0] += tau[i] * v[i]
+        power[2] += w.tau_visc[i] * v[i]
+        power[3] += w.tau_coul[i] * v[i]
+        power[4] += w.tau_stop[i] * v[i]
 
 
 @njit(cache=True, error_model="numpy")

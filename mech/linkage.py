@@ -224,7 +224,8 @@ class Linkage(ABC):
     def armature_kg_m2(self) -> Array:
         """Rotor inertia seen at the joints, gear^2 times that of the rotor, shape (n,)."""
         gear = np.asarray(self.gear, dtype=float)
-        return np.multiply(np.square(gear), np.asarray(self.rotor_inertia_kg_m2, dtype=float))
+        armature: Array = gear**2 * np.asarray(self.rotor_inertia_kg_m2, dtype=float)
+        return armature
 
     def _store(self, **fields: object) -> None:
         """Set fields from within ``__post_init__``."""

@@ -249,7 +249,7 @@ def load_user(spec: str, folder: str | Path = ".") -> UserOperator:
     except Exception as error:
         raise refused(f"loadable; it raised {type(error).__name__}: {error}", error) from error
     kind: Any = getattr(module, name, None)
-    if not inspect.isclass(kind):
+    if not isinstance(kind, type):
         classes = [
             k for k, v in vars(module).items() if inspect.isclass(v) and v.__module__ == module.__name__
         ]
@@ -257,7 +257,7 @@ def load_user(spec: str, folder: str | Path = ".") -> UserOperator:
     if not callable(getattr(kind, "force", None)):
         raise refused("a class with a method force(self, t, r, v) -> (fx, fy)")
     try:
-        target = kind()
+        target: Any = kind()
     except Exception as error:
         raise refused(f"a class that starts without arguments; {name}() raised {error!r}", error) from error
     try:
