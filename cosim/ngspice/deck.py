@@ -22,6 +22,7 @@ __all__ = ["Amplifier", "Deck", "PartSwap", "board_pins", "load_deck"]
 _JOINT_PINS = ("pot{j}", "vel{j}", "u{j}", "cmd{j}", "imot{j}")
 _PAIR_PINS = ("ksp{i}{j}", "ksd{i}{j}")
 MOST_JOINTS = 6
+_NUMBERED_PIN = re.compile(r"(pot|vel|cmd|imot)\d+|ks[pd]\d\d")
 
 
 @dataclass(frozen=True)
@@ -142,11 +143,10 @@ def load_deck(
     apply_overrides(net, board, overrides or {})
     joints = _joints(board)
     blocks = _reachable(net, board)
-    top = [line for line in net.top if not line.keyword.startswith((".control", ".endc"))]
     lines = [Line(f"{board.name}: {joints} joint{'s' if joints > 1 else ''}")]
     if shelf.pspice:
         lines.append(Line("*@ ngbehavior=psa"))
-    lines += top
+    lines += net.top
     for block in blocks:
         lines += block.lines
     return Deck(
@@ -174,17 +174,15 @@ def _without_title(path: Path, lines: list[Line]) -> list[Line]:
 
 
 def _board(path: Path, net: Netlist) -> Block:
-    """Return the subcircuit that is a board: the one with a pin ``imot1``."""
-    found = [block for block in net.blocks.values() if "imot1" in block.pins]
-    if len(found) == 1:
-        _check_pins(found[0])
-        return found[0]
-    here = [block for block in net.blocks.values() if block.header.file == str(path)]
-    if not found and len(here) == 1:
-        _check_pins(here[0])
-    names = ", ".join(block.name for block in found or here) or "none"
-    fail(f"the file must define exactly one board, a .subckt with pin imot1 and the others; found: {names}",
-         file=str(path))  # fmt: skip
+    """Return the subcircuit that is a board: the one with numbered pins such as ``imot1``."""
+    found = [block for block in net.blocks.values() if any(map(_NUMBERED_PIN.fullmatch, block.pins))]
+    if len(found) != 1:
+        names = ", ".join(block.name for block in found or net.blocks.values()) or "none"
+        fail(
+            f"the file must hold one board, a .subckt with pins such as imot1; found: {names}", file=str(path)
+        )
+    _check_pins(found[0])
+    return found[0]
 
 
 def _joints(board: Block) -> int:

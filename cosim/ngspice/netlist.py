@@ -61,7 +61,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Instance:
-    """An X line: ``xname node ... block param=value ...``, in lower case; `index` is its place in the body."""
+    """An X line: ``xname node ... block param=value ...``, in lower case; `index` is its place."""
 
     name: str
     nodes: tuple[str, ...]

@@ -14,8 +14,8 @@ from cosim.ngspice.lines import Line, assignments, tokens
 __all__ = ["DROPPED", "KEPT", "refusal"]
 
 KEPT = frozenset(
-    ".param .params .csparam .func .model .options .option .opt .temp .global .ic .nodeset .subckt .ends .eom "
-    ".if .elseif .else .endif".split()
+    ".param .params .csparam .func .model .options .option .opt .temp .global .ic .nodeset .subckt .ends "
+    ".eom .if .elseif .else .endif".split()
 )
 """Statements that describe a circuit."""
 

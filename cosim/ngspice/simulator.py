@@ -1,235 +1,35 @@
-"""The ngspice shared library behind a small face: load a deck, run commands, read vectors, attach callbacks.
-
-This is the only module that touches PySpice. PySpice finds and opens the library and declares its C
-interface; its callbacks are replaced by our own, because they are Python functions called once per source
-and Newton iteration, lose exceptions, and take harmless notes for errors.
+"""ngspice behind a small face: load a deck, run commands, read vectors, attach callbacks.
 
 The library keeps its state in globals: one circuit at a time, one simulator per process. Whoever needs
 isolation (every run does) goes through `cosim.ngspice.child`.
 """
 
-import contextlib
-import ctypes.util
 import math
-import os
 import re
-import sys
-import warnings
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.errors import InputError, Problem, SimulationError, nearest
-from cosim.ngspice.words import is_error, load_problems, operating_point_problem, worth_quoting
+from cosim.ngspice.library import OLDEST_VERSION, STOP_COMMAND, Init, Library, Source, Sync
+from cosim.ngspice.lines import Line
+from cosim.ngspice.words import is_error, load_problems, operating_point_problem
 
-if TYPE_CHECKING:
-    from cosim.ngspice.lines import Line
-
-__all__ = ["OLDEST_VERSION", "Simulator"]
-
-OLDEST_VERSION = 39
-"""Oldest ngspice whose shared library was tested."""
+__all__ = ["OLDEST_VERSION", "STOP_COMMAND", "Simulator"]
 
 _BEHAVIOUR = re.compile(r"^\*@\s*ngbehavior=(\w+)\s*$", re.MULTILINE)
-_REFERENCE = re.compile(r"Reference value\s*:\s*(\S+)")
+_CSPARAM = re.compile(r"^\s*\.csparam\s+([^\s=]+)", re.MULTILINE | re.IGNORECASE)
+_STOP = re.compile(r"^\s*(\d+)\s+stop\b", re.IGNORECASE)
 _HISTORY = 1000
 """Commands after which ngspice is told to forget them; it keeps every one otherwise."""
 
-_MOST_LINES = 20_000
-"""Lines of one command's output that are kept; the last words are kept apart."""
+_LENGTH_OFFSET = 56
+"""Offset of ``v_length`` in ``struct dvec`` of ngspice 39 (src/include/ngspice/dvec.h), 64-bit."""
 
-Source = Callable[[str, float], float]
-Sync = Callable[[float, float, float, int, int], float | None]
-Init = Callable[[list[str]], None]
-
-
-def _candidates() -> list[str]:
-    """Return names under which the shared library may be found, the likeliest first."""
-    named = os.environ.get("NGSPICE_LIBRARY_PATH")
-    if named:
-        return [named]
-    if sys.platform == "darwin":
-        return ["libngspice.0.dylib", "libngspice.dylib", "/opt/homebrew/lib/libngspice.dylib"]
-    if sys.platform == "win32":
-        return ["ngspice.dll"]
-    return ["libngspice.so.0", "libngspice.so"]
-
-
-class _Library:
-    """The opened library and the text, exit and default source callbacks; one per process."""
-
-    def __init__(self) -> None:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            from PySpice.Spice.NgSpice.Shared import NgSpiceShared, ffi
-
-        class Opened(NgSpiceShared):  # type: ignore[misc]  # PySpice carries no types
-            """PySpice's simulator without its own callbacks."""
-
-            def _init_ngspice(self, send_data: bool) -> None:
-                """Leave the initialisation to us: PySpice's would switch off what we need."""
-
-        self.ffi = ffi
-        self.api = self._open(Opened)
-        self.lines: list[str] = []
-        self.recent: deque[str] = deque(maxlen=20)
-        self.failure: BaseException | None = None
-        self.exited = False
-        self.on_time: Callable[[float], None] | None = None
-        self.init: Init | None = None
-        self.vectors: list[Any] = []
-        self.names: list[str] = []
-        # kept alive here: ngspice holds bare pointers
-        self._text = ffi.callback("SendChar", self._on_text)
-        self._exit = ffi.callback("ControlledExit", self._on_exit)
-        self._no_data = ffi.callback("SendData", lambda data, count, ident, user: 0)
-        self._init = ffi.callback("SendInitData", self._on_init)
-        self._thread = ffi.callback("BGThreadRunning", lambda running, ident, user: 0)
-        self._no_source = ffi.callback("GetVSRCData", self._on_unanswered)
-        self._no_sync = ffi.callback("GetSyncData", lambda time, delta, old, redo, ident, loc, user: 0)
-        self._kept: list[Any] = []
-        self.attach(None, None, None, None, None)
-        self.version = self._version()
-
-    @staticmethod
-    def _open(opened: Any) -> Any:
-        tried = _candidates()
-        if "NGSPICE_LIBRARY_PATH" not in os.environ:
-            found = ctypes.util.find_library("ngspice") if sys.platform != "linux" else None
-            tried += [found] if found else []
-        for name in tried:
-            opened.LIBRARY_PATH = name
-            # PySpice wants the C locale for numbers, and sets it; a missing library shows as OSError
-            with contextlib.suppress(OSError):
-                return opened()._ngspice_shared
-        raise InputError(
-            "libngspice was not found (tried "
-            + ", ".join(tried)
-            + "). Install it (Debian, Ubuntu: apt-get install libngspice0; macOS: brew install libngspice) "
-            "or set NGSPICE_LIBRARY_PATH to the library's file"
-        )
-
-    def _version(self) -> int:
-        """Return the major version that the library's greeting states."""
-        match = next((m for line in self.lines if (m := re.search(r"ngspice-(\d+)", line))), None)
-        version = int(match[1]) if match else 0
-        if version < OLDEST_VERSION:
-            raise InputError(
-                f"libngspice is version {version or 'unknown'}; {OLDEST_VERSION} or newer is needed"
-            )
-        return version
-
-    def attach(
-        self,
-        data: int | None,
-        init: Init | None,
-        source: int | Source | None,
-        sync: int | Sync | None,
-        user: int | None,
-    ) -> None:
-        """Hand callbacks to ngspice; what is ``None`` gets a harmless default, never a null pointer.
-
-        A null pointer at the first call would switch a service off for good (data) or be called later
-        (sync, sources).
-        """
-        ffi = self.ffi
-        self.init = init
-        self._kept = []
-        voltage = self._source(source)
-        pointer = ffi.NULL if user is None else ffi.cast("void *", user)
-        rows = self._no_data if data is None else ffi.cast("SendData *", data)
-        self.api.ngSpice_Init(self._text, ffi.NULL, self._exit, rows, self._init, self._thread, pointer)
-        self.api.ngSpice_Init_Sync(
-            voltage, ffi.cast("GetISRCData *", voltage), self._sync(sync), ffi.NULL, pointer
-        )
-
-    def _source(self, source: int | Source | None) -> Any:
-        if source is None:
-            return self._no_source
-        if not callable(source):
-            return self.ffi.cast("GetVSRCData *", source)
-
-        def answer(value: Any, time: float, name: Any, ident: int, user: Any) -> int:
-            try:
-                value[0] = source(self.ffi.string(name).decode().lower(), time)
-            except BaseException as error:  # cffi would print and forget it
-                self.failure = self.failure or error
-                value[0] = 0.0
-            return 0
-
-        self._kept.append(self.ffi.callback("GetVSRCData", answer))
-        return self._kept[-1]
-
-    def _sync(self, sync: int | Sync | None) -> Any:
-        if sync is None:
-            return self._no_sync
-        if not callable(sync):
-            return self.ffi.cast("GetSyncData *", sync)
-
-        def answer(time: float, delta: Any, old: float, redo: int, ident: int, loc: int, user: Any) -> int:
-            if self.failure is None:
-                try:
-                    wanted = sync(time, delta[0], old, redo, loc)
-                    if wanted is not None:
-                        delta[0] = wanted
-                except BaseException as error:
-                    self.failure = error
-                    self.stop()
-            return 0
-
-        self._kept.append(self.ffi.callback("GetSyncData", answer))
-        return self._kept[-1]
-
-    def stop(self) -> None:
-        """Ask the running analysis to stop at its next point; safe inside a callback."""
-        self.api.ngSpice_Command(b"stop when time > -1")
-
-    def _on_text(self, message: Any, ident: int, user: Any) -> int:
-        text = self.ffi.string(message).decode("utf-8", "replace")
-        reference = _REFERENCE.search(text)
-        if reference:
-            try:
-                if self.on_time is not None:
-                    self.on_time(float(reference[1]))
-            except BaseException as error:
-                self.failure = self.failure or error
-                self.stop()
-            return 0
-        if text in self.lines[-2:]:  # a failing B-source repeats itself thousands of times
-            return 0
-        if len(self.lines) < _MOST_LINES:
-            self.lines.append(text)
-        if worth_quoting(text):
-            self.recent.append(text.partition(" ")[2])
-        return 0
-
-    def _on_exit(self, status: int, immediate: bool, quitting: bool, ident: int, user: Any) -> int:
-        self.exited = True
-        return status
-
-    def _on_init(self, info: Any, ident: int, user: Any) -> int:
-        try:
-            ffi = self.ffi
-            self.vectors = [info.vecs[i].pdvec for i in range(info.veccount)]
-            self.names = [ffi.string(info.vecs[i].vecname).decode().lower() for i in range(info.veccount)]
-            if self.init is not None:
-                self.init(list(self.names))
-        except BaseException as error:
-            self.failure = self.failure or error
-            self.stop()
-        return 0
-
-    def _on_unanswered(self, value: Any, time: float, name: Any, ident: int, user: Any) -> int:
-        source = self.ffi.string(name).decode()
-        self.failure = self.failure or SimulationError(f"nothing answers the external source {source}")
-        value[0] = 0.0
-        return 0
-
-
-_library: _Library | None = None
+_library: Library | None = None
 
 
 class Simulator:
@@ -252,13 +52,14 @@ class Simulator:
     def __init__(self, on_time: Callable[[float], None] | None = None) -> None:
         global _library
         if _library is None:
-            _library = _Library()
+            _library = Library()
         self._library = _library
         self._library.attach(None, None, None, None, None)
         self._library.on_time = on_time
         self._commands = 0
         self._deck: str | None = None
         self._loaded = False
+        self._constants: list[str] = []
         self.notes: deque[str] = deque(maxlen=1000)
         self._run("set nomoremode")
 
@@ -267,7 +68,7 @@ class Simulator:
         """Major version of ngspice."""
         return self._library.version
 
-    def load(self, text: str, lines: "Sequence[Line]" = (), name: str | None = None) -> list[str]:
+    def load(self, text: str, lines: Sequence[Line] = (), name: str | None = None) -> list[str]:
         """Load a flat deck in place of the one before.
 
         Parameters
@@ -306,6 +107,7 @@ class Simulator:
         if library.exited or status or any(is_error(line) for line in library.lines):
             raise InputError(load_problems(said, rows, lines))
         self._loaded = True
+        self._constants = [name.lower() for name in _CSPARAM.findall(text)]
         self.notes.extend(said)
         return said
 
@@ -360,7 +162,17 @@ class Simulator:
         return values
 
     def constant(self, name: str) -> float:
-        """Return a design constant that the deck states by ``.csparam``."""
+        """Return a design constant that the deck states by ``.csparam``.
+
+        Raises
+        ------
+        InputError
+            When the deck states no such constant.
+        """
+        if name.lower() not in self._constants:  # ngspice would still know that of an earlier deck
+            near = nearest(name, self._constants)
+            hint = f", nearest is {near}" if near else ""
+            raise InputError(Problem(f"the board states no such .csparam{hint}", file=self._deck, key=name))
         return float(np.real(self.vector(f"const.{name.lower()}")[0]))
 
     def vector_names(self) -> list[str]:
@@ -421,7 +233,7 @@ class Simulator:
     def stop(self) -> None:
         """Stop the running analysis at its next point; for use inside callbacks.
 
-        A compiled callback does the same by calling `command_address` with ``STOP_COMMAND``.
+        A compiled callback does the same by calling `command_address` with `STOP_COMMAND`.
         """
         self._library.stop()
 
@@ -484,22 +296,30 @@ class Simulator:
         status = library.api.ngSpice_Command(command.encode())
         if library.failure is not None:
             failure, library.failure = library.failure, None
-            library.api.ngSpice_Command(b"delete all")
+            self._forget_stops()
             raise failure
-        floating = operating_point_problem(self._said())
-        if floating:
-            raise InputError(Problem(floating, file=self._deck))
+        said = self._said()
+        problem = operating_point_problem(said)
+        if problem:
+            raise InputError(Problem(problem, file=self._deck))
         if library.exited or status or any(is_error(line) for line in library.lines):
             words = "\n".join(library.recent)
+            self._forget_stops()
             raise SimulationError(
                 f"ngspice could not carry out '{command}'", deck=self._deck, last_words=words
             )
-        self.notes.extend(line.partition(" ")[2] for line in library.lines if line.startswith("stderr"))
-        return [line.partition(" ")[2] for line in library.lines if not line.startswith("stderr")]
+        rows = list(library.lines)
+        self.notes.extend(row.partition(" ")[2] for row in rows if row.startswith("stderr"))
+        return [row.partition(" ")[2] for row in rows if not row.startswith("stderr")]
 
-
-STOP_COMMAND = b"stop when time > -1\0"
-"""What a compiled callback passes to `Simulator.command_address` to stop the analysis."""
-
-_LENGTH_OFFSET = 56
-"""Offset of ``v_length`` in ``struct dvec`` of ngspice 39 (src/include/ngspice/dvec.h), 64-bit."""
+    def _forget_stops(self) -> None:
+        """Remove what `stop` left behind, lest the next analysis stop as well."""
+        library = self._library
+        if library.exited:
+            return
+        library.lines.clear()
+        library.api.ngSpice_Command(b"status")
+        for line in self._said():
+            match = _STOP.match(line)
+            if match:
+                library.api.ngSpice_Command(f"delete {match[1]}".encode())

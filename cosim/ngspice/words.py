@@ -6,12 +6,9 @@ patterns here were collected by running broken decks through the shared library 
 
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from cosim.errors import Problem
-
-if TYPE_CHECKING:
-    from cosim.ngspice.lines import Line
+from cosim.ngspice.lines import Line
 
 __all__ = ["is_error", "load_problems", "operating_point_problem", "worth_quoting"]
 
@@ -38,10 +35,12 @@ _ERROR = re.compile(
 )
 _CHATTER = re.compile(
     r"Trying gmin|Supplies reduced|gmin (step|increment)|source step|\(?Note:|No\. of Data Rows"
-    r"|Doing analysis|^(stdout|stderr)\s*[-*]*\s*$|cannot recover and awaits|Circuit: |Creation Date|shared library",
+    r"|Doing analysis|^(stdout|stderr)\s*[-*]*\s*$|cannot recover and awaits|Circuit: |Creation Date"
+    r"|shared library",
     re.IGNORECASE,
 )
 _NUMBERED = re.compile(r"(?:Error on line|Netlist line no\.)\s*(\d+)", re.IGNORECASE)
+_INSTANCE = re.compile(r"\(instance: x(\S+)\)", re.IGNORECASE)
 _SINGULAR = re.compile(r"singular matrix:\s*check nodes?\s+(\S+(?:\s+and\s+\S+)?)", re.IGNORECASE)
 _DC_FAILED = re.compile(
     r"(DC|Transient) solution failed|Transient op failed|operating point could not", re.IGNORECASE
@@ -75,17 +74,22 @@ def operating_point_problem(said: Sequence[str]) -> str | None:
             return f"no DC operating point: loop of voltage sources or inductors through {shown}"
         return f"floating node: {', '.join(nodes)} has no DC path to ground"
     if failed:
-        return "no DC operating point: " + _last_nodes(said)
+        reason = next((line for line in said if line.lstrip().lower().startswith("error:")), None)
+        return (
+            f"no DC operating point: {reason.strip()}; {_last_nodes(said)}"
+            if reason
+            else (f"no DC operating point: {_last_nodes(said)}")
+        )
     return None
 
 
 def _last_nodes(said: Sequence[str]) -> str:
     """Return the nodes that ngspice marks with a star as not converged."""
     marked = [line.split()[0] for line in said if re.match(r"^\S+\s+\S+\s+\S+\s+\*\s*$", line)]
-    return "these did not converge: " + ", ".join(marked[:6]) if marked else "ngspice found none"
+    return "these did not converge: " + ", ".join(marked[:6]) if marked else "ngspice names no node"
 
 
-def load_problems(said: Sequence[str], rows: Sequence[str], lines: "Sequence[Line]") -> list[Problem]:
+def load_problems(said: Sequence[str], rows: Sequence[str], lines: Sequence[Line]) -> list[Problem]:
     """Turn ngspice's complaints about a deck into problems that name the user's file and line.
 
     Parameters
@@ -119,6 +123,12 @@ def _find(words: Sequence[str], rows: Sequence[str]) -> int | None:
     Inside a subcircuit it quotes an expanded line, where only the element's type letter, the last part of
     its name and its tail are as the user wrote them.
     """
+    for word in words:
+        named = _INSTANCE.search(word)
+        if named:
+            last = "x" + named[1].split(".")[-1].removeprefix("x")
+            found = [i for i, row in enumerate(rows) if i and row.lower().split()[:1] == [last]]
+            return found[0] if len(found) == 1 else None
     normal = [" ".join(row.lower().split()) for row in rows]
     for word in words:
         quoted = " ".join(word.partition("error: unknown subckt:")[2].split() or word.lower().split()).lower()

@@ -1,0 +1,326 @@
+"""Work in a child process, so that ngspice may crash, exit or hang and the parent lives.
+
+The child starts in a private folder that holds nothing but an empty ``.spiceinit``: ngspice runs the commands
+of the first such file it finds in the working folder, else in the user's home (which it takes from the
+password file, not from ``HOME``), so ours keeps it from running any other.
+"""
+
+import os
+import pickle
+import selectors
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import weakref
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from cosim.errors import SimulationError
+from cosim.ngspice.worker import HEAD
+
+__all__ = ["Child", "call", "start_early"]
+
+PREIMPORT = ("numpy", "PySpice.Spice.NgSpice.Shared", "numba")
+"""What an early child imports while the parent still prepares."""
+
+_GRACE_S = 0.3
+"""Time the child gets to end by itself when asked to."""
+_LAST_LINES = 15
+"""Lines of the child's output quoted in an error."""
+
+
+def call(
+    target: str,
+    payload: object,
+    *,
+    time_limit_s: float | None = None,
+    stall_limit_s: float | None = None,
+    on_progress: Callable[[Mapping[str, Any]], None] | None = None,
+    deck: str | None = None,
+    child: "Child | None" = None,
+) -> Any:
+    """Run a function in a child process and return what it returns.
+
+    Parameters
+    ----------
+    target
+        ``"package.module:function"``. The function gets the payload and ``report``, a function that takes a
+        dictionary with the progress: ``{"time_s": simulated time, ...}``.
+    payload
+        Anything that pickles; paths in it absolute, since the child works in a folder of its own.
+    time_limit_s
+        The child is ended when the call takes longer [s].
+    stall_limit_s
+        The child is ended when for so long [s] it reported nothing, or the same ``time_s`` again and again.
+    on_progress
+        Called with every report that comes through (at most 20 a second).
+    deck
+        Name of the deck for errors.
+    child
+        A child started by `start_early`; it stays alive for more calls unless this one fails.
+
+    Raises
+    ------
+    CosimError
+        What the function raised, if it is one.
+    SimulationError
+        For any other exception (with its traceback), a crash, an exit, the time limit or the stall limit.
+    """
+    if child is not None:
+        return child.call(
+            target,
+            payload,
+            time_limit_s=time_limit_s,
+            stall_limit_s=stall_limit_s,
+            on_progress=on_progress,
+            deck=deck,
+        )
+    with Child() as fresh:
+        return fresh.call(
+            target,
+            payload,
+            time_limit_s=time_limit_s,
+            stall_limit_s=stall_limit_s,
+            on_progress=on_progress,
+            deck=deck,
+        )
+
+
+def start_early(*modules: str) -> "Child":
+    """Start a child now that imports `PREIMPORT` and `modules` while the parent does something else."""
+    return Child((*PREIMPORT, *modules))
+
+
+class Child:
+    """A child process that serves calls one after the other.
+
+    Parameters
+    ----------
+    modules
+        Modules it imports before the first call.
+    """
+
+    def __init__(self, modules: Sequence[str] = ()) -> None:
+        folder = Path(tempfile.mkdtemp(prefix="cosim-"))
+        receive, send = os.pipe()
+        try:
+            work = folder / "work"
+            work.mkdir()
+            (folder / "home").mkdir()
+            (work / ".spiceinit").write_text("* empty: keeps ngspice from looking further\n")
+            with open(folder / "said", "wb") as said:
+                process = subprocess.Popen(
+                    _command(send, modules),
+                    stdin=subprocess.PIPE,
+                    stdout=said,
+                    stderr=said,
+                    cwd=work,
+                    env=_environment(folder),
+                    pass_fds=(send,),
+                    start_new_session=True,  # a Ctrl-C at the terminal is the parent's to handle
+                )
+        except BaseException:
+            os.close(receive)
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+        finally:
+            os.close(send)
+        self._process, self._folder, self._receive = process, folder, receive
+        self._buffer = bytearray()
+        self._close = weakref.finalize(self, _dispose, process, folder, receive)
+
+    def call(
+        self,
+        target: str,
+        payload: object,
+        *,
+        time_limit_s: float | None = None,
+        stall_limit_s: float | None = None,
+        on_progress: Callable[[Mapping[str, Any]], None] | None = None,
+        deck: str | None = None,
+    ) -> Any:
+        """Run a function in this child; see `call`."""
+        if not self._close.alive:
+            raise SimulationError("the child process was closed", deck=deck)
+        body = pickle.dumps((target, pickle.dumps(payload, protocol=5)), protocol=5)
+        watch = _Watch(time_limit_s, stall_limit_s)
+        try:
+            for kind, content in self._messages(HEAD.pack(len(body)) + body, watch):
+                if kind == "result":
+                    return content
+                if kind == "error":
+                    raise _raised(*content, deck=deck, watch=watch)
+                watch.beat(content)
+                if content and on_progress is not None:
+                    on_progress(content)
+            raise self._ended(deck, watch)
+        except TimeoutError as timeout:
+            words = self._last_words()
+            self.close()
+            raise SimulationError(str(timeout), deck=deck, time_s=watch.time_s, last_words=words) from None
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """End the child and remove its folder."""
+        self._close()
+
+    def __enter__(self) -> "Child":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _messages(self, request: bytes, watch: "_Watch") -> Any:
+        """Send the request and yield messages until the child closes its pipe.
+
+        Sending and receiving go on together: a child that still imports does not read, and a long request
+        must not make us deaf to its death or the limits.
+        """
+        assert self._process.stdin is not None
+        inlet = self._process.stdin.fileno()
+        view = memoryview(request)
+        os.set_blocking(inlet, False)
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._receive, selectors.EVENT_READ)
+            selector.register(inlet, selectors.EVENT_WRITE)
+            while True:
+                ready = selector.select(watch.patience_s())
+                for key, _ in ready:
+                    if key.fd == inlet:
+                        try:
+                            view = view[os.write(inlet, view[:65536]) :]
+                        except BrokenPipeError:
+                            view = view[:0]
+                        if not view:
+                            selector.unregister(inlet)
+                    else:
+                        chunk = os.read(self._receive, 1 << 20)
+                        if not chunk:
+                            return
+                        self._buffer += chunk
+                        yield from self._complete()
+                watch.check()
+
+    def _complete(self) -> Any:
+        while len(self._buffer) >= HEAD.size:
+            end = HEAD.size + HEAD.unpack_from(self._buffer)[0]
+            if len(self._buffer) < end:
+                return
+            message = pickle.loads(memoryview(self._buffer)[HEAD.size : end])
+            del self._buffer[:end]
+            yield message
+
+    def _ended(self, deck: str | None, watch: "_Watch") -> SimulationError:
+        """Say how the child ended without a result."""
+        status = self._process.wait()
+        if status < 0:
+            try:
+                name = signal.Signals(-status).name
+            except ValueError:
+                name = f"signal {-status}"
+            what = f"ngspice's process crashed ({name})"
+        else:
+            what = f"ngspice's process ended with exit code {status} before it had a result"
+        return SimulationError(what, deck=deck, time_s=watch.time_s, last_words=self._last_words())
+
+    def _last_words(self) -> str:
+        try:
+            said = (self._folder / "said").read_bytes()[-8000:].decode("utf-8", "replace")
+        except OSError:
+            return ""
+        return "\n".join(said.splitlines()[-_LAST_LINES:])
+
+
+class _Watch:
+    """The two limits of a call, and the simulated time last heard of."""
+
+    def __init__(self, time_limit_s: float | None, stall_limit_s: float | None) -> None:
+        self._start = self._beat = time.monotonic()
+        self._limit, self._stall = time_limit_s, stall_limit_s
+        self.time_s: float | None = None
+
+    def beat(self, progress: Mapping[str, Any]) -> None:
+        """Note a report; the same simulated time again is no sign of life."""
+        time_s = progress.get("time_s")
+        if time_s is not None:
+            if self.time_s is not None and time_s <= self.time_s:
+                return
+            self.time_s = float(time_s)
+        self._beat = time.monotonic()
+
+    def patience_s(self) -> float | None:
+        """Return how long to wait for the next message [s]."""
+        now, left = time.monotonic(), []
+        if self._limit is not None:
+            left.append(self._start + self._limit - now)
+        if self._stall is not None:
+            left.append(self._beat + self._stall - now)
+        return max(min(left), 0.0) if left else None
+
+    def check(self) -> None:
+        """Raise `TimeoutError` when a limit is passed."""
+        now = time.monotonic()
+        reached = (
+            "no simulated time was reported"
+            if self.time_s is None
+            else f"last reported t = {self.time_s:.9g} s"
+        )
+        if self._limit is not None and now - self._start >= self._limit:
+            raise TimeoutError(f"the time limit of {self._limit:g} s is over; {reached}")
+        if self._stall is not None and now - self._beat >= self._stall:
+            raise TimeoutError(f"no progress for {self._stall:g} s; {reached}")
+
+
+def _command(descriptor: int, modules: Sequence[str]) -> list[str]:
+    # the signal on the parent's death comes when the starting *thread* ends: ask for it only in the main one
+    main_thread = threading.current_thread() is threading.main_thread()
+    # -P: nothing is imported from the child's working folder
+    start = [sys.executable, "-P", "-m", "cosim.ngspice.worker", str(descriptor), str(int(main_thread))]
+    return [*start, *modules]
+
+
+def _environment(folder: Path) -> dict[str, str]:
+    """Return the child's environment: a home of its own, the parent's module path, one thread a library."""
+    env = dict(os.environ)
+    env.pop("SPICE_USERINIT_DIR", None)
+    home = Path(env.get("HOME") or Path.home())
+    # numba keeps the compiled code of read-only installations in the user's cache: the new HOME must not hide it
+    env.setdefault("XDG_CACHE_HOME", str(home / ".cache"))
+    env["HOME"] = str(folder / "home")
+    env["PYTHONPATH"] = os.pathsep.join(os.path.abspath(entry) for entry in sys.path)
+    env["COSIM_NGSPICE_ECHO"] = "1"
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        env.setdefault(name, "1")
+    return env
+
+
+def _raised(
+    error: Exception | None, message: str, trace: str, *, deck: str | None, watch: _Watch
+) -> Exception:
+    if error is not None:
+        error.add_note("In the child process:\n" + trace)
+        return error
+    return SimulationError(message, deck=deck, time_s=watch.time_s, last_words=trace)
+
+
+def _dispose(process: "subprocess.Popen[bytes]", folder: Path, receive: int) -> None:
+    """Ask the child to end, end it if it does not, and remove its folder."""
+    os.close(receive)
+    if process.stdin is not None:
+        process.stdin.close()
+    try:
+        process.wait(_GRACE_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+    shutil.rmtree(folder, ignore_errors=True)

@@ -1,0 +1,221 @@
+"""The opened ngspice library and the callbacks it always has: text, exit, vectors, and safe defaults.
+
+PySpice finds and opens the library and declares its C interface; this is the only module that touches it.
+Its callbacks are replaced by our own, because they are Python functions called once per source and Newton
+iteration, lose exceptions, and take harmless notes for errors.
+"""
+
+import contextlib
+import ctypes.util
+import os
+import re
+import sys
+import warnings
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from cosim.errors import InputError, SimulationError
+from cosim.ngspice.words import worth_quoting
+
+__all__ = ["OLDEST_VERSION", "STOP_COMMAND", "Init", "Library", "Source", "Sync"]
+
+OLDEST_VERSION = 39
+"""Oldest ngspice whose shared library was tested."""
+
+STOP_COMMAND = b"stop when time > -1\0"
+"""What a compiled callback passes to `Simulator.command_address` to stop the analysis at its next point."""
+
+_REFERENCE = re.compile(r"Reference value\s*:\s*(\S+)")
+_MOST_LINES = 20_000
+"""Lines of one command's output that are kept; the last words are kept apart."""
+
+Source = Callable[[str, float], float]
+Sync = Callable[[float, float, float, int, int], float | None]
+Init = Callable[[list[str]], None]
+
+
+def _candidates() -> list[str]:
+    """Return names under which the shared library may be found, the likeliest first."""
+    named = os.environ.get("NGSPICE_LIBRARY_PATH")
+    if named:
+        return [named]
+    if sys.platform == "darwin":
+        return ["libngspice.0.dylib", "libngspice.dylib", "/opt/homebrew/lib/libngspice.dylib"]
+    if sys.platform == "win32":
+        return ["ngspice.dll"]
+    return ["libngspice.so.0", "libngspice.so"]
+
+
+class Library:
+    """The opened library and the text, exit and default source callbacks; one per process."""
+
+    def __init__(self) -> None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            from PySpice.Spice.NgSpice.Shared import NgSpiceShared, ffi
+
+        class Opened(NgSpiceShared):  # type: ignore[misc]  # PySpice carries no types
+            """PySpice's simulator without its own callbacks."""
+
+            def _init_ngspice(self, send_data: bool) -> None:
+                """Leave the initialisation to us: PySpice's would switch off what we need."""
+
+        self.ffi = ffi
+        self.api = self._open(Opened)
+        self.echo = "COSIM_NGSPICE_ECHO" in os.environ
+        self.lines: list[str] = []
+        self.recent: deque[str] = deque(maxlen=20)
+        self.failure: BaseException | None = None
+        self.exited = False
+        self.on_time: Callable[[float], None] | None = None
+        self.init: Init | None = None
+        self.vectors: list[Any] = []
+        self.names: list[str] = []
+        # kept alive here: ngspice holds bare pointers
+        self._text = ffi.callback("SendChar", self._on_text)
+        self._exit = ffi.callback("ControlledExit", self._on_exit)
+        self._no_data = ffi.callback("SendData", lambda data, count, ident, user: 0)
+        self._init = ffi.callback("SendInitData", self._on_init)
+        self._thread = ffi.callback("BGThreadRunning", lambda running, ident, user: 0)
+        self._no_source = ffi.callback("GetVSRCData", self._on_unanswered)
+        self._no_sync = ffi.callback("GetSyncData", lambda time, delta, old, redo, ident, loc, user: 0)
+        self._kept: list[Any] = []
+        self.attach(None, None, None, None, None)
+        self.version = self._version()
+
+    @staticmethod
+    def _open(opened: Any) -> Any:
+        tried = _candidates()
+        if "NGSPICE_LIBRARY_PATH" not in os.environ:
+            found = ctypes.util.find_library("ngspice") if sys.platform != "linux" else None
+            tried += [found] if found else []
+        for name in tried:
+            opened.LIBRARY_PATH = name
+            # PySpice wants the C locale for numbers, and sets it; a missing library shows as OSError
+            with contextlib.suppress(OSError):
+                return opened()._ngspice_shared
+        raise InputError(
+            "libngspice was not found (tried "
+            + ", ".join(tried)
+            + "). Install it (Debian, Ubuntu: apt-get install libngspice0; macOS: brew install libngspice) "
+            "or set NGSPICE_LIBRARY_PATH to the library's file"
+        )
+
+    def _version(self) -> int:
+        """Return the major version that the library's greeting states."""
+        match = next((m for line in self.lines if (m := re.search(r"ngspice-(\d+)", line))), None)
+        version = int(match[1]) if match else 0
+        if version < OLDEST_VERSION:
+            raise InputError(
+                f"libngspice is version {version or 'unknown'}; {OLDEST_VERSION} or newer is needed"
+            )
+        return version
+
+    def attach(
+        self,
+        data: int | None,
+        init: Init | None,
+        source: int | Source | None,
+        sync: int | Sync | None,
+        user: int | None,
+    ) -> None:
+        """Hand callbacks to ngspice; what is ``None`` gets a harmless default, never a null pointer.
+
+        A null pointer at the first call would switch a service off for good (data) or be called later
+        (sync, sources).
+        """
+        ffi = self.ffi
+        self.init = init
+        self._kept = []
+        voltage = self._source(source)
+        pointer = ffi.NULL if user is None else ffi.cast("void *", user)
+        rows = self._no_data if data is None else ffi.cast("SendData *", data)
+        self.api.ngSpice_Init(self._text, ffi.NULL, self._exit, rows, self._init, self._thread, pointer)
+        self.api.ngSpice_Init_Sync(
+            voltage, ffi.cast("GetISRCData *", voltage), self._sync(sync), ffi.NULL, pointer
+        )
+
+    def _source(self, source: int | Source | None) -> Any:
+        if source is None:
+            return self._no_source
+        if not callable(source):
+            return self.ffi.cast("GetVSRCData *", source)
+
+        def answer(value: Any, time: float, name: Any, ident: int, user: Any) -> int:
+            try:
+                value[0] = source(self.ffi.string(name).decode().lower(), time)
+            except BaseException as error:  # cffi would print and forget it
+                self.failure = self.failure or error
+                value[0] = 0.0
+            return 0
+
+        self._kept.append(self.ffi.callback("GetVSRCData", answer))
+        return self._kept[-1]
+
+    def _sync(self, sync: int | Sync | None) -> Any:
+        if sync is None:
+            return self._no_sync
+        if not callable(sync):
+            return self.ffi.cast("GetSyncData *", sync)
+
+        def answer(time: float, delta: Any, old: float, redo: int, ident: int, loc: int, user: Any) -> int:
+            if self.failure is None:
+                try:
+                    wanted = sync(time, delta[0], old, redo, loc)
+                    if wanted is not None:
+                        delta[0] = wanted
+                except BaseException as error:
+                    self.failure = error
+                    self.stop()
+            return 0
+
+        self._kept.append(self.ffi.callback("GetSyncData", answer))
+        return self._kept[-1]
+
+    def stop(self) -> None:
+        """Ask the running analysis to stop at its next point; safe inside a callback."""
+        self.api.ngSpice_Command(STOP_COMMAND)
+
+    def _on_text(self, message: Any, ident: int, user: Any) -> int:
+        text = self.ffi.string(message).decode("utf-8", "replace")
+        reference = _REFERENCE.search(text)
+        if reference:
+            try:
+                if self.on_time is not None:
+                    self.on_time(float(reference[1]))
+            except BaseException as error:
+                self.failure = self.failure or error
+                self.stop()
+            return 0
+        if text in self.lines[-2:]:  # a failing B-source repeats itself thousands of times
+            return 0
+        if len(self.lines) < _MOST_LINES:
+            self.lines.append(text)
+        if worth_quoting(text):
+            self.recent.append(text.partition(" ")[2])
+            if self.echo:  # a child's last words must outlive it
+                os.write(2, text.partition(" ")[2].encode() + b"\n")
+        return 0
+
+    def _on_exit(self, status: int, immediate: bool, quitting: bool, ident: int, user: Any) -> int:
+        self.exited = True
+        return status
+
+    def _on_init(self, info: Any, ident: int, user: Any) -> int:
+        try:
+            ffi = self.ffi
+            self.vectors = [info.vecs[i].pdvec for i in range(info.veccount)]
+            self.names = [ffi.string(info.vecs[i].vecname).decode().lower() for i in range(info.veccount)]
+            if self.init is not None:
+                self.init(list(self.names))
+        except BaseException as error:
+            self.failure = self.failure or error
+            self.stop()
+        return 0
+
+    def _on_unanswered(self, value: Any, time: float, name: Any, ident: int, user: Any) -> int:
+        source = self.ffi.string(name).decode()
+        self.failure = self.failure or SimulationError(f"nothing answers the external source {source}")
+        value[0] = 0.0
+        return 0

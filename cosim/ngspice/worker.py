@@ -1,0 +1,106 @@
+"""The child's side of `cosim.ngspice.child`: waits for requests, runs them, reports.
+
+Imports little before a request comes, and on the command line takes modules to import meanwhile:
+``python -m cosim.ngspice.worker <descriptor> <die with parent: 0 or 1> [module ...]``.
+"""
+
+import importlib
+import os
+import pickle
+import struct
+import sys
+import threading
+import time
+import traceback
+from queue import SimpleQueue
+from typing import Any, NoReturn
+
+from cosim.errors import CosimError
+
+__all__ = ["HEAD", "main"]
+
+HEAD = struct.Struct("<Q")
+"""Every message on the pipes is its length followed by a pickle."""
+
+_PACE_S = 0.05
+"""Progress is passed on at most this often."""
+
+
+def _send(descriptor: int, message: tuple[str, Any]) -> None:
+    body = pickle.dumps(message, protocol=5)
+    view = memoryview(HEAD.pack(len(body)) + body)
+    while view:
+        view = view[os.write(descriptor, view) :]
+
+
+def _receive(requests: "SimpleQueue[bytes]") -> NoReturn:
+    """Read requests from standard input; when the parent closes it or dies, this process ends at once."""
+    stream = os.fdopen(0, "rb", buffering=0, closefd=False)
+    buffer = bytearray()
+    while chunk := stream.read(1 << 20):
+        buffer += chunk
+        while len(buffer) >= HEAD.size:
+            end = HEAD.size + HEAD.unpack_from(buffer)[0]
+            if len(buffer) < end:
+                break
+            requests.put(bytes(buffer[HEAD.size : end]))
+            del buffer[:end]
+    import shutil
+
+    shutil.rmtree(os.path.dirname(os.getcwd()), ignore_errors=True)
+    os._exit(0)
+
+
+def _die_with_parent() -> None:
+    """Ask Linux for a signal when the parent's thread ends, even while compiled code holds this process."""
+    if sys.platform.startswith("linux"):
+        import ctypes
+        import signal
+
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+
+
+def _serve(descriptor: int, request: bytes) -> None:
+    last = 0.0
+
+    def report(progress: dict[str, Any]) -> None:
+        """Tell the parent that the work goes on; a ``time_s`` in it must grow to count as progress."""
+        nonlocal last
+        now = time.monotonic()
+        if now - last >= _PACE_S:
+            last = now
+            _send(descriptor, ("progress", progress))
+
+    try:
+        target, payload = pickle.loads(request)
+        module, _, name = target.partition(":")
+        function = getattr(importlib.import_module(module), name)
+        _send(descriptor, ("progress", {}))  # imports may have taken long
+        _send(descriptor, ("result", function(pickle.loads(payload), report)))
+    except BaseException as error:  # whatever it is, the parent must hear of it
+        text = traceback.format_exc()
+        kept = error if isinstance(error, CosimError) else None
+        _send(descriptor, ("error", (kept, f"{type(error).__name__}: {error}", text)))
+
+
+def main() -> None:
+    """Serve requests until the parent goes."""
+    import faulthandler
+
+    faulthandler.enable(all_threads=False)
+    descriptor = int(sys.argv[1])
+    if sys.argv[2] == "1":
+        _die_with_parent()
+    requests: SimpleQueue[bytes] = SimpleQueue()
+    threading.Thread(target=_receive, args=(requests,), daemon=True).start()
+    for module in sys.argv[3:]:
+        try:
+            importlib.import_module(module)
+        except Exception:  # the request will fail for the same reason, and be heard
+            break
+    while True:
+        _serve(descriptor, requests.get())
+
+
+if __name__ == "__main__":
+    main()

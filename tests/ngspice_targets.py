@@ -1,0 +1,67 @@
+"""Functions that tests run in a child process, well- and ill-behaved."""
+
+import ctypes
+import os
+import time
+from typing import Any
+
+from cosim.errors import InputError
+
+
+def echo(payload: Any, report: Any) -> Any:
+    return payload
+
+
+def where(payload: Any, report: Any) -> dict[str, Any]:
+    return {"cwd": os.getcwd(), "home": os.environ["HOME"], "files": os.listdir("."), "pid": os.getpid()}
+
+
+def segfault(payload: Any, report: Any) -> None:
+    report({"time_s": 0.125})
+    ctypes.string_at(0)
+
+
+def leave(payload: Any, report: Any) -> None:
+    os._exit(3)
+
+
+def spin(payload: Any, report: Any) -> None:
+    report({"time_s": 0.25})
+    while True:
+        pass
+
+
+def standstill(payload: Any, report: Any) -> None:
+    while True:
+        time.sleep(0.06)
+        report({"time_s": 0.5})
+
+
+def steady(payload: Any, report: Any) -> int:
+    for i in range(10):
+        time.sleep(0.06)
+        report({"time_s": 0.1 * i})
+    return 7
+
+
+def fail_plainly(payload: Any, report: Any) -> None:
+    raise ZeroDivisionError("the very words")
+
+
+def fail_on_input(payload: Any, report: Any) -> None:
+    raise InputError("the user's fault")
+
+
+def sleep(payload: Any, report: Any) -> None:
+    with open(payload, "w") as file:
+        file.write(f"{os.getpid()} {os.getcwd()}")
+    time.sleep(60)
+
+
+def simulate(payload: str, report: Any) -> dict[str, Any]:
+    from cosim.ngspice.simulator import Simulator
+
+    simulator = Simulator(on_time=lambda t: report({"time_s": t}))
+    simulator.load(payload)
+    simulator.command("op")
+    return {name: simulator.vector(name) for name in simulator.vector_names()}
