@@ -1,7 +1,8 @@
 """Write a board netlist for n joints from the shipped blocks.
 
-The board is the paper's Fig. 3 with one column of difference amplifier, differentiator, summing amplifier and driver per joint and one
-spring and one damper multiplier per pair of joints. ``netlists/board1.cir`` and ``board2.cir`` are this module's output.
+The board is the paper's Fig. 3: a difference amplifier, differentiator, summing amplifier and driver per
+joint, a spring and a damper multiplier per pair of joints. ``netlists/board1.cir`` and ``board2.cir`` are
+this module's output.
 """
 
 from __future__ import annotations
@@ -28,27 +29,28 @@ _HEAD = """\
 * imoti        V, 1 V/A           current of motor i, output; positive drives joint i positively
 * vcc vee      V                  supplies, +-15 V
 *
-* Parts (tl072, ad633, opa548, motor, potentiometer) and the driver (voltage or current drive) are chosen outside.
+* Parts (tl072, ad633, opa548, motor, potentiometer) and the driver (voltage or current) are chosen outside.
 """
 
 _CONSTANTS = """\
-* Design constants: what the computer believes. Plain numbers on purpose: an edited resistor changes what is rendered, not these.
+* Design constants: what the computer believes. Plain numbers on purpose: an edited resistor changes what is
+* rendered, not these. g_m = 0.4 A/V is the driver: r_drv_fb/r_drv_in/motor_r, or r_drv_fb/r_drv_in/r_sense.
 .param v_rad=3.37034 $ V/rad at uj: 20 V/340 deg, as the potentiometer
 .param v_fs=10 $ V at kspij, ksdij for full scale
-.param k_fs=3.0003 $ N m/rad: v_rad*(r_diff_fb/r_diff_in)*(r_sum_fb/r_sum_spring)*0.4 A/V*kt*gear; 169 N/m at 0.1333 m
-.param c_fs=0.06969 $ N m s/rad: v_rad*r_der_fb*c_der_in*(r_sum_fb/r_sum_damper)*0.4 A/V*kt*gear; 3.9 N s/m at 0.1333 m
-.param v_nm=15.625 $ V at cmdi per N m at the joint: 1/((r_sum_fb/r_sum_cmd)*0.4 A/V*kt*gear)
+.param k_fs=3.0003 $ N m/rad: v_rad*(r_diff_fb/r_diff_in)*(r_sum_fb/r_sum_spring)*g_m*kt*gear; 169 N/m
+.param c_fs=0.06969 $ N m s/rad: v_rad*r_der_fb*c_der_in*(r_sum_fb/r_sum_damper)*g_m*kt*gear; 3.9 N s/m
+.param v_nm=15.625 $ V at cmdi per N m at the joint: 1/((r_sum_fb/r_sum_cmd)*g_m*kt*gear)
 .param kt=0.04 $ N m/A: assumption, 11 W iron-core motor (0.033-0.047); rated 35 mN m is 0.875 A
 .param gear=8 $ motor turns per joint turn
 .param i_rated=0.875 $ A, thermal: 0.035 N m/kt, 0.28 N m at the joint
 .param i_limit=1.987 $ A, the driver's current limit
 .param dac_v=10 $ V, the converters' range is +-dac_v
 .param dac_bits=12 $ bit: a step of u is 1.45 mrad
-.param w_rated=5.316 $ V at a multiplier's output for rated torque: i_rated/((r_sum_fb/r_sum_spring)*0.4 A/V)
+.param w_rated=5.316 $ V at a multiplier's output for rated torque: i_rated/((r_sum_fb/r_sum_spring)*g_m)
 .param r_tip=0.1333 $ m, reach at which figures per metre are quoted
 """
 
-_NAMES = ("v_rad", "v_fs", "k_fs", "c_fs", "v_nm", "kt", "gear", "i_rated", "i_limit", "dac_v", "dac_bits", "w_rated", "r_tip")
+_NAMES = [line.split("=")[0].split()[1] for line in _CONSTANTS.splitlines() if line.startswith(".param")]
 _BLOCKS = ("angle", "diffamp", "differentiator", "vca", "summer")
 
 
@@ -56,7 +58,8 @@ def pin_names(n: int) -> list[str]:
     """Return the pins of a board with ``n`` joints, in the order the generator writes them."""
     joints = [str(j) for j in range(1, n + 1)]
     pairs = [f"{i}{j}" for i, j in product(joints, joints)]
-    groups = [("pot", joints), ("vel", joints), ("u", joints), ("ksp", pairs), ("ksd", pairs), ("cmd", joints), ("imot", joints)]
+    groups = [("pot", joints), ("vel", joints), ("u", joints), ("ksp", pairs), ("ksd", pairs)]
+    groups += [("cmd", joints), ("imot", joints)]
     return [name + index for name, indices in groups for index in indices] + ["vcc", "vee"]
 
 
