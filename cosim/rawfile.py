@@ -83,7 +83,8 @@ class RawWriter:
         self._count_at = len(before)
         with disk_errors(self.path):
             # An earlier result may share this file by a hard link: leave its contents alone.
-            self.path.unlink(missing_ok=True)
+            if self.path.is_file():
+                self.path.unlink()
             self._file: BinaryIO = self.path.open("wb", buffering=1 << 20)
             self._file.write(before + b"0".ljust(width) + after)
 

@@ -79,10 +79,15 @@ def _coms_on_links(get: Get) -> Iterator[Problem]:
 
 
 def _joint_can_accelerate(get: Get) -> Iterator[Problem]:
-    masses, inertias = get("device.chain.masses_kg"), get("device.chain.inertias_kg_m2")
-    rotors = get("device.chain.rotor_inertia_kg_m2") or (0.0,)
-    # A joint whose links and rotors all weigh nothing makes the mass matrix singular.
-    outboard = sum(masses[-1:]) * get("device.chain.coms_m")[-1] ** 2 + sum(inertias[-1:]) + rotors[-1]
+    joints = joint_count(get)
+    masses, coms, inertias = (
+        get(f"device.chain.{name}") for name in ("masses_kg", "coms_m", "inertias_kg_m2")
+    )
+    rotors = get("device.chain.rotor_inertia_kg_m2") or (0.0,) * joints
+    if {len(masses), len(coms), len(inertias), len(rotors)} != {joints}:
+        raise Skip
+    # A last link that weighs nothing makes the mass matrix singular.
+    outboard = masses[-1] * coms[-1] ** 2 + inertias[-1] + rotors[-1]
     if not outboard > 0:
         yield Problem(
             "the last link has no inertia about its joint: give it mass, inertia or a rotor",

@@ -91,5 +91,5 @@ def _toml_value(value: Any) -> str:
         return repr(value)
     if isinstance(value, list):
         return "[" + ", ".join(_toml_value(item) for item in value) + "]"
-    # JSON's escapes are a subset of TOML's except for the surrogate pairs of ensure_ascii.
-    return json.dumps(value, ensure_ascii=False)
+    # JSON's escapes are TOML's too, except for the surrogate pairs of ensure_ascii; DEL is missing.
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

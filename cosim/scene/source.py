@@ -78,6 +78,8 @@ def override_layers(overrides: Iterable[str]) -> list[Layer]:
         data = _parse_override(key.strip(), value.strip()) if separator else None
         if data is None:
             problems.append(Problem("must look like computer.period_s=0.01", file="override", value=text))
+        elif "extends" in data:
+            problems.append(Problem("cannot be overridden", file="override", key="extends", value=value))
         else:
             layers.append(Layer("override", absolute_paths(data, Path.cwd())))
     if problems:
@@ -120,14 +122,14 @@ def _set_path(table: dict[str, Any], name: str, folder: Path) -> None:
 
 
 def _flat_values(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Join nested keys, because ``values.xdiff1.r1 = "10k"`` names an instance, not a table."""
+    """Join nested keys: ``values.xdiff1.r1 = "10k"`` names an instance. SPICE knows no letter case."""
     flat: dict[str, Any] = {}
     for name, value in values.items():
         if isinstance(value, dict):
             flat |= _flat_values(value, f"{prefix}{name}.")
         else:
             number = isinstance(value, int | float) and not isinstance(value, bool)
-            flat[prefix + name] = repr(value) if number else value
+            flat[(prefix + name).lower()] = repr(value) if number else value
     return flat
 
 
