@@ -10,7 +10,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TextIO
 
 from cosim import __version__
 from cosim.errors import CosimError
@@ -80,23 +80,31 @@ def build_parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     args = build_parser().parse_args(argv)
+    code, text, stream = _outcome(args)
     try:
-        result, text = args.run(args)
-        print(json.dumps(result, indent=2, ensure_ascii=False) if args.json else text, flush=True)
-    except CosimError as error:
-        if args.json:
-            print(json.dumps(error.as_dict(), indent=2, ensure_ascii=False), flush=True)
-        else:
-            print(f"cosim {args.command}: {error}", file=sys.stderr)
-        return error.exit_code
-    except KeyboardInterrupt:
-        print(f"cosim {args.command}: interrupted; finished results are whole", file=sys.stderr)
-        return EXIT_INTERRUPTED
+        print(text, file=stream, flush=True)
     except BrokenPipeError:
         # The reader, for example `head`, went away; Python must not complain again when it flushes at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return EXIT_FAILURE
-    return 0
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        return code or EXIT_FAILURE
+    return code
+
+
+def _outcome(args: argparse.Namespace) -> tuple[int, str, TextIO]:
+    """Run the command; return exit code, what to print and where."""
+    try:
+        result, text = args.run(args)
+    except CosimError as error:
+        if args.json:
+            return error.exit_code, _json(error.as_dict()), sys.stdout
+        return error.exit_code, f"cosim {args.command}: {error}", sys.stderr
+    except KeyboardInterrupt:
+        return EXIT_INTERRUPTED, f"cosim {args.command}: interrupted; finished results are whole", sys.stderr
+    return 0, _json(result) if args.json else text, sys.stdout
+
+
+def _json(value: dict[str, Any]) -> str:
+    return json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
 
 
 if __name__ == "__main__":

@@ -107,7 +107,7 @@ class RawWriter:
         finite = np.isfinite(rows)
         if not finite.all():
             row, column = np.argwhere(~finite)[0]
-            time_s = rows[row, 0] if finite[row, 0] else None
+            time_s = float(rows[row, 0]) if finite[row, 0] else None
             raise SimulationError(f"signal {self.names[column]} became {rows[row, column]}", time_s=time_s)
         with disk_errors(self.path):
             self._file.write(rows.data)

@@ -1,0 +1,133 @@
+"""The command line's frame: exit codes, JSON, quick help, values to try."""
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from cosim import cli
+from cosim.errors import InputError, SimulationError
+from cosim.settings import parse_settings, split_values, variants
+
+
+def test_new_lays_out_a_project(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["new", str(tmp_path / "dev"), "--joints", "1", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["joints"] == 1
+    assert all((tmp_path / "dev" / name).is_file() for name in told["files"])
+
+
+def test_users_mistake_is_exit_code_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["new", str(tmp_path / "dev"), "--joints", "9"]) == 2
+    out, err = capsys.readouterr()
+    assert not out
+    assert err == "cosim new: --joints = 9: is out of range (allowed: 1 to 6)\n"
+
+
+def test_mistakes_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["new", str(tmp_path / "dev"), "--joints", "9", "--json"]) == 2
+    assert json.loads(capsys.readouterr().out)["problems"][0]["key"] == "--joints"
+
+
+@pytest.mark.parametrize(
+    "arguments", [[], ["nonsense"], ["new"], ["new", "x", "--joints", "two"], ["new", "x", "-q"]]
+)
+def test_wrong_usage_is_exit_code_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        cli.main(arguments)
+    assert caught.value.code == 2
+    assert "usage" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "words"),
+    [
+        (InputError("bad"), 2, "bad"),
+        (SimulationError("stuck", time_s=1.0), 1, "stuck (at t = 1 s)"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+    ],
+)
+def test_exit_codes(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    error: BaseException,
+    code: int,
+    words: str,
+) -> None:
+    def fails(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr("cosim.newproject.new_project", fails)
+    assert cli.main(["new", "x"]) == code
+    assert words in capsys.readouterr().err
+
+
+def test_closed_pipe_is_quiet() -> None:
+    command = [sys.executable, "-m", "cosim.cli", "new", "/nowhere", "--joints", "9", "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+
+
+def test_help_imports_nothing_heavy() -> None:
+    heavy = ("numpy", "scipy", "numba", "pydantic", "pyarrow", "matplotlib", "PySpice", "rich", "jinja2")
+    code = (
+        "import sys, cosim.cli\n"
+        "cosim.cli.build_parser().format_help()\n"
+        f"print([name for name in {heavy!r} if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_help_is_quicker_than_three_times_numpy() -> None:
+    def best(arguments: list[str]) -> float:
+        times = []
+        for _ in range(3):
+            start = time.perf_counter()
+            subprocess.run([sys.executable, *arguments], capture_output=True, check=True)
+            times.append(time.perf_counter() - start)
+        return min(times)
+
+    assert best(["-m", "cosim.cli", "--help"]) < 3 * best(["-c", "import numpy"])
+
+
+# --- --set -------------------------------------------------------------------------------------------
+
+
+def test_set_tells_scene_from_netlist() -> None:
+    settings = parse_settings(
+        ["R12=8.2k,10k", "computer.period_s=0.01", "seed=3", "xdiff1.r1=9k", "r_diff_in=1k"]
+    )
+    assert [setting.is_netlist for setting in settings] == [True, False, False, True, True]
+    overrides = ("device.values.R12=10k", "computer.period_s=0.01", "seed=3", "device.values.xdiff1.r1=9k")
+    assert variants(settings)[1].overrides == (*overrides, "device.values.r_diff_in=1k")
+
+
+def test_every_combination_is_tried() -> None:
+    tried = variants(parse_settings(["R1=1k,2k", "seed=1,2,3"]))
+    assert [variant.label for variant in tried] == [
+        f"R1={r} seed={s}" for r in ("1k", "2k") for s in (1, 2, 3)
+    ]
+    assert [variant.label for variant in variants(())] == [""]
+
+
+def test_commas_inside_of_values() -> None:
+    assert split_values("[0.1, 0.2],[0.3,0.4]") == ["[0.1, 0.2]", "[0.3,0.4]"]
+    assert split_values("'a,b', {x=[1,2]}") == ["'a,b'", "{x=[1,2]}"]
+
+
+@pytest.mark.parametrize("text", ["R12", "R12=", "R12=1k,,2k", "=3", ""])
+def test_malformed_settings(text: str) -> None:
+    with pytest.raises(InputError, match="must look like"):
+        parse_settings([text])
+
+
+def test_name_set_twice() -> None:
+    with pytest.raises(InputError, match="twice"):
+        parse_settings(["R12=1k", "R12=2k"])
