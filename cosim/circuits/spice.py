@@ -89,7 +89,8 @@ def testbench(board: Deck, drive: Drive, sources: dict[str, str]) -> list[str]:
 
 def lockstep_deck(board: Deck, drive: Drive, tolerances: Tolerances, nodes: tuple[str, ...]) -> str:
     """The deck of a lockstep run: every driven pin is EXTERNAL."""
-    external = {pin: "external" for pin in drive.sources()}
+    # the speeds also take an `.ac` excitation; `ac` must come before `external` (ngspice 39)
+    external = {pin: "ac 0 external" if pin.startswith("vel") else "external" for pin in drive.sources()}
     lines = [
         "cosim lockstep",
         *board.text.splitlines()[1:],

@@ -87,18 +87,6 @@ _NEWTON_STEPS = 30
 _ON_THE_WALL_M = 1e-9
 
 
-def channels(n: int) -> list[str]:
-    """Names of the DAC channels of an n-joint board, in the order of the volts array."""
-    joints = range(1, n + 1)
-    pairs = [f"{i}{j}" for i in joints for j in joints]
-    return (
-        [f"u{j}" for j in joints]
-        + [f"ksp{ij}" for ij in pairs]
-        + [f"ksd{ij}" for ij in pairs]
-        + [f"cmd{i}" for i in joints]
-    )
-
-
 @njit(cache=True, error_model="numpy")
 def read_encoders(c, x, tick, q):
     """Joint angles as the encoders show them, and their backward difference as velocity [rad, rad/s]."""
@@ -231,7 +219,7 @@ def _code(c, volts):
 
 @njit(cache=True, error_model="numpy")
 def to_volts(c, x, volts):
-    """DAC voltages [V] for the wishes in `x`, in the order of `channels`; counts clipped channels in `x.saturated`."""
+    """DAC voltages [V] for the wishes in `x`, in the order of `cosim.loop.driven.channels`; counts clipped channels in `x.saturated`."""
     n = c.n
     x.saturated = 0
     at = 0

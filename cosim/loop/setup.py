@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from cosim.circuits.port import DesignConstants
 from cosim.circuits.spice import Drive
 from cosim.errors import InputError, Problem
-from cosim.loop.computer import COMPUTER, Method, Path, channels
+from cosim.loop.computer import COMPUTER, Method, Path
+from cosim.loop.driven import channels
 from cosim.loop.noise import Noise, no_noise, potentiometer_noise
 from cosim.loop.state import QUEUE, STATE
 from cosim.scene import Scene
@@ -86,34 +87,6 @@ def operator(scene: Scene) -> Operator:
     if isinstance(given, schema.PythonOperator):
         return load_user(given.file, scene.file.parent if scene.file else ".")
     return NoOperator()
-
-
-def drive(scene: Scene) -> Drive:
-    """Pins that this scene moves; all others are held at 0 V."""
-    computer, n = scene.computer, scene.joints
-    analog = computer.method is not schema.Method.DISCRETE
-    discrete = computer.discrete_stiffness_n_per_m > 0 or computer.discrete_damping_n_s_per_m > 0
-    damped = analog and computer.analog_damping_n_s_per_m > 0
-    by_cmd = discrete and (
-        computer.command_path is schema.CommandPath.CMD
-        or computer.method in (schema.Method.DISCRETE, schema.Method.JOINT_PD)
-    )
-    user = computer.law is not None
-    chosen = []
-    for name in channels(n):
-        diagonal = name[-1] == name[-2]
-        if name.startswith("ksp"):
-            used = analog and (computer.method is not schema.Method.JOINT_PD or diagonal)
-        elif name.startswith("ksd"):
-            used = damped and (computer.method is not schema.Method.JOINT_PD or diagonal)
-        elif name.startswith("cmd"):
-            used = by_cmd and computer.method is not schema.Method.CONTINUOUS
-        else:
-            used = True
-        if used or user:
-            chosen.append(name)
-    speeds = scene.effects.motor is not schema.MotorLevel.IDEAL
-    return Drive(joints=n, speeds=speeds, channels=tuple(chosen))
 
 
 def noise(scene: Scene) -> Noise:

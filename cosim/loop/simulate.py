@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -11,13 +12,18 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from cosim.circuits.port import DesignConstants
-from cosim.circuits.spice import Tolerances, lockstep_deck, saved
-from cosim.errors import CosimError, SimulationError
+from cosim.circuits.spice import Drive, Tolerances, lockstep_deck, saved
+from cosim.errors import CosimError, InputError, Problem, SimulationError, nearest
 from cosim.loop import lockstep
-from cosim.loop.setup import Memory, columns, drive, pack, sample_columns
+from cosim.loop.lockstep import evaluate
+from cosim.loop.driven import drive
+from cosim.loop.setup import Memory, columns, pack, sample_columns
+from cosim.loop.signals import Layout, write_signals
 from cosim.loop.state import Fault
+from cosim.loop.userlaw import UserLaw, load_law
 from cosim.ngspice.deck import Deck
 from cosim.ngspice.simulator import Simulator
+from cosim.results import RAW
 from cosim.scene import Scene
 
 _FAULTS = {
@@ -27,6 +33,10 @@ _FAULTS = {
     Fault.STEP_COLLAPSED: "the step collapsed: more than a million points in one sampling period",
     Fault.SAMPLE_LOST: "a sample of the computer was overtaken before its DACs changed",
 }
+#: Frequency of the low-frequency limit of the back-EMF's viscosity: far below L/R, far above leakage.
+_LOW_HZ = 0.1
+#: Streamed while the simulation runs, in the result's temporary folder.
+ROWS, SAMPLES = "rows.f64", "samples.f64"
 Report = Callable[[dict[str, Any]], None]
 
 
@@ -36,8 +46,8 @@ class Recorder:
     def __init__(self, memory: Memory, simulator: Simulator, folder: Path, report: Report) -> None:
         self.memory, self.simulator, self.report = memory, simulator, report
         self.failure: BaseException | None = None
-        self.rows: BinaryIO = open(folder / "rows.f64", "wb")  # noqa: SIM115 - closed by `close`
-        self.samples: BinaryIO = open(folder / "samples.f64", "wb")  # noqa: SIM115
+        self.rows: BinaryIO = open(folder / ROWS, "wb")  # noqa: SIM115 - closed by `close`
+        self.samples: BinaryIO = open(folder / SAMPLES, "wb")  # noqa: SIM115
         self.bytes = 0
         self.callback = ctypes.CFUNCTYPE(None)(self.drain)
         state = memory.state[0]
@@ -50,12 +60,17 @@ class Recorder:
             self._write(self.rows, self.memory.rows, "rows_used")
             self._write(self.samples, self.memory.samples, "samples_used")
             self.simulator.truncate_vectors()
-            if s["fault"] and self.failure is None:
+            self.memory.operator.raise_pending()
+            if s["fault"]:
                 raise SimulationError(_FAULTS[int(s["fault"])], time_s=float(s["t"]))
             self.report({"time_s": float(s["t"]), "points": int(s["points"])})
         except BaseException as error:
-            self.failure = self.failure or error
-            self.simulator.stop()
+            self.fail(error)
+
+    def fail(self, error: BaseException) -> None:
+        """Keep what went wrong in a callback and stop ngspice at its next point."""
+        self.failure = self.failure or error
+        self.simulator.stop()
 
     def _write(self, file: BinaryIO, buffer: np.ndarray[Any, Any], used: str) -> None:
         state = self.memory.state[0]
@@ -82,13 +97,30 @@ def read_constants(simulator: Simulator, file: str) -> DesignConstants:
     return DesignConstants.read(values, file)
 
 
-def coupled_step(simulator: Simulator, memory: Memory) -> float:
+def coupled_step(simulator: Simulator, circuit: Drive, memory: Memory) -> float:
     """Longest stable step [s] of the explicit back-EMF coupling: 0.5 m_eff / b_eff (ngspice-notes 20).
 
-    b_eff is what the motor's back-EMF makes of the circuit's admittance at low frequency, measured by `.ac`;
-    m_eff the smallest inertia that a joint sees.
+    The viscosity b_eff that the motors' back-EMF gives the joints is measured by `.ac` at a low frequency on
+    the loaded board; with the inertia M of the pose the fastest rate is the largest eigenvalue of M^-1 b_eff.
     """
-    return float("inf")
+    if not circuit.speeds:
+        return math.inf
+    n = circuit.joints
+    state = memory.state[0]
+    first = circuit.sources().index("vel1")
+    held = {f"v{k:02d}": float(state["out"][k]) for k in range(len(circuit.sources()))}
+    simulator.attach(source=lambda name, t: held[name])
+    admittance = np.zeros((n, n))
+    for j in range(n):
+        simulator.command(f"alter @v{first + j:02d}[acmag] = 1")
+        simulator.command(f"ac lin 1 {_LOW_HZ} {_LOW_HZ}")
+        admittance[:, j] = [np.real(simulator.vector(f"imot{i + 1}")[0]) for i in range(n)]
+        simulator.command(f"alter @v{first + j:02d}[acmag] = 0")
+    viscosity = -float(state["torque_per_amp"]) * float(state["gear"]) * admittance
+    evaluate(state, 0.0, state["q"], state["v"], state["a"])
+    rates = np.abs(np.linalg.eigvals(np.linalg.solve(state["w"]["mass"][:n, :n], viscosity)))
+    fastest = float(rates.max())
+    return 0.5 / fastest if fastest > 0.0 else math.inf
 
 
 def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
@@ -98,14 +130,15 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     ----------
     payload
         'scene': Scene; 'board': Deck; 'recorded', 'watched': node names; 'tolerances': Tolerances; 'folder':
-        where rows.f64 and samples.f64 are written
+        where signals.raw and samples.f64 are written
     report
         called with the simulated time and the points so far
 
     Returns
     -------
     dict
-        'columns', 'sample_columns', 'constants', 'stats', 'peaks' (largest |v| of each watched node)
+        'ledger', 'sample_columns', 'constants', 'stats', 'peaks' (largest |v| of each node), 'swings' (output
+        limits by parameter), 'ngspice' (version); signals.raw and samples.f64 are in the folder
     """
     scene: Scene = payload["scene"]
     board: Deck = payload["board"]
@@ -118,17 +151,38 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     simulator.load(text, lines=board.lines, name=str(board.path))
     constants = read_constants(simulator, str(board.path))
     memory = pack(scene, constants, circuit, recorded, nodes[len(recorded) :])
+    swings = {
+        a.swing_param: simulator.constant(a.swing_param) for a in board.amplifiers if a.swing_param is not None
+    }
     state = memory.state[0]
     recorder = Recorder(memory, simulator, Path(payload["folder"]), report)
+    if scene.computer.law is not None:
+        law = UserLaw(load_law(scene.computer.law, scene.file), state, recorder.fail)
+        state["law_address"] = law.address
 
     def named(names: list[str]) -> None:
         state["time_index"] = names.index("time")
-        wanted = saved(circuit, nodes)
-        at = [names.index(name.lower()) for name in wanted]
+        wanted = [name.lower() for name in saved(circuit, nodes)]
+        problems = [
+            Problem(
+                "the board has no such node" + (f"; nearest is {near}" if (near := nearest(name, names)) else ""),
+                file=str(board.path),
+                key="record.nodes",
+                value=name,
+            )
+            for name in wanted
+            if name not in names
+        ]
+        if problems:
+            raise InputError(problems)
+        at = [names.index(name) for name in wanted]
         state["current_index"][: circuit.joints] = at[: circuit.joints]
         state["node_index"][: len(nodes)] = at[circuit.joints :]
 
     state["breakpoint_address"] = simulator.set_breakpoint_address()
+    lockstep.begin(state)
+    lockstep.fill(state, 0.0)
+    state["h_pole"] = min(state["h_pole"], coupled_step(simulator, circuit, memory))
     simulator.attach(
         data=lockstep.accepted.address,
         init=named,
@@ -136,20 +190,23 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         sync=lockstep.synchronise.address,
         user=memory.state.ctypes.data,
     )
-    state["h_pole"] = min(state["h_pole"], coupled_step(simulator, memory))
-    lockstep.begin(state)
     wall, cpu = time.perf_counter(), time.process_time()
     try:
         simulator.command(f"tran {scene.solver.max_step_s!r} {scene.duration_s!r} 0 {scene.solver.max_step_s!r}")
     finally:
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         recorder.close()
+    layout = Layout(tuple(columns(circuit, recorded)), circuit, constants, state["p"])
+    folder = Path(payload["folder"])
+    ledger = write_signals(folder / ROWS, folder / RAW, layout, scene.title)
+    (folder / ROWS).unlink()
     return {
-        "columns": columns(circuit, recorded),
+        "ledger": ledger,
         "sample_columns": sample_columns(circuit.joints),
         "constants": constants,
         "stats": statistics(memory, wall, cpu),
         "peaks": dict(zip(nodes, state["node_peak"].tolist(), strict=False)),
+        "swings": swings,
         "ngspice": simulator.version,
     }
 

@@ -1,0 +1,95 @@
+"""From the streamed rows of a lockstep to the signals, energies and samples of a `Run`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.circuits.port import DesignConstants
+from cosim.circuits.spice import Drive
+from cosim.loop.ledger import WORKS, summary, torques_and_energy, works
+from cosim.rawfile import RawWriter
+from mech import NoOperator
+
+#: Rows handled at once: memory stays constant however long the run.
+_CHUNK = 1 << 15
+#: Columns that only the ledger needs.
+_PRIVATE = ("rule", "a", "tau_visc", "tau_coul", "tau_stop")
+_POWERS = ("p_mot", "p_op", "p_visc", "p_coul", "p_stop")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What the columns of the streamed rows mean.
+
+    Attributes
+    ----------
+    columns : names, as `cosim.loop.setup.columns` gives them
+    circuit : driven pins
+    constants : design constants of the board
+    linkage : one `LINKAGE` record
+    """
+
+    columns: tuple[str, ...]
+    circuit: Drive
+    constants: DesignConstants
+    linkage: np.void
+
+
+def write_signals(rows_file: Path, raw_file: Path, layout: Layout, title: str) -> dict[str, Any]:
+    """Write every signal to `raw_file` and return the energy ledger.
+
+    Derived here: powers of the motors, the operator, friction and stops [W], kinetic, gravity and
+    commanded-spring energy [J].
+    """
+    n, columns = layout.circuit.joints, layout.columns
+    table = np.memmap(rows_file, dtype=np.float64, mode="r").reshape(-1, len(columns))
+    keep = [i for i, name in enumerate(columns) if name.rstrip("0123456789") not in _PRIVATE or "." in name]
+    names = [columns[i] for i in keep] + [*_POWERS, "e_kin", "e_grav", "e_spring"]
+    nobody = NoOperator().pack()[0]
+    torque_per_amp = layout.constants.kt * layout.constants.gear
+    first = columns.index("q1")
+    totals = np.zeros(len(WORKS))
+    held, spring = [], []
+    with RawWriter(raw_file, names, title=title) as raw:
+        for start in range(0, len(table), _CHUNK):
+            # two rows of overlap: the parabola of a step reaches two points back
+            back = min(start, 2)
+            rows = np.ascontiguousarray(table[start - back : start + _CHUNK])
+            torques = np.empty((len(rows), len(WORKS), n))
+            energies = np.empty((len(rows), 2))
+            torques_and_energy(
+                layout.linkage, nobody, n, torque_per_amp, rows, first, torques, energies
+            )
+            done = np.zeros((len(rows), len(WORKS)))
+            works(n, rows, first, torques, done)
+            totals += done[max(back, 1) :].sum(axis=0)
+            speeds = rows[:, first + n : first + 2 * n]
+            power = np.einsum("kij,kj->ki", torques, speeds)
+            stored = _spring_energy(rows, layout)
+            derived = np.column_stack([rows[:, keep], power, energies, stored])
+            raw.append(derived[back:])
+            held.append(energies[back:])
+            spring.append(stored[back:])
+    return summary(np.concatenate(held), totals, np.concatenate(spring))
+
+
+def _spring_energy(rows: NDArray[np.float64], layout: Layout) -> NDArray[np.float64]:
+    """Energy [J] that springs with the commanded gains would hold: (u - q)' Ksp (u - q) / 2."""
+    n, columns, constants = layout.circuit.joints, layout.columns, layout.constants
+    offset = np.zeros((len(rows), n))
+    stiffness = np.zeros((len(rows), n, n))
+    for j in range(n):
+        if f"u{j + 1}" in columns:
+            offset[:, j] = rows[:, columns.index(f"u{j + 1}")] / constants.v_rad
+            offset[:, j] -= rows[:, columns.index(f"q{j + 1}")]
+        for i in range(n):
+            name = f"ksp{i + 1}{j + 1}"
+            if name in columns:
+                stiffness[:, i, j] = rows[:, columns.index(name)] * constants.k_fs / constants.v_fs
+    energy: NDArray[np.float64] = 0.5 * np.einsum("ki,kij,kj->k", offset, stiffness, offset)
+    return energy

@@ -1,0 +1,135 @@
+"""Measures: the figures a designer asks of a run, each with unit and words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.circuits.port import DesignConstants
+from cosim.errors import InputError, Problem, nearest
+from cosim.scene import Scene
+
+Signals = Mapping[str, NDArray[np.float64]]
+#: The share of a run, at its end, over which steady figures are averaged.
+_STEADY = 0.2
+
+
+def wall_frame(scene: Scene, signals: Signals) -> dict[str, NDArray[np.float64]]:
+    """Penetration and tangential position [m], and force of the device on the operator [N], in the wall's frame.
+
+    Normal n points to the free side, tangent t = (n_y, -n_x); penetration is positive inside the wall.
+    """
+    assert scene.wall is not None
+    (px, py), (nx, ny) = scene.wall.point_m, scene.wall.normal
+    dx, dy = signals["x"] - px, signals["y"] - py
+    fx, fy = -signals["fx"], -signals["fy"]
+    return {
+        "penetration": -(dx * nx + dy * ny),
+        "along": dx * ny - dy * nx,
+        "normal": fx * nx + fy * ny,
+        "tangent": fx * ny - fy * nx,
+    }
+
+
+def time_mean(t: NDArray[np.float64], y: NDArray[np.float64]) -> float:
+    """Mean of a signal over unequal steps."""
+    span = float(t[-1] - t[0])
+    return float(np.trapezoid(y, t) / span) if span > 0 else float(y[-1])
+
+
+def headroom(amplifiers: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Amplifiers ordered by what is left to their output limit: the first clips first."""
+    return sorted((a for a in amplifiers if a["swing_v"]), key=lambda a: float(a["headroom"]))
+
+
+def standard(
+    scene: Scene,
+    constants: DesignConstants,
+    signals: Signals,
+    samples: Signals,
+    amplifiers: list[dict[str, Any]],
+    ledger: Mapping[str, Any],
+) -> dict[str, dict[str, Any]]:
+    """Every measure that applies to the scene: name -> {value, unit, text}."""
+    out: dict[str, dict[str, Any]] = {}
+
+    def add(name: str, value: float, unit: str, text: str) -> None:
+        out[name] = {"value": float(value), "unit": unit, "text": text}
+
+    t = np.asarray(signals["time"])
+    late = t >= t[-1] - _STEADY * (t[-1] - t[0])
+    force = np.hypot(signals["fx"], signals["fy"])
+    add("peak_force", force.max(), "N", "largest force between operator and device")
+    if scene.wall is not None:
+        frame = wall_frame(scene, signals)
+        pen, normal, tangent = frame["penetration"], frame["normal"], frame["tangent"]
+        add("max_penetration", max(float(pen.max()), 0.0), "m", "deepest penetration of the wall")
+        inside = pen > 0.0
+        add("contact_share", time_mean(t, inside.astype(float)), "", "share of the time in contact")
+        if inside.any():
+            add("peak_normal_force", normal[inside].max(), "N", "largest normal force in contact")
+            add("mean_normal_force", normal[inside].mean(), "N", "normal force in contact, mean over points")
+        steady = late & inside
+        if steady.sum() > 2 and inside[late].all():
+            sink, push = time_mean(t[late], pen[late]), time_mean(t[late], normal[late])
+            drag = time_mean(t[late], tangent[late])
+            add("steady_penetration", sink, "m", "mean penetration in the last fifth of the run")
+            add("steady_normal_force", push, "N", "mean normal force in the last fifth of the run")
+            add("steady_tangential_force", drag, "N", "mean tangential force in the last fifth of the run")
+            add("rendered_stiffness", push / sink, "N/m", "steady normal force over steady penetration")
+            add("tangential_ratio", abs(drag / push), "", "|F_t/F_n| in the last fifth of the run")
+            ripple = normal[late] - push
+            add("force_ripple", float(np.sqrt((ripple**2).mean())), "N", "rms of the normal force about its mean")
+    n = scene.joints
+    current = np.max([np.abs(signals[f"imot{j}"]) for j in range(1, n + 1)], axis=0)
+    add("peak_current", current.max(), "A", "largest motor current")
+    add("rated_share", current.max() / constants.i_rated, "", "largest motor current over rated current")
+    add("over_rated", time_mean(t, (current > constants.i_rated).astype(float)), "", "share of time above rated")
+    add("heat", _heat(t, signals, n), "A^2 s", "integral of the squared motor currents")
+    add("dac_saturations", float(samples["saturated"].sum()), "", "DAC words clipped at the converter's range")
+    add("unreachable_samples", float(samples["unsolved"].sum()), "", "samples whose contact point was out of reach")
+    tightest = headroom(amplifiers)
+    if tightest:
+        first = tightest[0]
+        add(
+            "headroom",
+            first["headroom"],
+            "",
+            f"{first['path']} ({first['part']}) clips first: {first['peak_v']:.3g} V of {first['swing_v']:.3g} V",
+        )
+    add("ledger_closure", ledger["closure"], "", "unexplained share of the energy turned over")
+    return out
+
+
+def _heat(t: NDArray[np.float64], signals: Signals, n: int) -> float:
+    squares = np.sum([np.square(signals[f"imot{j}"]) for j in range(1, n + 1)], axis=0)
+    return float(np.trapezoid(squares, t))
+
+
+def chosen(measures: dict[str, dict[str, Any]], scene: Scene) -> dict[str, dict[str, Any]]:
+    """The measures that `[measures] names` asks for, all when it asks for none.
+
+    Raises
+    ------
+    InputError
+        For a name that this run does not have, with the nearest that it has.
+    """
+    names = scene.measures.names
+    if not names:
+        return measures
+    problems = [
+        Problem(
+            "no such measure in this run" + (f"; nearest is {near}" if (near := nearest(name, measures)) else ""),
+            file=str(scene.file) if scene.file else None,
+            key="measures.names",
+            value=name,
+        )
+        for name in names
+        if name not in measures
+    ]
+    if problems:
+        raise InputError(problems)
+    return {name: measures[name] for name in names}

@@ -1,0 +1,147 @@
+"""What a run will be, before it runs: effects, circuit model, deck, cost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from cosim import effects
+from cosim.circuits.spice import Drive, Tolerances
+from cosim.errors import InputError, Problem
+from cosim.loop.driven import drive
+from cosim.ngspice.deck import Deck, load_deck
+from cosim.ngspice.parts import PartSwap
+from cosim.scene import Method, PartFile, PotNoise, Scene
+
+#: Points a sampling period costs beyond its longest steps: the restart behind a DAC step (see benchmarks).
+RESTART_POINTS = 18
+#: Microseconds a point: fixed, and per amplifier of the board (measured on one 2-core machine, benchmarks/).
+POINT_US, AMPLIFIER_US = 2.0, 0.8
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A resolved scene, ready to run.
+
+    Attributes
+    ----------
+    scene, board : the scene and the flattened netlist
+    model : circuit model that carries its effects
+    circuit : pins that are driven
+    tolerances : ngspice's error control
+    recorded : nodes written at every point; watched : nodes of which the peak is kept
+    """
+
+    scene: Scene
+    board: Deck
+    model: str
+    circuit: Drive
+    tolerances: Tolerances
+    recorded: tuple[str, ...]
+    watched: tuple[str, ...]
+
+    def cost(self) -> dict[str, float]:
+        """Predicted points and seconds; noise apart, because it decides."""
+        scene = self.scene
+        step = min(scene.solver.max_step_s, scene.computer.period_s)
+        samples = scene.duration_s / scene.computer.period_s
+        quiet = samples * (RESTART_POINTS + scene.computer.period_s / step)
+        noisy = 0.0
+        if scene.effects.pot_noise in (PotNoise.WHITE, PotNoise.PEAK_TO_PEAK):
+            noisy = scene.duration_s * 2 * scene.device.potentiometer.noise_bandwidth_hz * 3
+        per_point = (POINT_US + AMPLIFIER_US * len(self.board.amplifiers)) * 1e-6
+        return {
+            "points": round(quiet + noisy),
+            "seconds": (quiet + noisy) * per_point,
+            "noise_points": round(noisy),
+            "noise_seconds": noisy * per_point,
+        }
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-ready, as `cosim plan` prints it and every result stores it."""
+        return {
+            "model": self.model,
+            "board": self.board.board,
+            "joints": self.board.joints,
+            "deck_digest": self.board.digest,
+            "amplifiers": len(self.board.amplifiers),
+            "external_sources": self.circuit.sources(),
+            "effects": effects.in_force(self.scene),
+            "left_out": effects.left_out(self.scene),
+            "mechanical_states": 2 * self.scene.joints,
+            "predicted": self.cost(),
+            "notes": list(self.board.notes) + slower_paths(self.scene),
+            "tolerances": self.tolerances.line(),
+        }
+
+
+def slower_paths(scene: Scene) -> list[str]:
+    """What runs in Python instead of compiled code, said in words."""
+    said = []
+    if scene.computer.law is not None:
+        said.append(f"control law {scene.computer.law} runs in Python, once per sample")
+    if scene.operator.type == "python":
+        said.append(f"operator {scene.operator.file} runs in Python, about three times per time point")
+    return said
+
+
+def _swaps(scene: Scene) -> dict[str, PartSwap | str]:
+    return {
+        name: PartSwap(part.file, part.subckt, part.pins, part.dialect.value)
+        if isinstance(part, PartFile)
+        else part
+        for name, part in scene.device.parts.items()
+    }
+
+
+def resolve(scene: Scene, *, trust: bool = False) -> Plan:
+    """Resolve a scene: choose the circuit model, flatten the board, decide what is driven.
+
+    Raises
+    ------
+    InputError
+        For a board that does not fit the scene, or effects that its model cannot carry.
+    """
+    board = load_deck(
+        scene.device.board,
+        levels=effects.levels(scene),
+        parts=_swaps(scene),
+        overrides=scene.device.values,
+        trust=trust,
+    )
+    if board.joints != scene.joints:
+        raise InputError(
+            Problem(
+                f"the board has {board.joints} joint(s), the linkage {scene.joints}",
+                file=str(scene.file) if scene.file else None,
+                key="device.board",
+                value=str(scene.device.board),
+            )
+        )
+    _check_path(scene)
+    solver = scene.solver
+    recorded = tuple(node.lower() for node in scene.record.nodes)
+    watched = tuple(dict.fromkeys(a.out_node for a in board.amplifiers if a.out_node not in recorded))
+    return Plan(
+        scene=scene,
+        board=board,
+        model="spice",
+        circuit=drive(scene),
+        tolerances=Tolerances(rtol=solver.rtol, method=solver.method.value),
+        recorded=recorded,
+        watched=watched,
+    )
+
+
+def _check_path(scene: Scene) -> None:
+    computer = scene.computer
+    if computer.law is None and computer.command_path.value == "u" and computer.method is Method.DISCRETE:
+        raise InputError(
+            Problem(
+                "with all spring gains zero the equilibrium makes no torque; a purely discrete wall needs cmd",
+                file=str(scene.file) if scene.file else None,
+                key="computer.command_path",
+                value="u",
+                allowed="cmd",
+            )
+        )

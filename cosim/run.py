@@ -1,0 +1,155 @@
+"""The one path: Scene -> Plan -> Run."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.measures import chosen, headroom, standard
+from cosim.circuits.port import DesignConstants
+from cosim.ngspice.child import Child, call, start_early
+from cosim.plan import Plan, resolve
+from cosim.rawfile import read_raw
+from cosim.results import RAW, RECORD, Run, provenance
+from cosim.staging import Staging
+
+__all__ = ["early_child", "resolve", "run"]
+
+_TARGET = "cosim.loop.simulate"
+#: Without a sign of progress for so long [s], the simulation counts as hanging.
+_STALL_S = 60.0
+
+
+def early_child() -> Child:
+    """Start the simulation's process now; its imports overlap with whatever the caller does next."""
+    return start_early(_TARGET)
+
+
+def run(
+    plan: Plan,
+    out: str | Path | None = None,
+    *,
+    formats: Collection[str] = ("parquet",),
+    on_progress: Callable[[Mapping[str, Any]], None] | None = None,
+    child: Child | None = None,
+    command: list[str] | None = None,
+) -> Run:
+    """Simulate a plan and save the result whole, or not at all.
+
+    Parameters
+    ----------
+    plan
+        From `resolve`.
+    out
+        Result folder; a temporary one when not given (its path is `Run.signals.path.parent`).
+    formats
+        Further forms of the signals, see `cosim.results.FORMATS`.
+    on_progress
+        Called with {'time_s', 'points'} while the simulation runs.
+    child
+        A process from `early_child`; it can serve several runs.
+    command
+        Command line for the provenance.
+
+    Raises
+    ------
+    InputError
+        For a board that ngspice does not accept, or a place that cannot be written.
+    SimulationError
+        For everything that goes wrong while it runs.
+    """
+    begun = time.perf_counter()
+    scene = plan.scene
+    target = Path(out) if out is not None else Path(tempfile.mkdtemp(prefix="cosim-run-"))
+    with Staging(target, RECORD) as stage:
+        got = call(
+            f"{_TARGET}:simulate",
+            {
+                "scene": scene,
+                "board": plan.board,
+                "recorded": plan.recorded,
+                "watched": plan.watched,
+                "tolerances": plan.tolerances,
+                "folder": stage.path,
+            },
+            time_limit_s=scene.solver.time_limit_s,
+            stall_limit_s=_STALL_S,
+            on_progress=on_progress,
+            deck=str(plan.board.path),
+            child=child,
+        )
+        constants: DesignConstants = got["constants"]
+        samples = _read_samples(stage.path / "samples.f64", got["sample_columns"])
+        ledger = got["ledger"]
+        signals = read_raw(stage.path / RAW)
+        amplifiers = _amplifiers(plan, got)
+        measures = standard(scene, constants, signals, samples, amplifiers, ledger)
+        stats = dict(got["stats"])
+        stats["total_s"] = time.perf_counter() - begun
+        result = Run(
+            scene=scene,
+            signals=signals,
+            samples=samples,
+            plan={**plan.as_dict(), "constants": vars(constants), "amplifiers": headroom(amplifiers)},
+            events=_events(samples),
+            measures=chosen(measures, scene),
+            ledger=ledger,
+            stats=stats,
+            provenance=provenance(
+                scene,
+                command=command if command is not None else list(sys.argv),
+                ngspice=str(got["ngspice"]),
+                deck_digest=plan.board.digest,
+            ),
+        )
+        result.write_into(stage.path, formats)
+        stage.publish()
+    return Run.load(target)
+
+
+def _read_samples(file: Path, columns: list[str]) -> dict[str, NDArray[np.float64]]:
+    """Columns of the computer's samples; the streamed file is used up."""
+    table = np.fromfile(file).reshape(-1, len(columns))
+    file.unlink()
+    return {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(columns)}
+
+
+def _amplifiers(plan: Plan, got: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Peak output of every amplifier against its limit."""
+    out = []
+    for amplifier in plan.board.amplifiers:
+        peak = got["peaks"].get(amplifier.out_node)
+        swing = got["swings"].get(amplifier.swing_param)
+        if peak is None:
+            continue
+        out.append(
+            {
+                "path": amplifier.path,
+                "part": amplifier.part,
+                "role": amplifier.role,
+                "node": amplifier.out_node,
+                "peak_v": peak,
+                "swing_v": swing,
+                "headroom": 1.0 - peak / swing if swing else 0.0,
+            }
+        )
+    return out
+
+
+def _events(samples: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Contacts made and lost, as the computer saw them."""
+    events: list[dict[str, Any]] = []
+    before = 0.0
+    for at, contact, pen in zip(samples["time"], samples["contact"], samples["pen"], strict=True):
+        if contact != before:
+            kind = "contact" if contact else "release"
+            events.append({"time_s": float(at), "kind": kind, "penetration_m": float(pen)})
+        before = contact
+    return events
