@@ -10,10 +10,14 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from cosim import __version__
 from cosim.errors import CosimError
+
+if TYPE_CHECKING:
+    from cosim.scene import Scene
+    from cosim.settings import Variant
 
 EXIT_FAILURE = 1
 EXIT_INTERRUPTED = 130
@@ -54,6 +58,40 @@ def _new(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         [f"{args.folder}: a project with {args.joints} joints", *(f"  {name}" for name in files)]
     )
     return {"folder": os.path.abspath(args.folder), "joints": args.joints, "files": files}, text
+
+
+def scene_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of every command that reads a scene."""
+    parser.add_argument("scene", help="scene file (TOML)")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=V1,V2,...",
+        help="try values of a scene key (computer.period_s) or of a netlist name (R12, xdiff1.r1); repeatable",
+    )
+    parser.add_argument(
+        "--model", metavar="NAME", help="circuit model to force instead of the effects' choice"
+    )
+
+
+def out_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the folder for results."""
+    parser.add_argument(
+        "-o", "--out", metavar="FOLDER", help="folder for the results; appears whole or not at all"
+    )
+
+
+def load_variants(args: argparse.Namespace) -> "list[tuple[Variant, Scene]]":
+    """Load the scene once for every combination of ``--set``: all are checked before the first runs."""
+    from cosim.scene import load_scene
+    from cosim.settings import parse_settings, variants
+
+    forced = [f"solver.model={args.model}"] if args.model else []
+    return [
+        (variant, load_scene(args.scene, [*forced, *variant.overrides]))
+        for variant in variants(parse_settings(args.set))
+    ]
 
 
 COMMANDS: tuple[Command, ...] = (

@@ -1,5 +1,6 @@
 """The command line's frame: exit codes, JSON, quick help, values to try."""
 
+import argparse
 import json
 import subprocess
 import sys
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from cosim import cli
+from cosim.assets import scenes_folder
 from cosim.errors import InputError, SimulationError
 from cosim.settings import parse_settings, split_values, variants
 
@@ -131,3 +133,25 @@ def test_malformed_settings(text: str) -> None:
 def test_name_set_twice() -> None:
     with pytest.raises(InputError, match="twice"):
         parse_settings(["R12=1k", "R12=2k"])
+
+
+def test_variants_of_a_scene_are_all_checked_first() -> None:
+    parser = argparse.ArgumentParser()
+    cli.scene_arguments(parser)
+    cli.out_argument(parser)
+    slope = str(scenes_folder() / "slope.toml")
+    args = parser.parse_args(
+        [slope, "--set", "seed=1,2", "--set", "R12=8.2k", "--model", "spice", "-o", "out"]
+    )
+    loaded = cli.load_variants(args)
+    assert [(variant.label, scene.seed) for variant, scene in loaded] == [
+        ("seed=1 R12=8.2k", 1),
+        ("seed=2 R12=8.2k", 2),
+    ]
+    assert all(
+        scene.device.values == {"r12": "8.2k"} and scene.solver.model == "spice" for _, scene in loaded
+    )
+    with pytest.raises(InputError, match="choices"):
+        cli.load_variants(parser.parse_args([slope, "--model", "exact"]))
+    with pytest.raises(InputError, match=r"computer\.period_s = -1"):
+        cli.load_variants(parser.parse_args([slope, "--set", "computer.period_s=0.01,-1"]))

@@ -314,6 +314,7 @@ CROSS = [
     ("device.start.v_rad_per_s=[1]", "device.start.v_rad_per_s", "2 joints"),
     ("device.start.tip_m=[0.3, 0]", "device.start.tip_m", "out of reach"),
     ("wall.point_m=[-0.2, 0.2]", "wall.point_m", "out of reach"),
+    ("wall.point_m=[0.2, -0.2]", "wall.point_m", "out of reach"),
     ("wall.normal=[0, 0]", "wall.normal", "zero vector"),
     ("duration_s=0.01", "computer.period_s", "longer than the whole run"),
     ("computer.method=discrete", "computer.analog_stiffness_n_per_m", "does not display"),
