@@ -68,7 +68,7 @@ def scene_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=V1,V2,...",
-        help="try values of a scene key (computer.period_s) or of a netlist name (R12, xdiff1.r1); repeatable",
+        help="try values of a scene key (computer.period_s) or a netlist name (R12, xdiff1.r1); repeatable",
     )
     parser.add_argument(
         "--model", metavar="NAME", help="circuit model to force instead of the effects' choice"
