@@ -1,0 +1,40 @@
+# Everything a fresh machine needs: `make demo` and `make test` set up what is missing first.
+PYTHON ?= python3
+BIN := .venv/bin
+OUT ?= out/demo
+
+.PHONY: demo test slow bench lint setup clean
+
+demo: setup
+	$(BIN)/cosim run scenes/slope.toml --out $(OUT)
+	$(BIN)/cosim report $(OUT)
+	@echo "Open $(OUT)/report/index.html in a browser."
+
+test: setup
+	$(BIN)/python -m pytest -q
+
+slow: setup
+	$(BIN)/python -m pytest -q -m slow
+
+bench: setup
+	$(BIN)/python -m benchmarks
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+setup: .venv/ready
+	@sh setup/ngspice.sh
+
+# The lock pins every package; it is written by `uv pip compile pyproject.toml --extra test --universal`.
+.venv/ready: requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	  || { echo "Python 3.11 or newer is needed; found `$(PYTHON) --version`. Try: make PYTHON=python3.12" >&2; exit 1; }
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+	@touch $@
+
+clean:
+	rm -rf .venv out

@@ -1,0 +1,120 @@
+"""A room imports only from floors below it, and only one module touches PySpice or matplotlib."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+#: Floor of a module, by the longest prefix that fits (design of the project).
+FLOORS = {
+    "mech": 0,
+    "cosim": 0,
+    "cosim.errors": 0,
+    "cosim.assets": 0,
+    "cosim.staging": 0,
+    "cosim.scene": 0,
+    "cosim.ngspice": 0,
+    "cosim.circuits": 1,
+    "cosim.rawfile": 1,
+    "cosim.results": 1,
+    "cosim.loop": 2,
+    "cosim.effects": 2,
+    "cosim.plan": 2,
+    "cosim.measures": 2,
+    "cosim.newproject": 2,
+    "cosim.run": 3,
+    "cosim.export": 3,
+    "cosim.check": 3,
+    "cosim.studies": 4,
+    "reports": 5,
+    "cosim.commands": 6,
+    "cosim.cli": 6,
+    "cosim.__main__": 6,
+}
+
+
+def modules():
+    for top in ("mech", "cosim", "reports"):
+        for path in sorted((ROOT / top).rglob("*.py")):
+            name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+            yield name.removesuffix(".__init__"), path
+
+
+def imports(name, path):
+    """Absolute names of the modules that a file imports, function bodies included."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{name}: relative import"
+            for alias in node.names:
+                # `from package import module` depends on the module, not on what else the package shows
+                full = f"{node.module}.{alias.name}"
+                yield full if full in NAMES else node.module
+
+
+def floor(name):
+    parts = name.split(".")
+    for length in range(len(parts), 0, -1):
+        prefix = ".".join(parts[:length])
+        if prefix in FLOORS:
+            return FLOORS[prefix], prefix
+    return None, None
+
+
+FOUND = list(modules())
+NAMES = {name for name, _ in FOUND}
+
+
+@pytest.mark.parametrize(("name", "path"), FOUND, ids=[name for name, _ in FOUND])
+def test_imports_point_down(name, path):
+    here, room = floor(name)
+    assert room is not None, f"{name} has no floor"
+    for target in imports(name, path):
+        there, other = floor(target)
+        if other is None or other == room or (other == "cosim" and target not in NAMES):
+            continue
+        same_floor_is_fine = there == here and here in (0, 1, 2, 6) and room.split(".")[0] != "mech"
+        assert there < here or same_floor_is_fine, f"{name} (floor {here}) imports {target} (floor {there})"
+
+
+def test_mechanics_knows_no_circuit():
+    for name, path in FOUND:
+        if name.split(".")[0] == "mech":
+            assert not [t for t in imports(name, path) if t.split(".")[0] in ("cosim", "reports")], name
+
+
+def test_circuits_know_no_mechanics():
+    for name, path in FOUND:
+        if name.startswith(("cosim.circuits", "cosim.ngspice")):
+            assert not [t for t in imports(name, path) if t.split(".")[0] == "mech"], name
+
+
+@pytest.mark.parametrize(
+    ("library", "home"), [("PySpice", "cosim.ngspice"), ("matplotlib", "reports"), ("pydantic", "cosim.scene")]
+)
+def test_a_library_has_one_home(library, home):
+    for name, path in FOUND:
+        if any(target.split(".")[0] == library for target in imports(name, path)):
+            assert name == home or name.startswith(home + "."), f"{name} imports {library}"
+
+
+def test_no_import_cycles():
+    graph = {
+        name: {target for target in imports(name, path) if target in NAMES and target != name}
+        for name, path in FOUND
+    }
+    done, active = set(), []
+
+    def visit(name):
+        assert name not in active, " -> ".join([*active[active.index(name) :], name])
+        if name not in done:
+            active.append(name)
+            for target in sorted(graph[name]):
+                visit(target)
+            active.pop()
+            done.add(name)
+
+    for name in graph:
+        visit(name)
