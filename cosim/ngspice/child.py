@@ -294,7 +294,7 @@ def _environment(folder: Path) -> dict[str, str]:
     env = dict(os.environ)
     env.pop("SPICE_USERINIT_DIR", None)
     home = Path(env.get("HOME") or Path.home())
-    # numba keeps the compiled code of read-only installations in the user's cache: the new HOME must not hide it
+    # numba keeps compiled code of read-only installations in the user's cache: a new HOME must not hide it
     env.setdefault("XDG_CACHE_HOME", str(home / ".cache"))
     env["HOME"] = str(folder / "home")
     env["PYTHONPATH"] = os.pathsep.join(os.path.abspath(entry) for entry in sys.path)

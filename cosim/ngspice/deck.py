@@ -156,7 +156,7 @@ def load_deck(
         joints,
         tuple(_amplifiers(net, board, shelf)),
         tuple(shelf.used[name] for name in sorted(shelf.used) if name in net.blocks),
-        tuple(_notes(net)),
+        tuple(_notes(net, blocks)),
         path,
     )
 
@@ -301,7 +301,7 @@ def _amplifiers(net: Netlist, board: Block, shelf: Shelf) -> list[Amplifier]:
             ]
             inner = dict(zip(child.pins, names, strict=True))
             here = f"{path}.{instance.name}"
-            part = shelf.used.get(child.name)
+            part = shelf.used.get(child.origin)
             if part is not None and part.out is not None:
                 if part.out not in inner:
                     fail(f"part {part.name} has no pin {part.out}", file=child.header.file, key="out")
@@ -318,8 +318,8 @@ def _globals(net: Netlist) -> dict[str, str]:
     return {name.lower(): name.lower() for row in words for name in row}
 
 
-def _notes(net: Netlist) -> list[str]:
-    """Say what was ignored, once per file and kind."""
+def _notes(net: Netlist, blocks: list[Block]) -> list[str]:
+    """Say what was ignored, once per file and kind, and which nodes look misspelt."""
     counts: dict[tuple[str, str], int] = {}
     for line in net.dropped:
         if line.keyword not in (".end", ".title"):
@@ -336,5 +336,11 @@ def _notes(net: Netlist) -> list[str]:
         f"{file}: ignored elements outside the board's subcircuit: {', '.join(names[:8])}"
         + (f" and {len(names) - 8} more" if len(names) > 8 else "")
         for file, names in outside.items()
+    ]
+    notes += [
+        f"{block.header.file}: in {block.name} only one terminal touches node {node}"
+        for block in blocks
+        if not block.is_part
+        for node in block.loose_nodes()
     ]
     return notes

@@ -15,6 +15,7 @@ _SCALE = {
 _NUMBER = re.compile(
     r"([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)(meg|mil|[tgkmuµnpfa])?[a-zµΩ%]*", re.IGNORECASE
 )
+_CONTROL_CHARACTER = re.compile("[\x00-\x08\x0b-\x1f\x7f\x85\u2028\u2029]")
 _EQUALS = re.compile(r"(?<![=<>!])\s*=\s*(?!=)")
 
 
@@ -68,16 +69,17 @@ def read_lines(path: Path, *, pspice: bool = False) -> list[Line]:
         raw = path.read_bytes()
     except OSError as error:
         fail(f"cannot read the netlist: {error.strerror or error}", file=str(path))
-    if b"\0" in raw:
-        fail("is not a netlist but a binary file", file=str(path))
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = raw.decode("latin-1")
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    if _CONTROL_CHARACTER.search(text):  # some end a line for one reader and not for another
+        fail("is not a netlist: it holds control characters", file=str(path))
     lines: list[Line] = []
     in_control = False
     for lineno, row in enumerate(text.split("\n"), 1):
-        row = row.rstrip("\r").strip()
+        row = row.strip()
         if row.lower().startswith(".control"):
             in_control = True
         if in_control:  # commands have a syntax of their own

@@ -1,5 +1,6 @@
 """The structure of a netlist: subcircuits, the statements outside them, and who instantiates whom."""
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -8,6 +9,11 @@ from cosim.ngspice.lines import Line, assignments, join, tokens
 from cosim.ngspice.safety import DROPPED
 
 __all__ = ["Block", "Instance", "Netlist", "parse"]
+
+
+_TERMINALS = {"r": 2, "c": 2, "l": 2, "v": 2, "i": 2, "d": 2, "b": 2, "e": 4, "g": 4, "f": 2, "h": 2, "k": 0,
+              ".": 0, "q": 3, "j": 3, "m": 4, "s": 4, "w": 2}  # fmt: skip
+_VOLTAGE = re.compile(r"\bv\(\s*([^\s,()]+)\s*(?:,\s*([^\s,()]+)\s*)?\)")
 
 
 @dataclass
@@ -26,6 +32,8 @@ class Block:
         Names of nested subcircuits.
     is_part
         Whether it came from a part's or a vendor's file and not from the board or its blocks.
+    origin
+        Name of the subcircuit it is a copy of; its own name if it is none.
     """
 
     name: str
@@ -35,6 +43,10 @@ class Block:
     body: list[Line] = field(default_factory=list)
     local: set[str] = field(default_factory=set)
     is_part: bool = False
+    origin: str = ""
+
+    def __post_init__(self) -> None:
+        self.origin = self.origin or self.name
 
     @property
     def lines(self) -> list[Line]:
@@ -57,6 +69,23 @@ class Block:
         """Return all instances of subcircuits that are not defined inside this one."""
         every = (Instance.of(line, i) for i, line in enumerate(self.body) if line.keyword.startswith("x"))
         return [instance for instance in every if instance.block not in self.local]
+
+    def loose_nodes(self) -> list[str]:
+        """Return nodes that only one terminal touches: mostly misspelt names.
+
+        Elements whose terminals cannot be counted by their letter alone make no node suspicious.
+        """
+        counts: dict[str, int] = dict.fromkeys(self.pins, 1)
+        for line in self.body:
+            words = [word.lower() for word in tokens(line.text)]
+            if words[0].startswith("x"):
+                nodes: tuple[str, ...] | list[str] = Instance.of(line, 0).nodes
+            else:
+                nodes = words[1 : 1 + _TERMINALS.get(words[0][0], len(words))]
+            spoken = _VOLTAGE.findall(line.text.lower())
+            for node in (*nodes, *(name for pair in spoken for name in pair if name)):
+                counts[node] = counts.get(node, 0) + 1
+        return [node for node, count in counts.items() if count == 1 and node not in (*self.pins, "0", "gnd")]
 
 
 @dataclass(frozen=True)

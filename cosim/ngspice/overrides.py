@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 
 from cosim.errors import InputError, Problem, nearest
 from cosim.ngspice.lines import join, number, tokens
@@ -28,7 +29,8 @@ def apply_overrides(net: Netlist, board: Block, overrides: Mapping[str, str]) ->
         For an unknown or ambiguous name, or a value that is no SPICE number and no ``{expression}``.
     """
     problems = []
-    for name, value in overrides.items():
+    # bare names first: they change a subcircuit before some instance gets its own copy of it
+    for name, value in sorted(overrides.items(), key=lambda item: "." in item[0]):
         key, text = name.strip().lower(), str(value).strip()
         parsed = number(text)
         if parsed is None and not _EXPRESSION.fullmatch(text):
@@ -91,10 +93,8 @@ def _own_copy(net: Netlist, block: Block, instance: Instance, child: Block) -> B
         return child
     words = tokens(child.header.text)
     words[1] = name
-    copy = Block(
-        name, child.pins, child.params, child.header.rewritten(join(words)), list(child.body), child.local
-    )
-    copy.is_part = child.is_part
+    header = child.header.rewritten(join(words))
+    copy = replace(child, name=name, header=header, body=list(child.body))  # `origin` stays
     net.blocks[name] = copy
     block.body[instance.index] = instance.rewritten(block=name)
     return copy

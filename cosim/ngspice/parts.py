@@ -87,6 +87,15 @@ class Shelf:
             for role in self.levels
             if role not in known
         ]
+        places = [*ROLES, *self.names()]
+        for key, swap in self.swaps.items():
+            if key not in places:
+                near = nearest(key, places)
+                hint = f", nearest is {near}" if near else ""
+                problems.append(Problem(f"no such part or role{hint}", key=key, allowed=", ".join(places)))
+            if not isinstance(swap, str) and swap.dialect not in _DIALECTS:
+                allowed = ", ".join(_DIALECTS)
+                problems.append(Problem("unknown dialect", key=key, value=swap.dialect, allowed=allowed))
         if problems:
             raise InputError(problems)
 
@@ -180,8 +189,6 @@ class Shelf:
 
     def _vendor(self, swap: PartSwap) -> Netlist:
         """Return what a vendor's file says about one subcircuit, the rest of the file left out."""
-        if swap.dialect not in _DIALECTS:
-            fail("unknown dialect", key="dialect", value=swap.dialect, allowed=", ".join(_DIALECTS))
         file = Path(swap.file)
         self.pspice |= swap.dialect == "pspice"
         reader = Reader(file.parent, self.reader.trust, swap.dialect == "pspice")

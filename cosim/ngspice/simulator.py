@@ -97,7 +97,7 @@ class Simulator:
         behaviour = _BEHAVIOUR.search(text)
         self._run(f"set ngbehavior={behaviour[1]}" if behaviour else "unset ngbehavior")
         ffi, library = self._library.ffi, self._library
-        rows = text.splitlines()
+        rows = text.rstrip("\n").split("\n")
         if not any(row.strip().lower() == ".end" for row in rows):
             rows.append(".end")
         kept = [ffi.new("char[]", row.encode()) for row in rows]
