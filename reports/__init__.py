@@ -1,1 +1,10 @@
-"""Figures and pages: Run -> Figure -> one self-contained HTML page."""
+"""Figures and pages: Run -> Figure -> one self-contained HTML page.
+
+`write_report` is the way in. matplotlib and jinja2 are imported only when a page is written.
+"""
+
+from reports.page import write_report
+from reports.source import RunLike
+from reports.tables import Trial, compare_table
+
+__all__ = ["RunLike", "Trial", "compare_table", "write_report"]

@@ -1,0 +1,198 @@
+"""From a run to one self-contained HTML page, with its figures and their data beside it."""
+
+import base64
+import csv
+import io
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cosim.errors import InputError, Problem
+from reports.source import RunLike, View
+from reports.tables import Trial, all_tables, command_line, compare_table
+from reports.words import summary, tiles
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from reports.style import Drawn
+
+__all__ = ["FIGURES", "Picture", "draw_all", "write_report"]
+
+PAGE_NAME = "report.html"
+FOLDER_NAME = "figures"
+
+#: Order of the page: name, title, module and function. A name is also the name of the files.
+FIGURES: tuple[tuple[str, str, str, str], ...] = (
+    ("path", "Fingertip path over the wall", "motion", "path"),
+    ("tangent_normal", "Force and position along tangent and normal", "motion", "tangent_normal"),
+    ("zoom", "Between the samples", "motion", "zoom"),
+    ("currents", "Motor currents", "circuit", "currents"),
+    ("gains", "VCA gains", "circuit", "gains"),
+    ("headroom", "Headroom of the amplifiers", "circuit", "headroom"),
+    ("nodes", "Recorded nodes", "motion", "nodes"),
+    ("energy", "Energy ledger", "effort", "energy"),
+    ("steps", "Time steps and cost", "effort", "steps"),
+)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure as files: `svg` and `png` bytes, the drawn `data` as CSV text."""
+
+    name: str
+    title: str
+    caption: str
+    svg: bytes
+    png: bytes
+    data: str
+
+    @property
+    def source(self) -> str:
+        """The SVG as a data URI: kept apart from the page, so that ids of two figures cannot clash."""
+        return "data:image/svg+xml;base64," + base64.b64encode(self.svg).decode("ascii")
+
+
+def write_report(run: RunLike, out_dir: str | Path, trials: Sequence[Trial] = ()) -> Path:
+    """Write ``report.html`` and the folder ``figures`` with PNG, SVG and CSV of each figure.
+
+    Parameters
+    ----------
+    run
+        What to report; `cosim.results.Run` or anything with its attributes.
+    out_dir
+        Folder to write into; made when it is absent. A report that it holds is replaced.
+    trials
+        Values tried with ``--set``, the reference first: adds a section of what changed.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    InputError
+        The folder cannot be written; nothing half-written is left.
+    """
+    view = View(run)
+    pictures, absent = draw_all(view)
+    compared: list[Picture] = []
+    if len(trials) > 1:
+        from reports.compare import overlay
+        from reports.style import look
+
+        with look():
+            drawn = overlay(trials)
+            compared = [_picture("compare", "What changed", drawn)] if drawn is not None else []
+    html = _render(
+        title=str(view.scene_at("title", default="Co-simulation")),
+        pictures=pictures,
+        absent=absent,
+        summary=summary(view),
+        tiles=tiles(view),
+        tables=all_tables(view),
+        compare=compare_table(trials) if len(trials) > 1 else None,
+        compared=compared,
+        scene=_scene_text(run),
+        command=command_line(run.provenance.get("command")),
+    )
+    return _write(Path(out_dir), html, [*compared, *pictures])
+
+
+def draw_all(view: View) -> tuple[list[Picture], list[str]]:
+    """Return the figures that the run fills, and the titles of those for which it lacks the signals."""
+    from importlib import import_module
+
+    from reports.style import look
+
+    pictures, absent = [], []
+    with look():
+        for name, title, module, function in FIGURES:
+            draw: Callable[[View], Drawn | None] = getattr(import_module(f"reports.{module}"), function)
+            drawn = draw(view)
+            if drawn is None:
+                absent.append(title)
+            else:
+                pictures.append(_picture(name, title, drawn))
+    return pictures, absent
+
+
+def _picture(name: str, title: str, drawn: "Drawn") -> Picture:
+    svg, png = io.BytesIO(), io.BytesIO()
+    drawn.figure.savefig(svg, format="svg", metadata={"Date": None})
+    drawn.figure.savefig(png, format="png", dpi=150)
+    return Picture(name, title, drawn.caption, svg.getvalue(), png.getvalue(), _data(drawn.figure))
+
+
+def _data(figure: "Figure") -> str:
+    """Return what the figure's curves and bars show, one row a point: panel, series, x, y."""
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(("panel", "series", "x", "y", "x_axis", "y_axis"))
+    for number, axes in enumerate(figure.axes):
+        panel = axes.get_title(loc="left") or f"panel {number + 1}"
+        axis = (axes.get_xlabel() or figure.axes[-1].get_xlabel(), axes.get_ylabel())
+        for line in axes.get_lines():
+            label = str(line.get_label())
+            if label.startswith("_"):
+                label = axes.get_ylabel() or panel
+            x, y = (np.asarray(part, dtype=np.float64) for part in line.get_data(orig=True))
+            rows.writerows(
+                (panel, label, f"{a:.9g}", f"{b:.9g}", *axis)
+                for a, b in zip(x.tolist(), y.tolist(), strict=True)
+            )
+        names = [tick.get_text() for tick in axes.get_yticklabels()]
+        for bar, label in zip(axes.patches, names, strict=False):
+            if hasattr(bar, "get_width") and axes.containers:
+                rows.writerow((panel, label, f"{bar.get_width():.9g}", "", *axis))
+    return text.getvalue()
+
+
+def _scene_text(run: RunLike) -> str:
+    writer = getattr(run.scene, "to_toml", None)
+    return str(writer()) if writer is not None else ""
+
+
+def _render(**fields: Any) -> str:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("reports", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+        lstrip_blocks=True,
+    )  # fmt: skip
+    return environment.get_template("template.html.j2").render(**fields)
+
+
+def _write(folder: Path, html: str, pictures: list[Picture]) -> Path:
+    """Write figures to a temporary folder first, swap it in, and put the page last."""
+    page, figures = folder / PAGE_NAME, folder / FOLDER_NAME
+    fresh: Path | None = None
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        fresh = Path(tempfile.mkdtemp(prefix=".report-", dir=folder))
+        fresh.chmod(0o755)  # mkdtemp keeps others out; a report is for reading
+        inside = fresh / FOLDER_NAME
+        inside.mkdir()
+        for picture in pictures:
+            (inside / f"{picture.name}.svg").write_bytes(picture.svg)
+            (inside / f"{picture.name}.png").write_bytes(picture.png)
+            (inside / f"{picture.name}.csv").write_text(picture.data, encoding="utf-8")
+        (fresh / PAGE_NAME).write_text(html, encoding="utf-8")
+        if figures.exists():
+            os.replace(figures, fresh / "old")
+        os.replace(inside, figures)
+        os.replace(fresh / PAGE_NAME, page)
+    except OSError as error:
+        problem = Problem(f"the report cannot be written: {error.strerror or error}", file=str(folder))
+        raise InputError(problem) from error
+    finally:
+        if fresh is not None:
+            shutil.rmtree(fresh, ignore_errors=True)
+    return page

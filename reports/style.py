@@ -1,0 +1,147 @@
+"""One look for all figures: sizes, colours that colour-blind readers tell apart, and the recurring marks.
+
+Figures are made without pyplot, so that drawing leaves no state behind and needs no display.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from reports.decimate import keep_peaks
+
+__all__ = [
+    "CONTACT",
+    "FAINT",
+    "FORCE",
+    "INK",
+    "JOINTS",
+    "LIMIT",
+    "POSITION",
+    "WALL",
+    "Drawn",
+    "curve",
+    "figure",
+    "held",
+    "legend",
+    "look",
+    "sample_ticks",
+    "shade",
+]
+
+# Okabe and Ito's set, the pale members darkened until they carry a thin line on white.
+JOINTS = ("#0072B2", "#D55E00", "#00805E", "#A3438A", "#8A6D00", "#4D4D4D")
+FORCE = JOINTS[0]
+POSITION = JOINTS[1]
+INK = "#222222"
+FAINT = "#8C8C8C"
+LIMIT = "#B2182B"
+WALL = "#C9C4BA"
+CONTACT = "#EFEBDD"
+
+WIDTH_IN = 9.2
+
+# As Any: the keys that matplotlib types differ between its versions.
+_RC: Any = {
+    "font.family": "DejaVu Sans",  # ships with matplotlib: the same picture on every machine
+    "font.size": 10.0,
+    "axes.titlesize": 10.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 10.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#666666",
+    "axes.labelcolor": INK,
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "axes.formatter.useoffset": False,
+    "axes.formatter.limits": (-4, 5),
+    "grid.color": "#E2E2E2",
+    "grid.linewidth": 0.6,
+    "xtick.color": "#444444",
+    "ytick.color": "#444444",
+    "xtick.labelsize": 9.0,
+    "ytick.labelsize": 9.0,
+    "legend.fontsize": 9.0,
+    "legend.frameon": False,
+    "lines.linewidth": 1.3,
+    "lines.solid_joinstyle": "round",
+    "figure.facecolor": "white",
+    "figure.constrained_layout.use": True,
+    "path.simplify": True,
+    "svg.fonttype": "path",  # letters as outlines: the page needs no font of the reader's
+    "svg.hashsalt": "cosim",  # the same run gives the same bytes
+}
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A finished figure and the sentence that says what to see in it."""
+
+    figure: Figure
+    caption: str
+
+
+@contextmanager
+def look() -> Iterator[None]:
+    """Use this look, and matplotlib's own defaults elsewhere, whatever the user's matplotlibrc says."""
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(_RC)
+        yield
+
+
+def figure(height_in: float, rows: int = 1, columns: int = 1, **grid: Any) -> tuple[Figure, NDArray[Any]]:
+    """Return a figure of the page's width with its axes as an array of shape ``(rows, columns)``."""
+    drawing = Figure(figsize=(WIDTH_IN, height_in))
+    return drawing, drawing.subplots(rows, columns, squeeze=False, **grid)
+
+
+def curve(axes: Axes, time: NDArray[np.float64], value: NDArray[np.float64], **line: Any) -> Line2D:
+    """Draw a signal, thinned without losing its peaks."""
+    return axes.plot(*keep_peaks(time, value), **line)[0]
+
+
+def held(
+    axes: Axes, time: NDArray[np.float64], value: NDArray[np.float64], end_s: float, **line: Any
+) -> Line2D:
+    """Draw what the computer holds from one sample to the next, until `end_s`."""
+    stop = max(end_s, float(time[-1]))
+    return curve(axes, np.append(time, stop), np.append(value, value[-1]), drawstyle="steps-post", **line)
+
+
+def shade(axes: Axes, spans: Sequence[tuple[float, float]], label: str = "contact") -> None:
+    """Shade spans of time behind the curves."""
+    for number, (start, stop) in enumerate(spans):
+        axes.axvspan(start, stop, color=CONTACT, linewidth=0, zorder=0, label=label if number == 0 else None)
+
+
+def sample_ticks(axes: Axes, samples: NDArray[np.float64], most: int = 250) -> bool:
+    """Mark the samples with short strokes at the foot, where they are few enough to be told apart."""
+    low, high = axes.get_xlim()
+    inside = samples[(samples >= low) & (samples <= high)]
+    if not 0 < inside.size <= most:
+        return False
+    axes.vlines(inside, 0.0, 0.025, transform=axes.get_xaxis_transform(), color=FAINT, linewidth=0.6)
+    return True
+
+
+def legend(axes: Axes, *others: Axes, columns: int = 6) -> None:
+    """Put one legend for `axes` and its twins above the plot, where it hides nothing."""
+    handles, labels = axes.get_legend_handles_labels()
+    for other in others:
+        more, names = other.get_legend_handles_labels()
+        handles, labels = handles + more, labels + names
+    if handles:
+        axes.legend(
+            handles, labels, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns,
+            borderaxespad=0.2, handlelength=1.8, columnspacing=1.2,
+        )  # fmt: skip
