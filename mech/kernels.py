@@ -43,7 +43,7 @@ Record = Any
 _NONE = int(OperatorKind.NONE)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _pose(p: Record, q: Vector, w: Record) -> None:
     """Fill cos, sin, r and jac of `w`."""
     if p.slider:
@@ -67,7 +67,7 @@ def _pose(p: Record, q: Vector, w: Record) -> None:
     w.r[1] = p.origin[1] + y
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _inertia(p: Record, tip_mass: float, w: Record) -> None:
     """Fill `w.mass` from the pose in `w`, with rotors and a mass at the fingertip."""
     n = p.n
@@ -92,7 +92,7 @@ def _inertia(p: Record, tip_mass: float, w: Record) -> None:
         w.mass[a, a] += p.armature[a]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _bias(p: Record, v: Vector, tip_mass: float, w: Record) -> None:
     """Fill `w.bias` and `w.rate` from the pose in `w`: M a + bias = applied torque."""
     n = p.n
@@ -120,7 +120,7 @@ def _bias(p: Record, v: Vector, tip_mass: float, w: Record) -> None:
         w.bias[i] += w.bias[i + 1]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def solve(n: int, matrix: Vector, x: Vector, factor: Vector) -> None:
     """Solve matrix x = x in place for a symmetric positive definite matrix.
 
