@@ -8,95 +8,18 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TextIO
+from collections.abc import Sequence
+from typing import Any, TextIO
 
 from cosim import __version__
+from cosim.commands import new, plan, report, run
 from cosim.errors import CosimError
-
-if TYPE_CHECKING:
-    from cosim.scene import Scene
-    from cosim.settings import Variant
 
 EXIT_FAILURE = 1
 EXIT_INTERRUPTED = 130
 
 
-@dataclass(frozen=True)
-class Command:
-    """A subcommand.
-
-    Attributes
-    ----------
-    name, help
-        As shown by ``cosim --help``.
-    arguments
-        Adds the command's own arguments to its parser.
-    run
-        Does the work; returns what ``--json`` prints and the text for people.
-    """
-
-    name: str
-    help: str
-    arguments: Callable[[argparse.ArgumentParser], None]
-    run: Callable[[argparse.Namespace], tuple[dict[str, Any], str]]
-
-
-def _new_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("folder", help="folder to make; it must not hold anything yet")
-    parser.add_argument(
-        "--joints", type=int, default=2, metavar="N", help="joints of the board, 1 to 6 (default 2)"
-    )
-
-
-def _new(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
-    from cosim.newproject import new_project
-
-    files = [str(path) for path in new_project(args.folder, args.joints)]
-    text = "\n".join(
-        [f"{args.folder}: a project with {args.joints} joints", *(f"  {name}" for name in files)]
-    )
-    return {"folder": os.path.abspath(args.folder), "joints": args.joints, "files": files}, text
-
-
-def scene_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of every command that reads a scene."""
-    parser.add_argument("scene", help="scene file (TOML)")
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NAME=V1,V2,...",
-        help="try values of a scene key (computer.period_s) or a netlist name (R12, xdiff1.r1); repeatable",
-    )
-    parser.add_argument(
-        "--model", metavar="NAME", help="circuit model to force instead of the effects' choice"
-    )
-
-
-def out_argument(parser: argparse.ArgumentParser) -> None:
-    """Add the folder for results."""
-    parser.add_argument(
-        "-o", "--out", metavar="FOLDER", help="folder for the results; appears whole or not at all"
-    )
-
-
-def load_variants(args: argparse.Namespace) -> "list[tuple[Variant, Scene]]":
-    """Load the scene once for every combination of ``--set``: all are checked before the first runs."""
-    from cosim.scene import load_scene
-    from cosim.settings import parse_settings, variants
-
-    forced = [f"solver.model={args.model}"] if args.model else []
-    return [
-        (variant, load_scene(args.scene, [*forced, *variant.overrides]))
-        for variant in variants(parse_settings(args.set))
-    ]
-
-
-COMMANDS: tuple[Command, ...] = (
-    Command("new", "lay out a project folder to edit: board, blocks, parts, scenes", _new_arguments, _new),
-)
+COMMANDS = (plan.COMMAND, run.COMMAND, report.COMMAND, new.COMMAND)
 
 
 def build_parser() -> argparse.ArgumentParser:

@@ -97,7 +97,9 @@ def _viscous(scene: Scene) -> str:
 
 def _coulomb(scene: Scene) -> str:
     device = scene.device
-    torque = max(device.chain.coulomb_n_m) if device.chain else device.slider.coulomb_n_m if device.slider else 0.0
+    torque = (
+        max(device.chain.coulomb_n_m) if device.chain else device.slider.coulomb_n_m if device.slider else 0.0
+    )
     return f"{torque / 0.1333:.2g} N at a reach of 133 mm"
 
 
@@ -106,7 +108,9 @@ EFFECTS = (
     Effect("opamp", "ideal", "netlist", _DYNAMIC, "one state an op-amp (gbw), three (full)", _opamp),
     Effect("vca", "ideal", "netlist", _DYNAMIC, "one state a multiplier, n^2 springs and dampers", _vca),
     Effect("driver_level", "ideal", "netlist", _DYNAMIC, "one state a driver (gbw), two (full)", _opamp),
-    Effect("motor", "ideal", "netlist", _DYNAMIC, "back-EMF couples speeds; full adds one state a motor", _motor),
+    Effect(
+        "motor", "ideal", "netlist", _DYNAMIC, "back-EMF couples speeds; full adds one state a motor", _motor
+    ),
     Effect("potentiometer", "ideal", "netlist", _ALL, "track and wiper resistance", _pot),
     Effect("pot_noise", "none", "potentiometer", _ALL, "one point each 1 / (2 bandwidth)", _pot),
     Effect("encoder", False, "computer", _ALL, "nothing", _encoder),

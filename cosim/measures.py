@@ -82,15 +82,32 @@ def standard(
             add("rendered_stiffness", push / sink, "N/m", "steady normal force over steady penetration")
             add("tangential_ratio", abs(drag / push), "", "|F_t/F_n| in the last fifth of the run")
             ripple = normal[late] - push
-            add("force_ripple", float(np.sqrt((ripple**2).mean())), "N", "rms of the normal force about its mean")
+            add(
+                "force_ripple",
+                float(np.sqrt((ripple**2).mean())),
+                "N",
+                "rms of the normal force about its mean",
+            )
     n = scene.joints
     current = np.max([np.abs(signals[f"imot{j}"]) for j in range(1, n + 1)], axis=0)
     add("peak_current", current.max(), "A", "largest motor current")
     add("rated_share", current.max() / constants.i_rated, "", "largest motor current over rated current")
-    add("over_rated", time_mean(t, (current > constants.i_rated).astype(float)), "", "share of time above rated")
+    add(
+        "over_rated",
+        time_mean(t, (current > constants.i_rated).astype(float)),
+        "",
+        "share of time above rated",
+    )
     add("heat", _heat(t, signals, n), "A^2 s", "integral of the squared motor currents")
-    add("dac_saturations", float(samples["saturated"].sum()), "", "DAC words clipped at the converter's range")
-    add("unreachable_samples", float(samples["unsolved"].sum()), "", "samples whose contact point was out of reach")
+    add(
+        "dac_saturations", float(samples["saturated"].sum()), "", "DAC words clipped at the converter's range"
+    )
+    add(
+        "unreachable_samples",
+        float(samples["unsolved"].sum()),
+        "",
+        "samples whose contact point was out of reach",
+    )
     tightest = headroom(amplifiers)
     if tightest:
         first = tightest[0]
@@ -122,7 +139,8 @@ def chosen(measures: dict[str, dict[str, Any]], scene: Scene) -> dict[str, dict[
         return measures
     problems = [
         Problem(
-            "no such measure in this run" + (f"; nearest is {near}" if (near := nearest(name, measures)) else ""),
+            "no such measure in this run"
+            + (f"; nearest is {near}" if (near := nearest(name, measures)) else ""),
             file=str(scene.file) if scene.file else None,
             key="measures.names",
             value=name,

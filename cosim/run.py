@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.measures import chosen, headroom, standard
 from cosim.circuits.port import DesignConstants
+from cosim.measures import chosen, headroom, standard
 from cosim.ngspice.child import Child, call, start_early
 from cosim.plan import Plan, resolve
 from cosim.rawfile import read_raw

@@ -56,11 +56,15 @@ class DesignConstants:
             value = values.get(name)
             if value is None:
                 problems.append(
-                    Problem(f"the board states no design constant '{name}' (.csparam {name} = ...)", file=file)
+                    Problem(
+                        f"the board states no design constant '{name}' (.csparam {name} = ...)", file=file
+                    )
                 )
             elif not (isfinite(value) and value > 0.0):
                 problems.append(
-                    Problem("a design constant must be positive", file=file, key=name, value=value, allowed="> 0")
+                    Problem(
+                        "a design constant must be positive", file=file, key=name, value=value, allowed="> 0"
+                    )
                 )
             else:
                 good[name] = value

@@ -79,7 +79,11 @@ def testbench(board: Deck, drive: Drive, sources: dict[str, str]) -> list[str]:
     `sources` maps a pin to what follows its nodes on the source's line (`dc 1`, `external`, `pwl(...)`);
     a pin that is not in it is held at 0 V.
     """
-    lines = [f"Vcc vcc 0 {SUPPLY_V}", f"Vee vee 0 {-SUPPLY_V}", f"Xboard {' '.join(board.pins)} {board.board}"]
+    lines = [
+        f"Vcc vcc 0 {SUPPLY_V}",
+        f"Vee vee 0 {-SUPPLY_V}",
+        f"Xboard {' '.join(board.pins)} {board.board}",
+    ]
     for number, pin in enumerate(drive.sources()):
         lines.append(f"v{number:02d} {pin} 0 {sources[pin]}")
     passive = set(drive.sources()) | {"vcc", "vee"} | {f"imot{j}" for j in range(1, drive.joints + 1)}
@@ -100,4 +104,3 @@ def lockstep_deck(board: Deck, drive: Drive, tolerances: Tolerances, nodes: tupl
         ".end",
     ]
     return "\n".join(lines) + "\n"
-

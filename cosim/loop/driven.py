@@ -25,8 +25,7 @@ def drive(scene: Scene) -> Drive:
     discrete = computer.discrete_stiffness_n_per_m > 0 or computer.discrete_damping_n_s_per_m > 0
     damped = analog and computer.analog_damping_n_s_per_m > 0
     by_cmd = discrete and (
-        computer.command_path is CommandPath.CMD
-        or computer.method in (Method.DISCRETE, Method.JOINT_PD)
+        computer.command_path is CommandPath.CMD or computer.method in (Method.DISCRETE, Method.JOINT_PD)
     )
     user = computer.law is not None
     chosen = []
@@ -44,5 +43,3 @@ def drive(scene: Scene) -> Drive:
             chosen.append(name)
     speeds = scene.effects.motor is not MotorLevel.IDEAL
     return Drive(joints=n, speeds=speeds, channels=tuple(chosen))
-
-

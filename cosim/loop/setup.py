@@ -15,8 +15,7 @@ from cosim.loop.computer import COMPUTER, Method, Path
 from cosim.loop.driven import channels
 from cosim.loop.noise import Noise, no_noise, potentiometer_noise
 from cosim.loop.state import QUEUE, STATE
-from cosim.scene import Scene
-from cosim.scene import schema
+from cosim.scene import Scene, schema
 from mech import Chain, Hand, NoOperator, Operator, PointMass, Slider, load_user
 
 _METHOD = {

@@ -62,9 +62,7 @@ def write_signals(rows_file: Path, raw_file: Path, layout: Layout, title: str) -
             rows = np.ascontiguousarray(table[start - back : start + _CHUNK])
             torques = np.empty((len(rows), len(WORKS), n))
             energies = np.empty((len(rows), 2))
-            torques_and_energy(
-                layout.linkage, nobody, n, torque_per_amp, rows, first, torques, energies
-            )
+            torques_and_energy(layout.linkage, nobody, n, torque_per_amp, rows, first, torques, energies)
             done = np.zeros((len(rows), len(WORKS)))
             works(n, rows, first, torques, done)
             totals += done[max(back, 1) :].sum(axis=0)

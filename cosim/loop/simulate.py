@@ -15,8 +15,8 @@ from cosim.circuits.port import DesignConstants
 from cosim.circuits.spice import Drive, Tolerances, lockstep_deck, saved
 from cosim.errors import CosimError, InputError, Problem, SimulationError, nearest
 from cosim.loop import lockstep
-from cosim.loop.lockstep import evaluate
 from cosim.loop.driven import drive
+from cosim.loop.lockstep import evaluate
 from cosim.loop.setup import Memory, columns, pack, sample_columns
 from cosim.loop.signals import Layout, write_signals
 from cosim.loop.state import Fault
@@ -46,8 +46,8 @@ class Recorder:
     def __init__(self, memory: Memory, simulator: Simulator, folder: Path, report: Report) -> None:
         self.memory, self.simulator, self.report = memory, simulator, report
         self.failure: BaseException | None = None
-        self.rows: BinaryIO = open(folder / ROWS, "wb")  # noqa: SIM115 - closed by `close`
-        self.samples: BinaryIO = open(folder / SAMPLES, "wb")  # noqa: SIM115
+        self.rows: BinaryIO = open(folder / ROWS, "wb")
+        self.samples: BinaryIO = open(folder / SAMPLES, "wb")
         self.bytes = 0
         self.callback = ctypes.CFUNCTYPE(None)(self.drain)
         state = memory.state[0]
@@ -152,7 +152,9 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     constants = read_constants(simulator, str(board.path))
     memory = pack(scene, constants, circuit, recorded, nodes[len(recorded) :])
     swings = {
-        a.swing_param: simulator.constant(a.swing_param) for a in board.amplifiers if a.swing_param is not None
+        a.swing_param: simulator.constant(a.swing_param)
+        for a in board.amplifiers
+        if a.swing_param is not None
     }
     state = memory.state[0]
     recorder = Recorder(memory, simulator, Path(payload["folder"]), report)
@@ -165,7 +167,8 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         wanted = [name.lower() for name in saved(circuit, nodes)]
         problems = [
             Problem(
-                "the board has no such node" + (f"; nearest is {near}" if (near := nearest(name, names)) else ""),
+                "the board has no such node"
+                + (f"; nearest is {near}" if (near := nearest(name, names)) else ""),
                 file=str(board.path),
                 key="record.nodes",
                 value=name,
@@ -192,7 +195,9 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     )
     wall, cpu = time.perf_counter(), time.process_time()
     try:
-        simulator.command(f"tran {scene.solver.max_step_s!r} {scene.duration_s!r} 0 {scene.solver.max_step_s!r}")
+        simulator.command(
+            f"tran {scene.solver.max_step_s!r} {scene.duration_s!r} 0 {scene.solver.max_step_s!r}"
+        )
     finally:
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         recorder.close()

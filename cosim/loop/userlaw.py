@@ -69,7 +69,9 @@ def load_law(where: str, scene: Path | None) -> Any:
     """
 
     def refuse(why: str) -> InputError:
-        return InputError([Problem(why, file=None if scene is None else str(scene), key="computer.law", value=where)])
+        return InputError(
+            [Problem(why, file=None if scene is None else str(scene), key="computer.law", value=where)]
+        )
 
     file, _, name = where.rpartition(":")
     path = Path(file) if scene is None else scene.parent / file
@@ -144,6 +146,7 @@ def _checked(what: str, given: ArrayLike, shape: tuple[int, ...], sample: Sample
     value = np.broadcast_to(np.asarray(given, dtype=float), shape)
     if not np.isfinite(value).all():
         raise SimulationError(
-            f"the control law's {what} is not finite at sample {sample.tick}: {value.tolist()}", time_s=sample.time_s
+            f"the control law's {what} is not finite at sample {sample.tick}: {value.tolist()}",
+            time_s=sample.time_s,
         )
     return value

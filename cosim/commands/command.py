@@ -1,0 +1,67 @@
+"""What a subcommand is, and the arguments that several of them share."""
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cosim.scene import Scene
+    from cosim.settings import Variant
+
+
+@dataclass(frozen=True)
+class Command:
+    """A subcommand.
+
+    Attributes
+    ----------
+    name, help
+        As shown by ``cosim --help``.
+    arguments
+        Adds the command's own arguments to its parser.
+    run
+        Does the work; returns what ``--json`` prints and the text for people.
+    """
+
+    name: str
+    help: str
+    arguments: Callable[[argparse.ArgumentParser], None]
+    run: Callable[[argparse.Namespace], tuple[dict[str, Any], str]]
+
+
+def scene_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of every command that reads a scene."""
+    parser.add_argument("scene", help="scene file (TOML)")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=V1,V2,...",
+        help="try values of a scene key (computer.period_s) or a netlist name (R12, xdiff1.r1); repeatable",
+    )
+    parser.add_argument(
+        "--model", metavar="NAME", help="circuit model to force instead of the effects' choice"
+    )
+    parser.add_argument(
+        "--trust", action="store_true", help="let the netlists run commands and read files of their choice"
+    )
+
+
+def out_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the folder for results."""
+    parser.add_argument(
+        "-o", "--out", metavar="FOLDER", help="folder for the results; appears whole or not at all"
+    )
+
+
+def load_variants(args: argparse.Namespace) -> "list[tuple[Variant, Scene]]":
+    """Load the scene once for every combination of ``--set``: all are checked before the first runs."""
+    from cosim.scene import load_scene
+    from cosim.settings import parse_settings, variants
+
+    forced = [f"solver.model={args.model}"] if args.model else []
+    return [
+        (variant, load_scene(args.scene, [*forced, *variant.overrides]))
+        for variant in variants(parse_settings(args.set))
+    ]

@@ -1,0 +1,44 @@
+"""``cosim plan``: what a run would simulate, what it leaves out, and what it would cost."""
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from cosim.commands.command import Command, load_variants, scene_arguments
+
+if TYPE_CHECKING:
+    from cosim.plan import Plan
+
+
+def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    from cosim.plan import resolve
+
+    plans = [(variant, resolve(scene, trust=args.trust)) for variant, scene in load_variants(args)]
+    text = "\n\n".join(
+        (f"{variant.label}\n" if variant.label else "") + describe(plan) for variant, plan in plans
+    )
+    return {"plans": [{"set": dict(variant.values), **plan.as_dict()} for variant, plan in plans]}, text
+
+
+def describe(plan: "Plan") -> str:
+    """Return a plan in words."""
+    facts = plan.as_dict()
+    cost = facts["predicted"]
+    lines = [
+        f"{plan.scene.title}: {plan.scene.duration_s:g} s on circuit model '{plan.model}'",
+        f"  board {facts['board']}, {facts['joints']} joint(s), {facts['amplifiers']} amplifiers, "
+        f"{len(facts['external_sources'])} driven pins, {facts['mechanical_states']} mechanical states",
+        f"  predicted: {cost['points']:.0f} points, {cost['seconds']:.3g} s"
+        + (
+            f"; of these {cost['noise_points']:.0f} points and {cost['noise_seconds']:.3g} s for noise"
+            if cost["noise_points"]
+            else "; no noise"
+        ),
+        "  in force:",
+        *(f"    {row['name']:14} {row['value']!s:14} {row['size']}" for row in facts["effects"]),
+        "  left out:",
+        *(f"    {row['name']:14} {row['value']!s:14} {row['size']}" for row in facts["left_out"]),
+    ]
+    return "\n".join([*lines, *(f"  note: {note}" for note in facts["notes"])])
+
+
+COMMAND = Command("plan", "show what a run would simulate, leave out and cost", scene_arguments, _run)
