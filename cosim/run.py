@@ -14,22 +14,17 @@ from numpy.typing import NDArray
 
 from cosim.circuits.port import DesignConstants
 from cosim.measures import chosen, headroom, standard
-from cosim.ngspice.child import Child, call, start_early
+from cosim.ngspice.child import Child, call
 from cosim.plan import Plan, resolve
 from cosim.rawfile import read_raw
 from cosim.results import RAW, RECORD, Run, provenance
 from cosim.staging import Staging
 
-__all__ = ["early_child", "resolve", "run"]
+__all__ = ["resolve", "run"]
 
 _TARGET = "cosim.loop.simulate"
 #: Without a sign of progress for so long [s], the simulation counts as hanging.
 _STALL_S = 60.0
-
-
-def early_child() -> Child:
-    """Start the simulation's process now; its imports overlap with whatever the caller does next."""
-    return start_early(_TARGET)
 
 
 def run(
@@ -54,7 +49,7 @@ def run(
     on_progress
         Called with {'time_s', 'points'} while the simulation runs.
     child
-        A process from `early_child`; it can serve several runs.
+        A process from `cosim.ngspice.child.start_early`; it can serve several runs.
     command
         Command line for the provenance.
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from cosim import cli
+from cosim.commands import command
 from cosim.assets import scenes_folder
 from cosim.errors import InputError, SimulationError
 from cosim.settings import parse_settings, split_values, variants
@@ -137,13 +138,13 @@ def test_name_set_twice() -> None:
 
 def test_variants_of_a_scene_are_all_checked_first() -> None:
     parser = argparse.ArgumentParser()
-    cli.scene_arguments(parser)
-    cli.out_argument(parser)
+    command.scene_arguments(parser)
+    command.out_argument(parser)
     slope = str(scenes_folder() / "slope.toml")
     args = parser.parse_args(
         [slope, "--set", "seed=1,2", "--set", "R12=8.2k", "--model", "spice", "-o", "out"]
     )
-    loaded = cli.load_variants(args)
+    loaded = command.load_variants(args)
     assert [(variant.label, scene.seed) for variant, scene in loaded] == [
         ("seed=1 R12=8.2k", 1),
         ("seed=2 R12=8.2k", 2),

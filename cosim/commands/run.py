@@ -28,9 +28,9 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
-    from cosim.run import early_child
+    from cosim.ngspice.child import start_early
 
-    with early_child() as child:  # imports while the scene is read
+    with start_early("cosim.loop.simulate") as child:  # it imports while the scene is read
         from cosim.plan import resolve
         from cosim.run import run
 
