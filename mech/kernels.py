@@ -197,7 +197,7 @@ def dynamics(
     a_out
         Joint accelerations [rad/s^2]; NaN if the mass matrix is not positive definite.
     w
-        Record `WORK`.
+        Record `WORK`, zeroed once: effects that are off do not touch their entries.
     """
     n = p.n
     mass = op.mass

@@ -5,6 +5,7 @@ import pickle
 
 import numpy as np
 import pytest
+from numba import njit
 
 from mech import Chain, Hand, NoOperator, ParameterError, PointMass, UserOperator, kernels, load_user
 from mech.records import KNOTS, OPERATOR, OperatorKind
@@ -148,6 +149,23 @@ def test_users_class_is_called_back_by_the_kernel(tmp_path):
     force(one, 0.0)
     assert one._target.calls == 1
     assert two._target.calls == 0
+
+
+def test_users_class_may_be_called_while_the_interpreter_is_released(tmp_path):
+    # As inside ngspice: the call into C has let go of the interpreter's lock.
+    write(tmp_path, GOOD)
+    user = load_user("mine.py:Counts", tmp_path)
+    record = user.pack()
+
+    @njit(nogil=True)
+    def released(op, r, v, out, times):
+        for _ in range(times):
+            kernels.operator_force(op, 0.0, r, v, out)
+
+    out = np.zeros(2)
+    released(record[0], np.zeros(2), np.zeros(2), out, 5)
+    assert user._target.calls == 5
+    assert tuple(out) == (1.0, 2.0)
 
 
 @pytest.mark.parametrize(
