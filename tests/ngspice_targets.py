@@ -65,3 +65,13 @@ def simulate(payload: str, report: Any) -> dict[str, Any]:
     simulator.load(payload)
     simulator.command("op")
     return {name: simulator.vector(name) for name in simulator.vector_names()}
+
+
+def unpicklable(payload: Any, report: Any) -> Any:
+    return lambda: None
+
+
+def modules(payload: Any, report: Any) -> list[str]:
+    import sys
+
+    return list(sys.modules)

@@ -161,7 +161,7 @@ def test_override_of_an_element_and_of_one_instance() -> None:
     assert len(copies) == 1
     assert "R12 inn out {r_fb*2}" in deck.text
     assert "R12 inn out {r2}" in deck.text  # the other instance keeps its own
-    assert [row for row in deck.text.splitlines() if row.startswith("xsum1")][0].endswith("r1=5k")
+    assert next(row for row in deck.text.splitlines() if row.startswith("xsum1")).endswith("r1=5k")
     assert len(deck.amplifiers) == 3  # a copied subcircuit still holds its amplifier
 
 
@@ -277,14 +277,15 @@ def test_real_boards_load_at_every_level() -> None:
                 deck = load_deck(REAL / file, levels=levels)
                 assert deck.joints == joints
                 assert not deck.notes
-                # every joint has summing amplifier, driver and difference amplifier, every pair two multipliers
+                # a joint has summing amplifier, driver and difference amplifier, a pair two multipliers
                 assert len(deck.amplifiers) >= 3 * joints + 2 * joints**2
 
 
 def test_comments_and_continuations(tmp_path: Path) -> None:
     file = tmp_path / "x.cir"
     file.write_bytes(
-        b"\xef\xbb\xbfr1 a b 1k ; tail\r\n* whole\r\n\r\n+ tol=1 $ more\r\nb1 n$1 0 v='a;b' // x\r\nr2 a,$ c\n"
+        b"\xef\xbb\xbfr1 a b 1k ; tail\r\n* whole\r\n\r\n+ tol=1 $ more\r\n"
+        b"b1 n$1 0 v='a;b' // x\r\nr2 a,$ c\n"
     )
     lines = read_lines(file)
     assert [line.text for line in lines] == ["r1 a b 1k tol=1", "b1 n$1 0 v='a;b'", "r2 a,"]

@@ -180,9 +180,13 @@ def parse(lines: Iterable[Line], *, is_part: bool = False) -> Netlist:
     net = Netlist()
     problems: list[Problem] = []
     stack: list[Block] = []
+    in_control = False
     for line in lines:
         word = line.keyword
-        if word == ".subckt":
+        if in_control or word.startswith(".control"):  # only trusted netlists come this far with one
+            in_control = not word.startswith(".endc")
+            net.top.append(line)
+        elif word == ".subckt":
             block = _header(line, is_part)
             if stack:
                 stack[0].body.append(line)

@@ -241,7 +241,7 @@ class Simulator:
         """Return the addresses of the C ints that hold the length of each vector of the running analysis.
 
         ngspice keeps every point of every vector to the end of a run. A callback that writes 1 through these
-        addresses now and then keeps its memory constant; `vector` then returns only the last points. Valid
+        addresses now and then keeps its memory constant; `vector` has nothing to tell afterwards. Valid
         from `init` to the end of the analysis. The place of the field in ngspice's private structure is
         checked against what is known of a fresh vector; where it does not fit, the array is empty.
         """
@@ -299,7 +299,7 @@ class Simulator:
             self._forget_stops()
             raise failure
         said = self._said()
-        problem = operating_point_problem(said)
+        problem = operating_point_problem(said, settles=command.split()[0].lower() == "tran")
         if problem:
             raise InputError(Problem(problem, file=self._deck))
         if library.exited or status or any(is_error(line) for line in library.lines):

@@ -29,7 +29,7 @@ _ERROR = re.compile(
     r"|.*no such function"
     r"|.*can't find model"
     r"|.*too few parameters for subcircuit"
-    r"|.*measure.*failed"
+    r"|.*\bmeas(ure)?\b.*failed"
     r")",
     re.IGNORECASE,
 )
@@ -57,12 +57,14 @@ def worth_quoting(line: str) -> bool:
     return _CHATTER.search(line) is None
 
 
-def operating_point_problem(said: Sequence[str]) -> str | None:
+def operating_point_problem(said: Sequence[str], *, settles: bool = False) -> str | None:
     """Return what is wrong with the DC operating point, or ``None``.
 
     ngspice warns of a singular matrix, tries gmin and source stepping, and at last a transient from zero
-    that "succeeds" on a floating node with any voltage whatever. That last resort after a singular matrix is
-    taken for what it is: a node without a DC path, or a loop of voltage sources.
+    whose state after some time it takes for the operating point, settled or not. After a singular matrix that
+    last resort is taken for what it is: a node without a DC path, or a loop of voltage sources. Otherwise it
+    is accepted only where a transient analysis goes on from there (`settles`): as an operating point it was
+    seen to be wrong by a factor of three.
     """
     nodes = list(dict.fromkeys(match[1] for line in said if (match := _SINGULAR.search(line))))
     desperate = any("Transient op started" in line for line in said)
@@ -73,20 +75,20 @@ def operating_point_problem(said: Sequence[str]) -> str | None:
             shown = ", ".join(node.removesuffix("#branch") for node in branches)
             return f"no DC operating point: loop of voltage sources or inductors through {shown}"
         return f"floating node: {', '.join(nodes)} has no DC path to ground"
-    if failed:
-        reason = next((line for line in said if line.lstrip().lower().startswith("error:")), None)
-        return (
-            f"no DC operating point: {reason.strip()}; {_last_nodes(said)}"
-            if reason
-            else (f"no DC operating point: {_last_nodes(said)}")
-        )
+    if failed or (desperate and not settles):
+        reason = next((line.strip() for line in said if line.lstrip().lower().startswith("error:")), None)
+        return "no DC operating point: " + "; ".join(part for part in (reason, _last_nodes(said)) if part)
     return None
 
 
 def _last_nodes(said: Sequence[str]) -> str:
     """Return the nodes that ngspice marks with a star as not converged."""
     marked = [line.split()[0] for line in said if re.match(r"^\S+\s+\S+\s+\S+\s+\*\s*$", line)]
-    return "these did not converge: " + ", ".join(marked[:6]) if marked else "ngspice names no node"
+    return (
+        "these did not converge: " + ", ".join(marked[:6])
+        if marked
+        else "Newton's method, gmin stepping and source stepping all failed"
+    )
 
 
 def load_problems(said: Sequence[str], rows: Sequence[str], lines: Sequence[Line]) -> list[Problem]:
