@@ -23,10 +23,14 @@ from reports.style import (
     sample_ticks,
     shade,
 )
+from reports.text import scale
 
 __all__ = ["nodes", "path", "tangent_normal", "zoom"]
 
 Array = NDArray[np.float64]
+
+#: The largest arrow is the panel's height divided by this.
+_ARROWS = 3.2
 
 
 def _linkage(view: View, at: int) -> tuple[Array, Array]:
@@ -104,11 +108,33 @@ def path(view: View) -> Drawn | None:
         loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=3, handlelength=1.5, columnspacing=1.0
     )
     space.set_title("workspace")
-    caption = "Left: the fingertip's path and the linkage at four instants, light to dark."
+    jointed = bool(_linkage(view, 0)[0].size)
+    caption = "Left: the fingertip's path" + (
+        " and the linkage at four instants, light to dark." if jointed else "."
+    )
     if not near:
-        return Drawn(drawing, "The fingertip's path and the linkage at four instants, light to dark.")
-    caption += _near_the_wall(view, grid[0, 1])
-    return Drawn(drawing, caption)
+        return Drawn(drawing, caption.removeprefix("Left: "))
+    return Drawn(drawing, caption + (_phase if view.straight else _near_the_wall)(view, grid[0, 1]))
+
+
+def _phase(view: View, axes: Axes) -> str:
+    """Draw speed over position: what there is to see of a motion straight onto the wall."""
+    assert view.place is not None
+    across = 1e3 * view.place[1]
+    apart = np.concatenate(([True], np.diff(view.time) > 0.0))
+    speed = np.interp(view.time, view.time[apart], np.gradient(view.place[1][apart], view.time[apart]))
+    axes.plot(*_thin_path(view, across, speed), color=FORCE, linewidth=1.3, zorder=3)
+    axes.margins(0.06)
+    axes.set_xlim(axes.get_xlim())
+    axes.axvspan(axes.get_xlim()[0], 0.0, color=WALL, alpha=0.55, linewidth=0, zorder=0)
+    axes.axvline(0.0, color=INK, linewidth=1.0, zorder=1)
+    axes.axhline(0.0, color=FAINT, linewidth=0.7)
+    axes.set_xlabel("off the wall [mm]")
+    axes.set_ylabel("speed away from the wall [m/s]")
+    axes.set_title("speed over position")
+    return (
+        " Right: speed over position; the grey half is inside the wall, and a spiral inwards comes to rest."
+    )
 
 
 def _near_the_wall(view: View, axes: Axes) -> str:
@@ -129,12 +155,25 @@ def _near_the_wall(view: View, axes: Axes) -> str:
     if view.force is not None and inside.size:
         instants = np.linspace(view.time[inside[0]], view.time[inside[-1]], 18)
         chosen = np.unique(inside[np.searchsorted(view.time[inside], instants).clip(0, inside.size - 1)])
+        push = (view.force[0][chosen], view.force[1][chosen])
+        largest = float(np.hypot(*push).max()) or 1.0
         arrows = axes.quiver(
-            along[chosen], across[chosen], view.force[0][chosen], view.force[1][chosen],
-            angles="uv", scale_units="height", scale=3.2 * float(np.hypot(*view.force)[chosen].max() or 1.0),
-            width=0.0045, color=POSITION, zorder=5,
-        )  # fmt: skip
-        unit = _round_force(float(np.hypot(*view.force)[chosen].max()))
+            along[chosen],
+            across[chosen],
+            *push,
+            angles="uv",
+            scale_units="height",
+            scale=_ARROWS * largest,
+            width=0.0045,
+            color=POSITION,
+            zorder=5,
+        )
+        # Room for the tips: the panel is about 1.7 times as wide as it is high.
+        left, right = axes.get_xlim()
+        tips = along[chosen] + push[0] / largest * (right - left) / (1.6 * _ARROWS)
+        margin = 0.02 * (right - left)
+        axes.set_xlim(min(left, tips.min() - margin), max(right, tips.max() + margin))
+        unit = _round_force(largest)
         axes.quiverkey(arrows, 0.86, 1.045, unit, f"{unit:g} N", labelpos="E", coordinates="axes")
         caption += (
             " Arrows: force on the operator; an upright arrow is a frictionless wall, a leaning one drags."
@@ -157,37 +196,40 @@ def tangent_normal(view: View) -> Drawn | None:
     """
     if view.place is None or view.force is None:
         return None
-    drawing, grid = figure(5.6, 2, 1, sharex=True)
-    both = [part[view.contact] for part in view.force]
-    ticks = False
-    for row, (name, force, place) in enumerate(
-        zip(("(a) along the tangent", "(b) along the normal"), view.force, view.place, strict=True)
-    ):
-        axes = grid[row, 0]
+    panels = list(zip(("(a) along the tangent", "(b) along the normal"), view.force, view.place, strict=True))
+    if view.straight:
+        panels = panels[1:]
+    drawing, grid = figure(0.6 + 2.5 * len(panels), len(panels), 1, sharex=True)
+    marked = False
+    for axes, (name, force, place) in zip(grid[:, 0], panels, strict=True):
         shade(axes, view.contact_spans)
         other = axes.twinx()
         other.grid(False)
         other.spines["right"].set_visible(True)
         curve(axes, view.time, force, color=FORCE, label="force on the operator", zorder=3)
-        curve(other, view.time, 1e3 * place, color=POSITION, linestyle=(0, (1.5, 1.5)), label="position")
+        dots = (0, (1.5, 1.5))
+        curve(other, view.time, 1e3 * place, color=POSITION, linestyle=dots, label="position")
         axes.axhline(0.0, color=FAINT, linewidth=0.7)
         axes.set_ylabel("force [N]", color=FORCE)
         other.set_ylabel("position [mm]", color=POSITION)
         axes.set_title(name)
         axes.set_xlim(view.time[0], view.end_s)
         legend(axes, other)
-        ticks = sample_ticks(axes, view.sample_time) or ticks
-    _same_scale(grid[0, 0], grid[1, 0])
-    grid[1, 0].set_xlabel("time [s]")
+        marked = sample_ticks(axes, view.sample_time) or marked
+    _same_scale(*grid[:, 0])
+    grid[-1, 0].set_xlabel("time [s]")
     caption = (
-        "As the paper's Figs 16 to 18: solid force (left axis, both panels on one scale), dotted position "
-        "(right axis, from the wall's reference point; along the normal, below zero is inside the wall). "
-        "A frictionless wall leaves (a) without force."
+        "As the paper's Figs 16 to 18: solid force (left axis), dotted position (right axis, from the wall's "
+        "reference point; along the normal, below zero is inside the wall)."
     )
-    if both[0].size and not ticks:
-        caption += " The samples are too many to be marked."
-    elif ticks:
+    if view.straight:
+        caption += " Along the tangent nothing moves."
+    else:
+        caption += " Both forces are on one scale; a frictionless wall alone leaves (a) without force."
+    if marked:
         caption += " Strokes at the foot are the computer's samples."
+    elif view.sample_time.size:
+        caption += " The samples are too many to be marked."
     return Drawn(drawing, caption)
 
 
@@ -246,15 +288,17 @@ def zoom(view: View) -> Drawn | None:
         _zoom_force(view, next(panels), part, (low, high))
     motors = next(panels)
     for joint in joints:
-        current = 1e3 * view.signal(f"imot{joint}")[part]
-        curve(motors, time, current, color=JOINTS[joint - 1], label=f"motor {joint}")
-    motors.set_ylabel("current [mA]")
+        curve(
+            motors, time, view.signal(f"imot{joint}")[part], color=JOINTS[joint - 1], label=f"motor {joint}"
+        )
+    motors.set_ylabel("current [A]")
     motors.set_title("motor currents")
     for (title, names), axes in zip(moving.items(), panels, strict=True):
-        for joint, name in enumerate(names):
-            volts = view.signal(name)[part]
-            curve(axes, time, 1e3 * (volts - volts[0]), color=JOINTS[joint], label=name)
-        axes.set_ylabel("[mV]")
+        changes = [view.signal(name)[part] - view.signal(name)[part][0] for name in names]
+        factor, unit = scale(max(float(np.abs(change).max()) for change in changes), "V")
+        for joint, (name, change) in enumerate(zip(names, changes, strict=True)):
+            curve(axes, time, factor * change, color=JOINTS[joint], label=name)
+        axes.set_ylabel(f"[{unit}]")
         axes.set_title(title)
     grid[-1, 0].set_xlabel("time [ms]")
     for axes in grid[:, 0]:
@@ -266,13 +310,14 @@ def zoom(view: View) -> Drawn | None:
         "Three sample periods, dashed upright lines are the samples. The DAC outputs stand still between "
         "samples; what the currents and the force do there is the circuit and the linkage."
     )
-    if walled:
+    if walled and view.stiffness > 0.0:
         caption += (
             f" A computer alone would hold the dashed force ({view.stiffness:g} N/m times the depth at the "
-            "sample), a wall without sampling would give the dotted one; the analog spring lets the "
-            "motors' force follow the depth. The motors' force less what inertia and friction take is what the operator "
-            "feels."
+            "sample), a wall without sampling would give the dotted one; the analog spring lets the motors' "
+            "force follow the depth."
         )
+    if walled:
+        caption += " The operator feels the motors' force less what inertia, weight and friction take."
     if still:
         caption += f" Constant here: {', '.join(still)}."
     return Drawn(drawing, caption)
@@ -292,7 +337,7 @@ def _zoom_force(view: View, axes: Axes, part: NDArray[np.bool_], limits: tuple[f
         line: dict[str, Any] = {
             "color": POSITION,
             "linestyle": (0, (1.5, 1.5)),
-            "label": "stiffness times depth",
+            "label": "wall, not sampled",
             "zorder": 5,
         }
         curve(axes, time, stiffness * depth, **line)

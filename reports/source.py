@@ -162,8 +162,15 @@ class View:
         size = math.hypot(nx, ny)
         return WallFrame((px, py), (nx / size, ny / size))
 
-    def _along(self, axis: tuple[float, float], x: Array, y: Array) -> Array:
+    def _along(self, axis: tuple[float, float], x: Any, y: Any) -> Any:
         return axis[0] * x + axis[1] * y
+
+    @cached_property
+    def straight(self) -> bool:
+        """Whether the tip moves along the wall's normal only, as a slider over a floor does."""
+        if self.place is None:
+            return False
+        return bool(np.ptp(self.place[0]) < 1e-6 * np.ptp(self.place[1]))
 
     @cached_property
     def place(self) -> tuple[Array, Array] | None:
@@ -214,13 +221,13 @@ class View:
 
     @property
     def stiffness(self) -> float:
-        """Normal stiffness that the method asks for [N/m]: of the computer, of the circuit, or of both."""
-        method = self.scene_at("computer", "method", default="combined")
+        """Normal stiffness that the method asks for [N/m]; 0 where it asks for joint stiffness instead."""
         shares = {
             "discrete": ("discrete_stiffness_n_per_m",),
+            "continuous": ("analog_stiffness_n_per_m",),
             "combined": ("discrete_stiffness_n_per_m", "analog_stiffness_n_per_m"),
-        }.get(method, ("analog_stiffness_n_per_m",))
-        return sum(float(self.scene_at("computer", key, default=0.0)) for key in shares)
+        }.get(self.scene_at("computer", "method", default=""), ())
+        return sum((float(self.scene_at("computer", key, default=0.0)) for key in shares), 0.0)
 
     def constant(self, name: str) -> float | None:
         """Return a design constant of the board such as ``i_limit``, if the plan states it."""
@@ -230,16 +237,21 @@ class View:
     def motor_force(self, part: NDArray[np.bool_]) -> Array | None:
         """Return the motors' force at the tip along the wall's normal [N] at the points `part`.
 
-        The least force that gives the motors' torques, F = (J J^T)^-1 J tau: exact for two joints. ``None``
-        for other than chains of two or more joints, without the motor's constants, or near a stretched arm.
+        The least force that gives the motors' torques, F = (J J^T)^-1 J tau: exact up to two joints. ``None``
+        without the motor's constants, for a chain of one link, and near a stretched arm.
         """
-        lengths = np.asarray(self.scene_at("device", "chain", "lengths_m", default=()), dtype=np.float64)
         kt, gear, n = self.constant("kt"), self.constant("gear"), self.joints
-        names = [f"{kind}{joint + 1}" for joint in range(n) for kind in ("q", "imot")]
-        if self.wall is None or not kt or not gear or n < 2 or lengths.size != n or not self.has(*names):
+        if self.wall is None or not kt or not gear or not self.has(*(f"imot{j + 1}" for j in range(n))):
+            return None
+        torque = kt * gear * np.array([self.signal(f"imot{joint + 1}")[part] for joint in range(n)])
+        radius = self.scene_at("device", "slider", "radius_m")
+        if radius is not None and n == 1:
+            direction = self.scene_at("device", "slider", "direction", default=(0.0, 1.0))
+            return np.asarray(torque[0] / float(radius) * self._along(self.wall.normal, *direction))
+        lengths = np.asarray(self.scene_at("device", "chain", "lengths_m", default=()), dtype=np.float64)
+        if n < 2 or lengths.size != n or not self.has(*(f"q{joint + 1}" for joint in range(n))):
             return None
         angle = np.cumsum([self.signal(f"q{joint + 1}")[part] for joint in range(n)], axis=0)
-        torque = kt * gear * np.array([self.signal(f"imot{joint + 1}")[part] for joint in range(n)])
         # Column j of J sums the links from j outwards.
         across = np.cumsum((-lengths[:, None] * np.sin(angle))[::-1], axis=0)[::-1]
         upward = np.cumsum((lengths[:, None] * np.cos(angle))[::-1], axis=0)[::-1]

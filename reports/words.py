@@ -64,7 +64,7 @@ def _feel(view: View) -> _Feel | None:
         depth_m=float(-view.place[1].min()) if deepest is None else deepest,
         mean_n=push if mean is None else mean,
         peak_n=float(normal[view.contact].max()) if peak is None else peak,
-        drag=across / abs(push) if abs(push) > 1e-9 else None,
+        drag=across / abs(push) if abs(push) > 1e-9 and not view.straight else None,
     )
 
 
@@ -132,8 +132,8 @@ def _wall(view: View) -> str:
     )
     if feel.drag is not None:
         words += (
-            f" Along the wall it feels {share(feel.drag)} of that (mean |F_t| over mean F_n), the device's own "
-            "damping and inertia included."
+            f" Along the wall it feels {share(feel.drag)} of that (mean |F_t| over mean F_n), damping and "
+            "inertia of the device included."
         )
     return words
 
@@ -142,9 +142,11 @@ def _stiffness(view: View) -> str:
     rendered, asked = _measure(view, "rendered_stiffness"), view.stiffness
     if rendered is None:
         return ""
-    words = f"The stiffness rendered in rest is {quantity(rendered, 'N/m', 4)}"
-    if asked > 0.0 and view.scene_at("computer", "method") != "joint_pd":
+    words = f"In rest the force on the operator over the depth is {quantity(rendered, 'N/m', 4)}"
+    if asked > 0.0:
         words += f" where {quantity(asked, 'N/m', 4)} was asked for ({100 * (rendered / asked - 1.0):+.2g} %)"
+    if view.scene_at("effects", "gravity"):
+        words += "; the wall also carries the weight of the device, which this force leaves out"
     return words + "."
 
 
