@@ -1,7 +1,7 @@
 """Effects: what a scene may switch on, where it lives, and what it costs when it is there.
 
-An effect is asked for, or it is not there. `in_force` and `left_out` are what `cosim plan` prints; the levels of
-the netlist's parts follow from them, nothing else picks a level.
+An effect is asked for, or it is not there. `in_force` and `left_out` are what `cosim plan` prints; the
+levels of the netlist's parts follow from them, nothing else picks a level.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Effect:
     size: Callable[[Scene], str]
 
     def value(self, scene: Scene) -> Any:
-        """Setting of the scene: a word or a truth value."""
+        """Return the setting of the scene: a word or a truth value."""
         value = getattr(scene.effects, self.name)
         return getattr(value, "value", value)
 
@@ -124,12 +124,12 @@ EFFECTS = (
 
 
 def in_force(scene: Scene) -> list[dict[str, Any]]:
-    """What the scene asks for, JSON-ready: name, value, home, cost, size."""
+    """List what the scene asks for, JSON-ready: name, value, home, cost, size."""
     return [_row(effect, scene) for effect in EFFECTS if effect.is_in_force(scene)]
 
 
 def left_out(scene: Scene) -> list[dict[str, Any]]:
-    """What the scene leaves in its null form, JSON-ready, with its a-priori size."""
+    """List what the scene leaves in its null form, JSON-ready, with its a-priori size."""
     return [_row(effect, scene) for effect in EFFECTS if not effect.is_in_force(scene)]
 
 
@@ -145,7 +145,7 @@ def _row(effect: Effect, scene: Scene) -> dict[str, Any]:
 
 
 def levels(scene: Scene) -> dict[str, str]:
-    """Levels of the netlist's parts by role, as `load_deck` takes them."""
+    """Return the levels of the netlist's parts by role, as `load_deck` takes them."""
     effects = scene.effects
     return {
         "opamp": effects.opamp.value,

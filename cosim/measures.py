@@ -18,7 +18,7 @@ _STEADY = 0.2
 
 
 def wall_frame(scene: Scene, signals: Signals) -> dict[str, NDArray[np.float64]]:
-    """Penetration and tangential position [m], and force of the device on the operator [N], in the wall's frame.
+    """Return penetration and place along the wall [m], and the force of the device on the operator [N].
 
     Normal n points to the free side, tangent t = (n_y, -n_x); penetration is positive inside the wall.
     """
@@ -111,12 +111,9 @@ def standard(
     tightest = headroom(amplifiers)
     if tightest:
         first = tightest[0]
-        add(
-            "headroom",
-            first["headroom"],
-            "",
-            f"{first['path']} ({first['part']}) clips first: {first['peak_v']:.3g} V of {first['swing_v']:.3g} V",
-        )
+        used = f"{first['peak_v']:.3g} V of {first['swing_v']:.3g} V"
+        text = f"{first['path']} ({first['part']}) clips first: {used}"
+        add("headroom", first["headroom"], "", text)
     add("ledger_closure", ledger["closure"], "", "unexplained share of the energy turned over")
     return out
 
@@ -127,7 +124,7 @@ def _heat(t: NDArray[np.float64], signals: Signals, n: int) -> float:
 
 
 def chosen(measures: dict[str, dict[str, Any]], scene: Scene) -> dict[str, dict[str, Any]]:
-    """The measures that `[measures] names` asks for, all when it asks for none.
+    """Return the measures that `[measures] names` asks for, all when it asks for none.
 
     Raises
     ------

@@ -76,7 +76,7 @@ class Plan:
 
 
 def slower_paths(scene: Scene) -> list[str]:
-    """What runs in Python instead of compiled code, said in words."""
+    """Say what runs in Python instead of compiled code, said in words."""
     said = []
     if scene.computer.law is not None:
         said.append(f"control law {scene.computer.law} runs in Python, once per sample")
@@ -138,7 +138,7 @@ def _check_path(scene: Scene) -> None:
     if computer.law is None and computer.command_path.value == "u" and computer.method is Method.DISCRETE:
         raise InputError(
             Problem(
-                "with all spring gains zero the equilibrium makes no torque; a purely discrete wall needs cmd",
+                "with all spring gains zero u makes no torque; a purely discrete wall needs the path cmd",
                 file=str(scene.file) if scene.file else None,
                 key="computer.command_path",
                 value="u",

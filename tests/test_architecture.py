@@ -12,6 +12,7 @@ FLOORS = {
     "cosim": 0,
     "cosim.errors": 0,
     "cosim.assets": 0,
+    "cosim.compiled": 0,
     "cosim.staging": 0,
     "cosim.scene": 0,
     "cosim.ngspice": 0,
@@ -92,7 +93,8 @@ def test_circuits_know_no_mechanics():
 
 
 @pytest.mark.parametrize(
-    ("library", "home"), [("PySpice", "cosim.ngspice"), ("matplotlib", "reports"), ("pydantic", "cosim.scene")]
+    ("library", "home"),
+    [("PySpice", "cosim.ngspice"), ("matplotlib", "reports"), ("pydantic", "cosim.scene")],
 )
 def test_a_library_has_one_home(library, home):
     for name, path in FOUND:

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from cosim import cli
-from cosim.commands import command
 from cosim.assets import scenes_folder
+from cosim.commands import command
 from cosim.errors import InputError, SimulationError
 from cosim.settings import parse_settings, split_values, variants
 
@@ -153,6 +153,6 @@ def test_variants_of_a_scene_are_all_checked_first() -> None:
         scene.device.values == {"r12": "8.2k"} and scene.solver.model == "spice" for _, scene in loaded
     )
     with pytest.raises(InputError, match="choices"):
-        cli.load_variants(parser.parse_args([slope, "--model", "exact"]))
+        command.load_variants(parser.parse_args([slope, "--model", "exact"]))
     with pytest.raises(InputError, match=r"computer\.period_s = -1"):
-        cli.load_variants(parser.parse_args([slope, "--set", "computer.period_s=0.01,-1"]))
+        command.load_variants(parser.parse_args([slope, "--set", "computer.period_s=0.01,-1"]))

@@ -60,7 +60,7 @@ class Tolerances:
     charge_c: float = 1e-9
 
     def line(self) -> str:
-        """The `.options` line."""
+        """Return the `.options` line."""
         return (
             f".options method={self.method} maxord=2 reltol={self.rtol:.6g} vntol={self.rtol * 1e-2:.6g} "
             f"abstol={self.rtol * 1e-6:.6g} chgtol={self.charge_c:.6g} trtol=1 "
@@ -92,7 +92,7 @@ def testbench(board: Deck, drive: Drive, sources: dict[str, str]) -> list[str]:
 
 
 def lockstep_deck(board: Deck, drive: Drive, tolerances: Tolerances, nodes: tuple[str, ...]) -> str:
-    """The deck of a lockstep run: every driven pin is EXTERNAL."""
+    """Return the deck of a lockstep run: every driven pin is EXTERNAL."""
     # the speeds also take an `.ac` excitation; `ac` must come before `external` (ngspice 39)
     external = {pin: "ac 0 external" if pin.startswith("vel") else "external" for pin in drive.sources()}
     lines = [

@@ -94,8 +94,8 @@ def _text(finished: "list[tuple[Variant, Path, Run]]") -> str:
         head = f"{variant.label}: " if variant.label else ""
         stats = run.stats
         lines.append(
-            f"{head}{run.scene.duration_s:g} s simulated in {stats['wall_s']:.3g} s, {stats['points']} points, "
-            f"{1e6 * stats['wall_s'] / stats['points']:.3g} us each -> {out}"
+            f"{head}{run.scene.duration_s:g} s simulated in {stats['wall_s']:.3g} s, "
+            f"{stats['points']} points, {1e6 * stats['wall_s'] / stats['points']:.3g} us each -> {out}"
         )
     return "\n".join([*lines, "", measure_table([(v.label, r.measures) for v, _, r in finished])])
 

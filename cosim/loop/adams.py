@@ -15,11 +15,16 @@ left-hand limit), 1 when `a` belongs to the piece, 2 when `a_old` does too.
 
 from __future__ import annotations
 
+from typing import Any
+
 from numba import njit
+
+Record = Any
+Vector = Any
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def predict(s, h, q_out, v_out):
+def predict(s: Record, h: float, q_out: Vector, v_out: Vector) -> None:
     """Angles and speeds [rad, rad/s] a time `h` after the last accepted point."""
     for j in range(s.n):
         slope = (s.a[j] - s.a_old[j]) / s.h_old if s.history > 1 else 0.0
@@ -28,7 +33,7 @@ def predict(s, h, q_out, v_out):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def correct(s, h, a_new):
+def correct(s: Record, h: float, a_new: Vector) -> float:
     """Take q and v over the step `h` with `a_new` [rad/s^2] at its end; returns the defect [rad].
 
     The defect is the largest |predicted - corrected| of any joint, speeds weighted with the step.

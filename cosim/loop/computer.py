@@ -8,12 +8,17 @@ only, so that a changed resistor changes what the device renders and not what th
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from mech.kernels import jacobian, tip
 from mech.records import NMAX
+
+Record = Any
+Vector = NDArray[np.float64]
 
 
 class Method(IntEnum):
@@ -88,7 +93,7 @@ _ON_THE_WALL_M = 1e-9
 
 
 @njit(cache=True, error_model="numpy")
-def read_encoders(c, x, tick, q):
+def read_encoders(c: Record, x: Record, tick: int, q: Vector) -> None:
     """Joint angles as the encoders show them, and their backward difference as velocity [rad, rad/s]."""
     x.tick = tick
     x.time = tick * c.period
@@ -105,7 +110,7 @@ def read_encoders(c, x, tick, q):
 
 
 @njit(cache=True, error_model="numpy")
-def equilibrium(c, p, x):
+def equilibrium(c: Record, p: Record, x: Record) -> None:
     """q_d of (9): joint angles that put the fingertip on its projection on the wall, nearest to the pose.
 
     Newton's method with the least-norm step; a redundant arm keeps its posture, a one-joint arm solves the
@@ -151,8 +156,8 @@ def equilibrium(c, p, x):
 
 
 @njit(cache=True, error_model="numpy")
-def law(c, p, x):
-    """The control algorithm of section III: (6) out of contact, (7)-(9) and (12) in contact.
+def law(c: Record, p: Record, x: Record) -> None:
+    """Run the control algorithm of section III: (6) out of contact, (7)-(9) and (12) in contact.
 
     Ksp is rank one for a frictionless wall (22) and is never inverted: the discrete force that the path `u`
     must carry lies in its range, along w = J^T n, and needs only a division by w.w.
@@ -203,7 +208,7 @@ def law(c, p, x):
 
 
 @njit(cache=True, error_model="numpy")
-def _code(c, volts):
+def _code(c: Record, volts: float) -> tuple[float, int]:
     """One DAC: the voltage of the nearest code, and whether the wish was out of range."""
     if c.dac_step > 0.0:
         volts = np.floor(volts / c.dac_step + 0.5) * c.dac_step
@@ -218,8 +223,11 @@ def _code(c, volts):
 
 
 @njit(cache=True, error_model="numpy")
-def to_volts(c, x, volts):
-    """DAC voltages [V] for the wishes in `x`, in the order of `cosim.loop.driven.channels`; counts clipped channels in `x.saturated`."""
+def to_volts(c: Record, x: Record, volts: Vector) -> None:
+    """Turn the wishes in `x` into DAC voltages [V], in the order of `cosim.loop.driven.channels`.
+
+    Channels that the range clips are counted in `x.saturated`.
+    """
     n = c.n
     x.saturated = 0
     at = 0

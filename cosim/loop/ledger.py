@@ -28,7 +28,16 @@ _WEIGHTS = (5 / 18, 8 / 18, 5 / 18)
 
 
 @njit(cache=True, error_model="numpy")
-def torques_and_energy(p, nobody, n, torque_per_amp, rows, first, torques, energies):
+def torques_and_energy(
+    p: Any,
+    nobody: Any,
+    n: int,
+    torque_per_amp: float,
+    rows: NDArray[np.float64],
+    first: int,
+    torques: NDArray[np.float64],
+    energies: NDArray[np.float64],
+) -> None:
     """Joint torques of the five workers [rows, 5, n] and (kinetic, gravity) energy [rows, 2] at every row."""
     jac = np.zeros((2, NMAX))
     q = np.zeros(NMAX)
@@ -49,7 +58,9 @@ def torques_and_energy(p, nobody, n, torque_per_amp, rows, first, torques, energ
 
 
 @njit(cache=True, error_model="numpy")
-def works(n, rows, first, torques, out):
+def works(
+    n: int, rows: NDArray[np.float64], first: int, torques: NDArray[np.float64], out: NDArray[np.float64]
+) -> None:
     """Work of each worker over each step [rows, 5] J; row 0 is zero."""
     for k in range(1, len(rows)):
         h = rows[k, 0] - rows[k - 1, 0]
@@ -79,7 +90,7 @@ def works(n, rows, first, torques, out):
 def summary(
     energies: NDArray[np.float64], totals: NDArray[np.float64], spring_j: NDArray[np.float64]
 ) -> dict[str, Any]:
-    """The ledger of a run [J].
+    """Return the ledger of a run [J].
 
     Parameters
     ----------

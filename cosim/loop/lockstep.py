@@ -8,6 +8,8 @@ step behind a DAC step with backward Euler.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numba
 from numba import carray, cfunc, njit, types
 
@@ -25,13 +27,14 @@ _DIVERGENCE_RAD = 0.5
 _SAFETY, _GROWTH = 0.8, 4.0
 _NEVER = 1e300
 
+Record = Any
 _record = numba.from_dtype(STATE)
 _f8, _i4, _i8, _u1 = types.float64, types.int32, types.int64, types.uint8
 
 
 @njit(cache=True, error_model="numpy")
-def noise_at(s, t, joint):
-    """What the potentiometer of a joint adds to its angle [rad]: grid noise linear in time, then in angle."""
+def noise_at(s: Record, t: float, joint: int) -> float:
+    """Return what the potentiometer of a joint adds to its angle [rad]: linear in time, then in angle."""
     value = 0.0
     if s.noise != 0:
         table = carray(doubles_at(s.noise), (s.noise_rows * s.n,))
@@ -49,13 +52,13 @@ def noise_at(s, t, joint):
 
 
 @njit(cache=True, error_model="numpy")
-def _is_gain(s, channel):
-    return s.n <= channel < s.n + 2 * s.n * s.n
+def _is_gain(s: Record, channel: int) -> bool:
+    return bool(s.n <= channel < s.n + 2 * s.n * s.n)
 
 
 @njit(cache=True, error_model="numpy")
-def fill(s, t):
-    """Values of all EXTERNAL sources at the trial time `t`."""
+def fill(s: Record, t: float) -> None:
+    """Set the values of all EXTERNAL sources at the trial time `t`."""
     n = s.n
     s.t_trial = t
     predict(s, t - s.t, s.q_trial, s.v_trial)
@@ -74,7 +77,7 @@ def fill(s, t):
 
 
 @cfunc(_i4(types.CPointer(_f8), _f8, types.CPointer(_u1), _i4, types.CPointer(_record)), cache=True)
-def source(voltage, t, name, ident, user):
+def source(voltage: Any, t: float, name: Any, ident: int, user: Any) -> int:
     """GetVSRCData: sources are named v00, v01, ... in the order of `STATE.out`."""
     s = carray(user, 1)[0]
     if t != s.t_trial:
@@ -86,8 +89,8 @@ def source(voltage, t, name, ident, user):
 
 
 @njit(cache=True, error_model="numpy")
-def _release(s, group):
-    """The oldest waiting sample reaches the DACs of a group; True if a driven voltage changes."""
+def _release(s: Record, group: int) -> bool:
+    """Let the oldest waiting sample reach the DACs of a group; True if a driven voltage changes."""
     slot = s.queue_out[group] % QUEUE
     start = s.queue_time[slot] + (s.skew if group == 1 else 0.0)
     s.queue_out[group] += 1
@@ -108,8 +111,8 @@ def _release(s, group):
 
 
 @njit(cache=True, error_model="numpy")
-def compute_sample(s):
-    """One sample of the computer at the present state; its voltages wait in the queue for the DACs."""
+def compute_sample(s: Record) -> None:
+    """Compute one sample at the present state; its voltages wait in the queue for the DACs."""
     read_encoders(s.c, s.x, s.tick, s.q)
     if s.law_address != 0:
         call_plain(s.law_address)
@@ -126,7 +129,7 @@ def compute_sample(s):
 
 
 @njit(cache=True, error_model="numpy")
-def _write_sample(s):
+def _write_sample(s: Record) -> None:
     n = s.n
     width = 8 + 4 * n + 2 * n * n
     row = carray(doubles_at(s.samples + 8 * width * s.samples_used), (width,))
@@ -148,8 +151,8 @@ def _write_sample(s):
 
 
 @njit(cache=True, error_model="numpy")
-def _next_event(s):
-    """Time of the next instant the step must land on; breakpoints are set where a DAC will jump."""
+def _next_event(s: Record) -> float:
+    """Return the time of the next instant that the step must land on."""
     at = s.t_end
     if s.tick <= s.last_tick:
         at = min(at, s.tick * s.c.period)
@@ -166,11 +169,11 @@ def _next_event(s):
         at = min(at, (s.noise_tick + 1) * s.noise_dt)
     if s.knot < s.knots:
         at = min(at, carray(doubles_at(s.knot_times), (s.knots,))[s.knot])
-    return at
+    return float(at)
 
 
 @njit(cache=True, error_model="numpy")
-def announce(s, now):
+def announce(s: Record, now: float) -> None:
     """Tell ngspice where the DACs will jump next, so that it starts afresh there (order one)."""
     if s.tick <= s.last_tick:
         call_with_time(s.breakpoint_address, s.tick * s.c.period)
@@ -182,8 +185,8 @@ def announce(s, now):
 
 
 @njit(cache=True, error_model="numpy")
-def begin(s):
-    """Sample 0, before ngspice finds the operating point: a computer without delay is there at power-up.
+def begin(s: Record) -> None:
+    """Compute sample 0, before ngspice finds the operating point: without delay it is there at power-up.
 
     A delayed one finds the DACs out of contact: gains and commands zero, equilibria at the pose.
     """
@@ -202,8 +205,8 @@ def begin(s):
 
 
 @njit(cache=True, error_model="numpy")
-def process_events(s, t):
-    """Everything due at the accepted time `t`: noise grid, ramp ends, samples, DACs."""
+def process_events(s: Record, t: float) -> bool:
+    """Do everything due at the accepted time `t`: noise grid, ramp ends, samples, DACs."""
     now = t + s.delta_min
     if s.noise != 0 and (s.noise_tick + 1) * s.noise_dt <= now:
         s.noise_tick += 1
@@ -233,7 +236,7 @@ def process_events(s, t):
 
 
 @cfunc(_i4(_f8, types.CPointer(_f8), _f8, _i4, _i4, _i4, types.CPointer(_record)), cache=True)
-def synchronise(t, delta, old, redo, ident, where, user):
+def synchronise(t: float, delta: Any, old: float, redo: int, ident: int, where: int, user: Any) -> int:
     """GetSyncData: before a step (0) set its length; after one (1) count what ngspice rejected."""
     s = carray(user, 1)[0]
     if where == 1:
@@ -259,13 +262,13 @@ def synchronise(t, delta, old, redo, ident, where, user):
 
 
 @njit(cache=True, error_model="numpy")
-def evaluate(s, t, q, v, a_out):
-    """Accelerations [rad/s^2] at a state, the motors' torques `s.tau` given."""
+def evaluate(s: Record, t: float, q: Any, v: Any, a_out: Any) -> None:
+    """Find the accelerations [rad/s^2] at a state, the motors' torques `s.tau` given."""
     dynamics(s.p, s.op, t, q, v, s.tau, a_out, s.w)
 
 
 @njit(cache=True, error_model="numpy")
-def advance(s, t):
+def advance(s: Record, t: float) -> None:
     """Take the linkage to the accepted time `t`, the motors' torques there being in `s.tau`."""
     h = t - s.t
     evaluate(s, t, s.q_trial, s.v_trial, s.a_trial)
@@ -288,7 +291,7 @@ def advance(s, t):
 
 
 @cfunc(_i4(types.CPointer(_i8), _i4, _i4, types.CPointer(_record)), cache=True)
-def accepted(data, count, ident, user):
+def accepted(data: Any, count: int, ident: int, user: Any) -> int:
     """SendData: the point is final; the linkage takes its step and the row is written."""
     s = carray(user, 1)[0]
     vectors = carray(data, (2,))[1]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from llvmlite import ir
 from numba import carray, njit, types
 from numba.core import types as numba_types
@@ -9,10 +11,10 @@ from numba.extending import intrinsic
 
 
 @intrinsic
-def call_plain(typing_context, address):
+def _call_plain(typing_context: Any, address: Any) -> Any:
     """Call the C function `void f(void)` at an integer address."""
 
-    def codegen(context, builder, signature, args):
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         function = ir.FunctionType(ir.VoidType(), [])
         builder.call(builder.inttoptr(args[0], function.as_pointer()), [])
         return context.get_dummy_value()
@@ -21,10 +23,10 @@ def call_plain(typing_context, address):
 
 
 @intrinsic
-def call_with_time(typing_context, address, time):
+def _call_with_time(typing_context: Any, address: Any, time: Any) -> Any:
     """Call the C function `int f(double)` at an integer address."""
 
-    def codegen(context, builder, signature, args):
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         function = ir.FunctionType(ir.IntType(32), [ir.DoubleType()])
         return builder.call(builder.inttoptr(args[0], function.as_pointer()), [args[1]])
 
@@ -32,27 +34,35 @@ def call_with_time(typing_context, address, time):
 
 
 @intrinsic
-def doubles_at(typing_context, address):
+def _doubles_at(typing_context: Any, address: Any) -> Any:
     """Pointer to doubles at an integer address."""
 
-    def codegen(context, builder, signature, args):
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.inttoptr(args[0], context.get_value_type(types.CPointer(types.float64)))
 
     return types.CPointer(types.float64)(numba_types.int64), codegen
 
 
 @intrinsic
-def words_at(typing_context, address):
+def _words_at(typing_context: Any, address: Any) -> Any:
     """Pointer to 64-bit integers at an integer address."""
 
-    def codegen(context, builder, signature, args):
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.inttoptr(args[0], context.get_value_type(types.CPointer(types.int64)))
 
     return types.CPointer(types.int64)(numba_types.int64), codegen
 
 
+# An intrinsic's first parameter is the compiler's own: callers see it without.
+call_plain: Any = _call_plain
+call_with_time: Any = _call_with_time
+doubles_at: Any = _doubles_at
+words_at: Any = _words_at
+
+
 @njit(cache=True, inline="always")
-def vector_value(vectors, index):
-    """The real value of ngspice's `vecvalues[index]` (name pointer, real, imaginary, flags)."""
+def vector_value(vectors: Any, index: int) -> float:
+    """Read the real value of ngspice's `vecvalues[index]` (name pointer, real, imaginary, flags)."""
     entry = carray(words_at(vectors), (index + 1,))[index]
-    return carray(doubles_at(entry), (2,))[1]
+    value: float = carray(doubles_at(entry), (2,))[1]
+    return value

@@ -71,7 +71,7 @@ def mechanism(scene: Scene, gear: float) -> Chain | Slider:
 
 
 def operator(scene: Scene) -> Operator:
-    """The operator of the scene as mechanics knows it; a user's class is loaded from its file."""
+    """Return the operator of the scene as mechanics knows it; a user's class is loaded from its file."""
     given = scene.operator
     if isinstance(given, schema.MassOperator):
         return PointMass(mass_kg=given.mass_kg)
@@ -89,7 +89,7 @@ def operator(scene: Scene) -> Operator:
 
 
 def noise(scene: Scene) -> Noise:
-    """The potentiometers' noise of the scene (null form: nothing drawn)."""
+    """Draw the potentiometers' noise of the scene (null form: nothing drawn)."""
     kind = scene.effects.pot_noise
     if kind is schema.PotNoise.NONE:
         return no_noise(scene.joints)
@@ -148,7 +148,7 @@ def computer_record(scene: Scene, constants: DesignConstants) -> NDArray[np.void
 
 
 def start(scene: Scene, linkage: Chain | Slider) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Initial angles [rad] and speeds [rad/s]; `InputError` when the tip is out of reach."""
+    """Return initial angles [rad] and speeds [rad/s]; `InputError` when the tip is out of reach."""
     given = scene.device.start
     n = scene.joints
     if given.q_rad is not None:
@@ -158,9 +158,9 @@ def start(scene: Scene, linkage: Chain | Slider) -> tuple[NDArray[np.float64], N
         try:
             q = np.asarray(linkage.inverse(np.array(given.tip_m), elbow=given.elbow), dtype=float)
         except ValueError as error:
-            raise InputError(
-                [Problem(str(error), file=scene.file, key="device.start.tip_m", value=given.tip_m, unit="m")]
-            ) from None
+            key = "device.start.tip_m"
+            problem = Problem(str(error), file=str(scene.file), key=key, value=given.tip_m, unit="m")
+            raise InputError(problem) from None
     v = np.array(given.v_rad_per_s, dtype=float) if given.v_rad_per_s else np.zeros(n)
     return q, v
 
@@ -185,7 +185,7 @@ class Memory:
 
 
 def columns(drive: Drive, recorded: tuple[str, ...]) -> list[str]:
-    """Names of the columns of `rows`, as `accepted` writes them (visc, coul, stop: torques in N m; pot in rad)."""
+    """Names of the columns of `rows`, as `accepted` writes them (tau_*: torques in N m; pot in rad)."""
     joint = range(1, drive.joints + 1)
     names = ["time", "rule", "x", "y", "fx", "fy"]
     for kind in ("q", "v", "a", "imot", "tau_visc", "tau_coul", "tau_stop", "pot"):
@@ -247,7 +247,7 @@ def pack(
             [
                 Problem(
                     "a sample would be lost",
-                    file=scene.file,
+                    file=str(scene.file),
                     key="computer.delay_periods",
                     value=scene.computer.delay_periods,
                     allowed=f"<= {QUEUE - 2}",

@@ -217,7 +217,7 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
 
 
 def statistics(memory: Memory, wall_s: float, cpu_s: float) -> dict[str, Any]:
-    """What the run cost and how wrong its coupling was."""
+    """Tell what the run cost and how wrong its coupling was."""
     s = memory.state[0]
     return {
         "wall_s": wall_s,

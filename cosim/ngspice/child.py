@@ -21,7 +21,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from cosim.errors import SimulationError
+from cosim.compiled import cache_folder
+from cosim.errors import InputError, SimulationError
 from cosim.ngspice.worker import HEAD
 
 __all__ = ["Child", "call", "start_early"]
@@ -107,7 +108,10 @@ class Child:
     """
 
     def __init__(self, modules: Sequence[str] = ()) -> None:
-        folder = Path(tempfile.mkdtemp(prefix="cosim-"))
+        try:
+            folder = Path(tempfile.mkdtemp(prefix="cosim-"))
+        except OSError as error:
+            raise InputError(f"cannot make a temporary folder for ngspice: {error}") from error
         receive, send = os.pipe()
         try:
             work = folder / "work"
@@ -294,8 +298,8 @@ def _environment(folder: Path) -> dict[str, str]:
     env = dict(os.environ)
     env.pop("SPICE_USERINIT_DIR", None)
     home = Path(env.get("HOME") or Path.home())
-    # numba keeps compiled code of read-only installations in the user's cache: a new HOME must not hide it
     env.setdefault("XDG_CACHE_HOME", str(home / ".cache"))
+    env["NUMBA_CACHE_DIR"] = cache_folder()  # in the user's own home, which a new HOME must not hide
     env["HOME"] = str(folder / "home")
     env["PYTHONPATH"] = os.pathsep.join(os.path.abspath(entry) for entry in sys.path)
     env["COSIM_NGSPICE_ECHO"] = "1"
