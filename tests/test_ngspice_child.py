@@ -274,6 +274,14 @@ def test_a_library_that_is_too_old_is_refused() -> None:
     assert "99 or newer is needed" in said
 
 
+def test_no_room_for_the_childs_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    import tempfile
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
+    with pytest.raises(InputError, match="temporary folder"):
+        run("echo")
+
+
 def test_starting_a_child_is_cheap() -> None:
     """A bare child is a Python interpreter and little more: no numpy, no PySpice, no numba."""
     loaded = set(run("modules"))

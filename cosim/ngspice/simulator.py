@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cosim.errors import InputError, Problem, SimulationError, nearest
 from cosim.ngspice.library import OLDEST_VERSION, STOP_COMMAND, Init, Library, Source, Sync
 from cosim.ngspice.lines import Line
-from cosim.ngspice.words import is_error, load_problems, operating_point_problem
+from cosim.ngspice.words import is_error, load_problems, operating_point_problem, step_problem
 
 __all__ = ["OLDEST_VERSION", "STOP_COMMAND", "Simulator"]
 
@@ -305,9 +305,8 @@ class Simulator:
         if library.exited or status or any(is_error(line) for line in library.lines):
             words = "\n".join(library.recent)
             self._forget_stops()
-            raise SimulationError(
-                f"ngspice could not carry out '{command}'", deck=self._deck, last_words=words
-            )
+            what, time_s = step_problem(said) or (f"ngspice could not carry out '{command}'", None)
+            raise SimulationError(what, deck=self._deck, time_s=time_s, last_words=words)
         rows = list(library.lines)
         self.notes.extend(row.partition(" ")[2] for row in rows if row.startswith("stderr"))
         return [row.partition(" ")[2] for row in rows if not row.startswith("stderr")]

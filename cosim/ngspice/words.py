@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from cosim.errors import Problem
 from cosim.ngspice.lines import Line
 
-__all__ = ["is_error", "load_problems", "operating_point_problem", "worth_quoting"]
+__all__ = ["is_error", "load_problems", "operating_point_problem", "step_problem", "worth_quoting"]
 
 _ERROR = re.compile(
     r"^(stdout|stderr)\s+("
@@ -42,6 +42,7 @@ _CHATTER = re.compile(
 _NUMBERED = re.compile(r"(?:Error on line|Netlist line no\.)\s*(\d+)", re.IGNORECASE)
 _INSTANCE = re.compile(r"\(instance: x(\S+)\)", re.IGNORECASE)
 _SINGULAR = re.compile(r"singular matrix:\s*check nodes?\s+(\S+(?:\s+and\s+\S+)?)", re.IGNORECASE)
+_STEP = re.compile(r"timestep too small; time = (\S+), timestep = \S+: (.*)", re.IGNORECASE)
 _DC_FAILED = re.compile(
     r"(DC|Transient) solution failed|Transient op failed|operating point could not", re.IGNORECASE
 )
@@ -89,6 +90,14 @@ def _last_nodes(said: Sequence[str]) -> str:
         if marked
         else "Newton's method, gmin stepping and source stepping all failed"
     )
+
+
+def step_problem(said: Sequence[str]) -> tuple[str, float] | None:
+    """Return what made ngspice's step vanish in a transient analysis, and the simulated time [s]."""
+    match = next((match for line in said if (match := _STEP.search(line))), None)
+    if match is None:
+        return None
+    return f"the time step became too small, {match[2].strip()}", float(match[1])
 
 
 def load_problems(said: Sequence[str], rows: Sequence[str], lines: Sequence[Line]) -> list[Problem]:
