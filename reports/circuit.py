@@ -1,4 +1,4 @@
-"""What the circuit does: motor currents, VCA gains, headroom of the amplifiers."""
+"""What the circuit does: motor currents, VCA gains, headroom of the amplifiers, recorded nodes."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from reports.source import View
 from reports.style import FAINT, INK, JOINTS, LIMIT, Drawn, curve, figure, held, legend, sample_ticks, shade
 from reports.text import quantity, share
 
-__all__ = ["currents", "gains", "headroom"]
+__all__ = ["currents", "gains", "headroom", "nodes"]
 
 
 def currents(view: View) -> Drawn | None:
@@ -153,4 +153,24 @@ def headroom(view: View, most: int = 14) -> Drawn | None:
         caption += (
             f" The {most} fullest of {len(view.amplifiers)} amplifiers are drawn; the others have more room."
         )
+    return Drawn(drawing, caption)
+
+
+def nodes(view: View, most: int = 6) -> Drawn | None:
+    """Draw the recorded nodes of the netlist (signals with a dot in their name), one panel each."""
+    names = [name for name in view.run.signals if "." in name]
+    if not names or view.time.size < 2:
+        return None
+    drawn = names[:most]
+    drawing, grid = figure(0.9 + 1.15 * len(drawn), len(drawn), 1, sharex=True)
+    for name, axes in zip(drawn, grid[:, 0], strict=True):
+        shade(axes, view.contact_spans)
+        curve(axes, view.time, view.signal(name), color=INK, linewidth=1.0)
+        axes.set_title(name, fontsize=9.5)
+        axes.set_ylabel("[V]")
+        axes.set_xlim(view.time[0], view.end_s)
+    grid[-1, 0].set_xlabel("time [s]")
+    caption = "Nodes of the netlist that the scene records; the shade is contact."
+    if len(names) > most:
+        caption += f" {len(names) - most} further nodes are in the data only: {', '.join(names[most:])}."
     return Drawn(drawing, caption)

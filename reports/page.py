@@ -4,6 +4,7 @@ import base64
 import csv
 import io
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Callable, Sequence
@@ -30,13 +31,13 @@ FOLDER_NAME = "figures"
 
 #: Order of the page: name, title, module and function. A name is also the name of the files.
 FIGURES: tuple[tuple[str, str, str, str], ...] = (
-    ("path", "Fingertip path over the wall", "motion", "path"),
+    ("path", "Fingertip path over the wall", "path", "path"),
     ("tangent_normal", "Force and position along tangent and normal", "motion", "tangent_normal"),
     ("zoom", "Between the samples", "motion", "zoom"),
     ("currents", "Motor currents", "circuit", "currents"),
     ("gains", "VCA gains", "circuit", "gains"),
     ("headroom", "Headroom of the amplifiers", "circuit", "headroom"),
-    ("nodes", "Recorded nodes", "motion", "nodes"),
+    ("nodes", "Recorded nodes", "circuit", "nodes"),
     ("energy", "Energy ledger", "effort", "energy"),
     ("steps", "Time steps and cost", "effort", "steps"),
 )
@@ -167,7 +168,13 @@ def _render(**fields: Any) -> str:
         loader=PackageLoader("reports", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,
     )  # fmt: skip
+    environment.filters["glue"] = glue
     return environment.get_template("template.html.j2").render(**fields)
+
+
+def glue(text: str) -> str:
+    """Return `text` with its numbers glued to their units, so that no line ends between them."""
+    return re.sub(r"(?<=\d) (?=[%A-Za-zµ]{1,3}\b|%)", "\u00a0", text)
 
 
 def _write(folder: Path, html: str, pictures: list[Picture]) -> Path:

@@ -17,7 +17,7 @@ from synthetic import DRAG, PERIOD_S, SyntheticRun, slope_run
 from cosim.errors import InputError
 from reports import Trial, compare_table, write_report
 from reports.decimate import keep_peaks, merge_spans
-from reports.page import FIGURES, draw_all
+from reports.page import FIGURES, draw_all, glue
 from reports.source import View
 from reports.tables import all_tables
 from reports.text import quantity, ratio, scale, share
@@ -119,6 +119,10 @@ def test_shares_and_axes_read_well() -> None:
     assert scale(0.03, "J") == (1e3, "mJ")
     assert scale(0.5, "N") == (1.0, "N")
     assert scale(0.0, "V") == (1.0, "V")
+
+
+def test_no_line_ends_between_number_and_unit() -> None:
+    assert glue("3 s at 233 N/m (+4.5 %), 12 points") == "3\u00a0s at 233\u00a0N/m (+4.5\u00a0%), 12 points"
 
 
 def test_summary_states_the_numbers_of_the_run(run: SyntheticRun) -> None:
