@@ -75,3 +75,10 @@ def modules(payload: Any, report: Any) -> list[str]:
     import sys
 
     return list(sys.modules)
+
+
+def load(payload: tuple[str, Any], report: Any) -> None:
+    from cosim.ngspice.simulator import Simulator
+
+    text, lines = payload
+    Simulator().load(text, lines)

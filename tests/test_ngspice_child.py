@@ -104,6 +104,21 @@ def test_exit() -> None:
 def test_deck_that_makes_ngspice_give_up() -> None:
     with pytest.raises(InputError, match=r"Undefined parameter \[rx\]"):
         run("simulate", "t\nR1 a 0 {rx}\nV1 a 0 1\n")
+    rows = [
+        "t",
+        ".param r_x={2*r_y}",
+        ".subckt foo a b",
+        "R1 a b {r_x}",
+        ".ends",
+        "X1 c 0 foo",
+        "V1 c 0 1",
+        "",
+    ]
+    with pytest.raises(InputError, match=r"Undefined parameter \[r_y\].*\.param r_x={2\*r_y}"):
+        run("simulate", "\n".join(rows))
+    rows[3] = "R1 a b {2*r_z}"
+    with pytest.raises(InputError, match=r"Undefined parameter \[r_z\].*R1 a b {2\*r_z}"):
+        run("simulate", "\n".join([*rows[:1], *rows[2:]]))
     with pytest.raises(InputError, match="nomodel"):
         run("simulate", "t\nQ1 a b 0 nomodel\nV1 a 0 1\n")
 

@@ -211,6 +211,10 @@ def test_two_subcircuits_with_one_designator_are_ambiguous(tmp_path: Path) -> No
         ("blocks/stage.cir", "blocks/stag.cir", ["board.cir:5", "nearest is stage.cir"]),
         (".ends Board1", "", [".subckt board1 without .ends"]),
         ("* a comment between", ".ends\n.ends\n* a", [".ends without .subckt"]),
+        ("R3 cmd1 s 10k", "R3 cmd1 s", ["board.cir:17", "has no value"]),
+        ("R3 cmd1 s 10k", "R3 cmd1 s {r_in", ["board.cir:17", "'{' is not closed"]),
+        ("V(ksp11)/10", "V(ksp11))/10", ["board.cir:13", "')' closes nothing"]),
+        ("R3 cmd1 s 10k", "R2 cmd1 s 10k", ["board.cir:17", "R2 is defined again", "board.cir:16"]),
         (".save all", ".sav all", ["unknown statement", ".sav all"]),
     ],
 )

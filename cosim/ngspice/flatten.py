@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.errors import InputError, Problem, nearest
+from cosim.ngspice.form import malformed
 from cosim.ngspice.lines import Line, read_lines
 from cosim.ngspice.safety import refusal
 
@@ -80,7 +81,7 @@ class Reader:
                 continue
             if inside != section:
                 continue
-            refused = None if self.trust else refusal(line)
+            refused = None if self.trust else refusal(line) or malformed(line)
             if refused is not None:
                 problems.append(refused)
             elif line.keyword in (".include", ".inc", ".lib"):

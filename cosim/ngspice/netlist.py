@@ -215,6 +215,8 @@ def parse(lines: Iterable[Line], *, is_part: bool = False) -> Netlist:
             net.top.append(line)
         else:
             net.bench.append(line)
+    for block in net.blocks.values():
+        problems += _doubled(block)
     for block in stack:
         problems.append(
             Problem(f".subckt {block.name} without .ends", file=block.header.file, line=block.header.lineno)
@@ -222,6 +224,18 @@ def parse(lines: Iterable[Line], *, is_part: bool = False) -> Netlist:
     if problems:
         raise InputError(problems)
     return net
+
+
+def _doubled(block: Block) -> list[Problem]:
+    """Return the elements of a subcircuit that bear the name of an earlier one."""
+    problems, depth, seen = [], 0, dict[str, Line]()
+    for line in block.body:
+        depth += (line.keyword == ".subckt") - (line.keyword in (".ends", ".eom"))
+        if depth == 0 and not line.keyword.startswith("."):
+            if line.keyword in seen:
+                problems.append(_twice(f"element {tokens(line.text)[0]}", line, seen[line.keyword]))
+            seen.setdefault(line.keyword, line)
+    return problems
 
 
 def _header(line: Line, is_part: bool) -> Block:
@@ -243,5 +257,5 @@ def _definition(line: Line) -> tuple[str, str]:
 
 
 def _twice(what: str, here: Line, there: Line) -> Problem:
-    return Problem(f"{what} is defined again, differently from {there.file}:{there.lineno}", file=here.file,
+    return Problem(f"{what} is defined again, after {there.file}:{there.lineno}", file=here.file,
                    line=here.lineno)  # fmt: skip

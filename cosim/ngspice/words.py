@@ -40,6 +40,7 @@ _CHATTER = re.compile(
     re.IGNORECASE,
 )
 _NUMBERED = re.compile(r"(?:Error on line|Netlist line no\.)\s*(\d+)", re.IGNORECASE)
+_PARAMETER = re.compile(r"Undefined parameter \[(\w+)\]", re.IGNORECASE)
 _INSTANCE = re.compile(r"\(instance: x(\S+)\)", re.IGNORECASE)
 _SINGULAR = re.compile(r"singular matrix:\s*check nodes?\s+(\S+(?:\s+and\s+\S+)?)", re.IGNORECASE)
 _STEP = re.compile(r"timestep too small; time = (\S+), timestep = \S+: (.*)", re.IGNORECASE)
@@ -140,6 +141,11 @@ def _find(words: Sequence[str], rows: Sequence[str]) -> int | None:
             last = "x" + named[1].split(".")[-1].removeprefix("x")
             found = [i for i, row in enumerate(rows) if i and row.lower().split()[:1] == [last]]
             return found[0] if len(found) == 1 else None
+    for word in words:
+        missing = _PARAMETER.search(word)
+        if missing:
+            used = re.compile(rf"[={{'*/+(,\s-]{re.escape(missing[1])}\b(?!\s*=)", re.IGNORECASE)
+            return next((i for i, row in enumerate(rows) if i and used.search(row)), None)
     normal = [" ".join(row.lower().split()) for row in rows]
     for word in words:
         quoted = " ".join(word.partition("error: unknown subckt:")[2].split() or word.lower().split()).lower()
@@ -155,4 +161,9 @@ def _find(words: Sequence[str], rows: Sequence[str]) -> int | None:
             parts = row.split()
             if len(parts) >= 3 and parts[0] == name and parts[-1] == tail:
                 return index
+    for word in words:
+        name = word.lower().split()[0].split(".")[-1]
+        found = [i for i, row in enumerate(normal) if i and row.split()[:1] == [name]]
+        if "." in word.split()[0] and len(found) == 1:
+            return found[0]
     return None
