@@ -18,7 +18,9 @@ _STEADY = 0.2
 
 
 def wall_frame(scene: Scene, signals: Signals) -> dict[str, NDArray[np.float64]]:
-    """Return penetration and place along the wall [m], and the force of the device on the operator [N].
+    """Return penetration and place along the wall [m], and forces [N] in the wall's frame.
+
+    'normal' and 'tangent': of the device on the operator; 'push': of the motors, along the normal.
 
     Normal n points to the free side, tangent t = (n_y, -n_x); penetration is positive inside the wall.
     """
@@ -26,7 +28,9 @@ def wall_frame(scene: Scene, signals: Signals) -> dict[str, NDArray[np.float64]]
     (px, py), (nx, ny) = scene.wall.point_m, scene.wall.normal
     dx, dy = signals["x"] - px, signals["y"] - py
     fx, fy = -signals["fx"], -signals["fy"]
+    push = signals["fmx"] * nx + signals["fmy"] * ny
     return {
+        "push": push,
         "penetration": -(dx * nx + dy * ny),
         "along": dx * ny - dy * nx,
         "normal": fx * nx + fy * ny,
@@ -79,7 +83,8 @@ def standard(
             add("steady_penetration", sink, "m", "mean penetration in the last fifth of the run")
             add("steady_normal_force", push, "N", "mean normal force in the last fifth of the run")
             add("steady_tangential_force", drag, "N", "mean tangential force in the last fifth of the run")
-            add("rendered_stiffness", push / sink, "N/m", "steady normal force over steady penetration")
+            rendered = time_mean(t[late], frame["push"][late]) / sink
+            add("rendered_stiffness", rendered, "N/m", "steady force of the motors over steady penetration")
             add("tangential_ratio", abs(drag / push), "", "|F_t/F_n| in the last fifth of the run")
             ripple = normal[late] - push
             add(

@@ -119,7 +119,7 @@ def inverse(p: Record, x: float, y: float, elbow: float, q: Vector) -> float:
         q[0] = _near(first, q[0])
         q[1] = _near(bend, q[1])
         return float(max(distance - (a + b), abs(a - b) - distance, 0.0))
-    return _least_squares(p, x, y, q)
+    return float(_least_squares(p, x, y, q))
 
 
 @njit(cache=True, error_model="numpy")

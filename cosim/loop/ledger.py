@@ -24,6 +24,8 @@ from mech.records import NMAX
 WORKS = ("motors", "operator", "viscous", "coulomb", "stops")
 #: Gauss-Legendre of three points on [0, 1]: exact for torque (2) times speed (3) of degree five.
 _NODES = (0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15))
+#: Below this ratio of det(J J^T) to its squared trace the arm counts as stretched.
+_FLAT = 1e-12
 _WEIGHTS = (5 / 18, 8 / 18, 5 / 18)
 
 
@@ -37,8 +39,14 @@ def torques_and_energy(
     first: int,
     torques: NDArray[np.float64],
     energies: NDArray[np.float64],
+    push: NDArray[np.float64],
 ) -> None:
-    """Joint torques of the five workers [rows, 5, n] and (kinetic, gravity) energy [rows, 2] at every row."""
+    """Fill in, for every row, what the ledger and the report need beyond the streamed columns.
+
+    `torques` [rows, 5, n] N m: joint torques of the five workers; `energies` [rows, 2] J: kinetic, gravity;
+    `push` [rows, 2] N: force at the fingertip that the motors' torques amount to, J^T F = tau (least squares
+    for a redundant arm, its component along the arm's free direction for one joint or at full stretch).
+    """
     jac = np.zeros((2, NMAX))
     q = np.zeros(NMAX)
     v = np.zeros(NMAX)
@@ -55,6 +63,20 @@ def torques_and_energy(
             torques[k, 3, j] = row[first + 5 * n + j]
             torques[k, 4, j] = row[first + 6 * n + j]
         energies[k, 0], energies[k, 1] = energy(p, nobody, q, v)
+        a = b = d = x = y = 0.0
+        for j in range(n):
+            a += jac[0, j] * jac[0, j]
+            b += jac[0, j] * jac[1, j]
+            d += jac[1, j] * jac[1, j]
+            x += jac[0, j] * torques[k, 0, j]
+            y += jac[1, j] * torques[k, 0, j]
+        det = a * d - b * b
+        if n > 1 and det > _FLAT * (a + d) * (a + d):
+            push[k, 0] = (d * x - b * y) / det
+            push[k, 1] = (a * y - b * x) / det
+        else:
+            push[k, 0] = x / (a + d)
+            push[k, 1] = y / (a + d)
 
 
 @njit(cache=True, error_model="numpy")

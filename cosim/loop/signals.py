@@ -44,12 +44,12 @@ def write_signals(rows_file: Path, raw_file: Path, layout: Layout, title: str) -
     """Write every signal to `raw_file` and return the energy ledger.
 
     Derived here: powers of the motors, the operator, friction and stops [W], kinetic, gravity and
-    commanded-spring energy [J].
+    commanded-spring energy [J], and the motors' force at the fingertip [N].
     """
     n, columns = layout.circuit.joints, layout.columns
     table = np.memmap(rows_file, dtype=np.float64, mode="r").reshape(-1, len(columns))
     keep = [i for i, name in enumerate(columns) if name.rstrip("0123456789") not in _PRIVATE or "." in name]
-    names = [columns[i] for i in keep] + [*_POWERS, "e_kin", "e_grav", "e_spring"]
+    names = [columns[i] for i in keep] + [*_POWERS, "e_kin", "e_grav", "e_spring", "fmx", "fmy"]
     nobody = NoOperator().pack()[0]
     torque_per_amp = layout.constants.kt * layout.constants.gear
     first = columns.index("q1")
@@ -62,14 +62,17 @@ def write_signals(rows_file: Path, raw_file: Path, layout: Layout, title: str) -
             rows = np.ascontiguousarray(table[start - back : start + _CHUNK])
             torques = np.empty((len(rows), len(WORKS), n))
             energies = np.empty((len(rows), 2))
-            torques_and_energy(layout.linkage, nobody, n, torque_per_amp, rows, first, torques, energies)
+            push = np.empty((len(rows), 2))
+            torques_and_energy(
+                layout.linkage, nobody, n, torque_per_amp, rows, first, torques, energies, push
+            )
             done = np.zeros((len(rows), len(WORKS)))
             works(n, rows, first, torques, done)
             totals += done[max(back, 1) :].sum(axis=0)
             speeds = rows[:, first + n : first + 2 * n]
             power = np.einsum("kij,kj->ki", torques, speeds)
             stored = _spring_energy(rows, layout)
-            derived = np.column_stack([rows[:, keep], power, energies, stored])
+            derived = np.column_stack([rows[:, keep], power, energies, stored, push])
             raw.append(derived[back:])
             held.append(energies[back:])
             spring.append(stored[back:])
