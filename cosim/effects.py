@@ -49,11 +49,11 @@ _DYNAMIC = frozenset({"linear", "spice"})
 
 
 def _opamp(scene: Scene) -> str:
-    return "about 0.1 us a stage at 3 MHz (1 / (2 pi GBW) times noise gain); slew and rails in `full`"
+    return "about 0.1 us a stage at 3 MHz (1/(2π GBW) times noise gain); slew and rails at level full"
 
 
 def _vca(scene: Scene) -> str:
-    return "0.16 us at 1 MHz; `full`: 2 % of full scale total error (AD633 data sheet)"
+    return "0.16 us at 1 MHz; level full: 2 % of full scale total error (AD633 data sheet)"
 
 
 def _motor(scene: Scene) -> str:
@@ -73,7 +73,7 @@ def _encoder(scene: Scene) -> str:
 
 
 def _dac(scene: Scene) -> str:
-    return "1.45 mrad a step of u at 12 bits and +-10 V; settling and skew as stated"
+    return "1.45 mrad a step of u at 12 bits and ±10 V; settling and skew as stated"
 
 
 def _delay(scene: Scene) -> str:
@@ -92,7 +92,7 @@ def _coriolis(scene: Scene) -> str:
 
 
 def _viscous(scene: Scene) -> str:
-    return "bearings only, see device.*.viscous_n_m_s"
+    return "bearings only, as stated in viscous_n_m_s"
 
 
 def _coulomb(scene: Scene) -> str:

@@ -75,7 +75,9 @@ def standard(
         add("contact_share", time_mean(t, inside.astype(float)), "", "share of the time in contact")
         if inside.any():
             add("peak_normal_force", normal[inside].max(), "N", "largest normal force in contact")
-            add("mean_normal_force", normal[inside].mean(), "N", "normal force in contact, mean over points")
+            held = np.where(inside, normal, 0.0)
+            mean = time_mean(t, held) / time_mean(t, inside.astype(float))
+            add("mean_normal_force", mean, "N", "mean normal force while in contact")
         steady = late & inside
         if steady.sum() > 2 and inside[late].all():
             sink, push = time_mean(t[late], pen[late]), time_mean(t[late], normal[late])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import tempfile
 import time
+import uuid
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
@@ -62,7 +63,7 @@ def run(
     """
     begun = time.perf_counter()
     scene = plan.scene
-    target = Path(out) if out is not None else Path(tempfile.mkdtemp(prefix="cosim-run-"))
+    target = Path(out) if out is not None else Path(tempfile.gettempdir()) / f"cosim-run-{uuid.uuid4().hex}"
     with Staging(target, RECORD) as stage:
         got = call(
             f"{_TARGET}:simulate",

@@ -145,7 +145,8 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     tolerances: Tolerances = payload["tolerances"]
     recorded, watched = tuple(payload["recorded"]), tuple(payload["watched"])
     nodes = recorded + tuple(node for node in watched if node not in recorded)
-    simulator = Simulator()
+    # ngspice itself tells the time when no point is accepted for long: steps cut endlessly are no progress
+    simulator = Simulator(on_time=lambda reached: report({"time_s": reached}))
     circuit = drive(scene)
     text = lockstep_deck(board, circuit, tolerances, nodes)
     simulator.load(text, lines=board.lines, name=str(board.path))
