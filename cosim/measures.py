@@ -87,7 +87,8 @@ def standard(
             add("steady_tangential_force", drag, "N", "mean tangential force in the last fifth of the run")
             rendered = time_mean(t[late], frame["push"][late]) / sink
             add("rendered_stiffness", rendered, "N/m", "steady force of the motors over steady penetration")
-            add("tangential_ratio", abs(drag / push), "", "|F_t/F_n| in the last fifth of the run")
+            if push != 0.0:  # a device that nobody holds
+                add("tangential_ratio", abs(drag / push), "", "|F_t/F_n| in the last fifth of the run")
             ripple = normal[late] - push
             add(
                 "force_ripple",
