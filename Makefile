@@ -8,7 +8,7 @@ OUT ?= out/demo
 demo: setup
 	$(BIN)/cosim run scenes/slope.toml --out $(OUT)
 	$(BIN)/cosim report $(OUT)
-	@echo "Open $(OUT)/report/index.html in a browser."
+	@echo "Open $(OUT)/report/report.html in a browser."
 
 test: setup
 	$(BIN)/python -m pytest -q

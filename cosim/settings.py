@@ -36,15 +36,22 @@ class Setting:
 
 @dataclass(frozen=True)
 class Variant:
-    """One combination of values: what to show, and the overrides that make it."""
+    """One combination of values: what to show, and the overrides that make it.
+
+    Attributes
+    ----------
+    values
+        Every name with its value.
+    overrides
+        For `cosim.scene.load_scene`.
+    label
+        Text such as ``R12=8.2k seed=3`` of the names that take several values (of all, when none does);
+        empty for the scene as it stands.
+    """
 
     values: tuple[tuple[str, str], ...]
     overrides: tuple[str, ...]
-
-    @property
-    def label(self) -> str:
-        """Text such as ``R12=8.2k seed=3``; empty for the scene as it stands."""
-        return " ".join(f"{name}={value}" for name, value in self.values)
+    label: str
 
 
 def parse_settings(texts: Iterable[str]) -> tuple[Setting, ...]:
@@ -91,10 +98,15 @@ def split_values(text: str) -> list[str]:
 
 def variants(settings: Sequence[Setting]) -> list[Variant]:
     """Return every combination of the values, the last setting changing fastest."""
-    return [
-        Variant(
-            values=tuple((s.name, value) for s, value in zip(settings, chosen, strict=True)),
-            overrides=tuple(s.override(value) for s, value in zip(settings, chosen, strict=True)),
+    several = {s.name for s in settings if len(s.values) > 1} or {s.name for s in settings}
+    found = []
+    for chosen in product(*(s.values for s in settings)):
+        pairs = list(zip(settings, chosen, strict=True))
+        found.append(
+            Variant(
+                values=tuple((s.name, value) for s, value in pairs),
+                overrides=tuple(s.override(value) for s, value in pairs),
+                label=" ".join(f"{s.name}={value}" for s, value in pairs if s.name in several),
+            )
         )
-        for chosen in product(*(s.values for s in settings))
-    ]
+    return found

@@ -97,6 +97,12 @@ def _text(finished: "list[tuple[Variant, Path, Run]]") -> str:
             f"{head}{run.scene.duration_s:g} s simulated in {stats['wall_s']:.3g} s, "
             f"{stats['points']} points, {1e6 * stats['wall_s'] / stats['points']:.3g} us each -> {out}"
         )
+        lines += [f"  note: {note}" for note in run.plan["notes"]]
+        if not run.ledger["closes"]:
+            lines.append(
+                f"  warning: the energy ledger leaves {run.ledger['closure']:.2g} of the energy unexplained "
+                f"(tolerance {run.ledger['tolerance']:g}): shorten solver.max_step_s"
+            )
     return "\n".join([*lines, "", measure_table([(v.label, r.measures) for v, _, r in finished])])
 
 
