@@ -76,8 +76,8 @@ def saved(drive: Drive, nodes: tuple[str, ...]) -> list[str]:
 def testbench(board: Deck, drive: Drive, sources: dict[str, str]) -> list[str]:
     """Supplies, the board as `xboard` and a source at each pin.
 
-    `sources` maps a pin to what follows its nodes on the source's line (`dc 1`, `external`, `pwl(...)`);
-    a pin that is not in it is held at 0 V.
+    `sources` maps a driven pin to what follows its nodes on the source's line (`dc 1`, `external`, `pwl(...)`);
+    one that is not in it is left to the caller. Pins that the scene does not drive are held at 0 V.
     """
     lines = [
         f"Vcc vcc 0 {SUPPLY_V}",
@@ -85,7 +85,8 @@ def testbench(board: Deck, drive: Drive, sources: dict[str, str]) -> list[str]:
         f"Xboard {' '.join(board.pins)} {board.board}",
     ]
     for number, pin in enumerate(drive.sources()):
-        lines.append(f"v{number:02d} {pin} 0 {sources[pin]}")
+        if pin in sources:
+            lines.append(f"v{number:02d} {pin} 0 {sources[pin]}")
     passive = set(drive.sources()) | {"vcc", "vee"} | {f"imot{j}" for j in range(1, drive.joints + 1)}
     lines += [f"Vz{pin} {pin} 0 0" for pin in board_pins(drive.joints) if pin not in passive]
     return lines

@@ -1,0 +1,157 @@
+"""The exported decks: `replay` and `monolithic`."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.circuits.spice import testbench
+from cosim.errors import InputError, Problem, fail
+from cosim.export.mechanics import mechanics
+from cosim.export.waveform import channels, pwl
+from cosim.loop.setup import mechanism, operator, start
+from cosim.plan import Plan
+from cosim.results import Run
+from cosim.scene import PotNoise, PythonOperator, Scene
+from cosim.staging import disk_errors
+
+KINDS = ("monolithic", "replay")
+
+
+def export(plan: Plan, run: Run, path: str | os.PathLike[str], kind: str = "monolithic") -> Path:
+    """Write a scene as one deck for ``ngspice -b``, with nominal values.
+
+    Parameters
+    ----------
+    plan
+        Of the scene; gives board, driven pins and tolerances.
+    run
+        A run of the same scene: its DAC outputs (`replay`: all its sources) become piecewise linear sources.
+    path
+        File to write.
+    kind
+        `replay`: the circuit with all its sources recorded. `monolithic`: circuit, linkage and operator, with
+        recorded DAC outputs.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        For a run of another board or another time, a scene that a monolithic deck cannot carry (end stops,
+        potentiometer noise, an operator in Python), or a file that cannot be written.
+    """
+    if kind not in KINDS:
+        fail("there is no such kind of export", key="kind", value=kind, allowed=", ".join(KINDS))
+    _check_run(plan, run)
+    lines = _monolithic(plan, run) if kind == "monolithic" else _replay(plan, run)
+    target = Path(path)
+    with disk_errors(target):
+        target.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return target
+
+
+def _check_run(plan: Plan, run: Run) -> None:
+    file = str(run.signals.path)
+    missing = [name for name in plan.circuit.channels if name not in run.signals]
+    if missing:
+        fail(f"this is the run of another scene: it has not recorded {', '.join(missing)}", file=file)
+    end = float(run.signals["time"][-1])
+    if end < plan.scene.duration_s * (1 - 1e-9):
+        fail("the run is shorter than the scene", file=file, value=end, unit="s")
+
+
+def _replay(plan: Plan, run: Run) -> list[str]:
+    circuit, signals = plan.circuit, run.signals
+    time = np.asarray(signals["time"])
+    sources = channels(plan.scene, signals, circuit.channels)
+    gear = _constant(run, "gear")
+    for j in range(1, circuit.joints + 1):
+        sources[f"pot{j}"] = pwl(time, np.asarray(signals[f"pot{j}"]))
+        if circuit.speeds:
+            sources[f"vel{j}"] = pwl(time, gear * np.asarray(signals[f"v{j}"]))
+    return _deck(plan, "replay of recorded sources", testbench(plan.board, circuit, sources), [])
+
+
+def _monolithic(plan: Plan, run: Run) -> list[str]:
+    scene, circuit = plan.scene, plan.circuit
+    _check_carried(scene)
+    gear = _constant(run, "gear")
+    linkage = mechanism(scene, gear)
+    q, v = start(scene, linkage)
+    p, op = linkage.pack()[0], operator(scene).pack()[0]
+    moving = mechanics(p, op, q, v, gear, _constant(run, "kt"), circuit.speeds)
+    bench = testbench(plan.board, circuit, channels(scene, run.signals, circuit.channels))
+    shown = ["x", "y"]
+    if scene.operator.type != "none":
+        shown += ["fx", "fy"]
+    for j in range(1, circuit.joints + 1):
+        shown += [f"pot{j}", f"w{j}"]
+    return _deck(plan, "circuit, linkage and operator", [*bench, *moving], shown)
+
+
+def _check_carried(scene: Scene) -> None:
+    """Refuse what a monolithic deck cannot carry; all of it at once."""
+    file = str(scene.file) if scene.file else None
+    kind = scene.device.linkage.value
+    table = scene.device.slider if kind == "slider" else scene.device.chain
+    stops = table.stops_rad if table is not None else ()
+    problems = []
+    if any(math.isfinite(angle) for pair in stops for angle in pair):
+        message = "a monolithic deck has no end stops: leave them out, or export a replay"
+        problems.append(Problem(message, file=file, key=f"device.{kind}.stops_rad", value=stops))
+    if scene.effects.pot_noise is not PotNoise.NONE:
+        message, noise = "a monolithic deck has no noise", scene.effects.pot_noise.value
+        problems.append(Problem(message, file=file, key="effects.pot_noise", value=noise, allowed="none"))
+    if isinstance(scene.operator, PythonOperator):
+        message, known = "a monolithic deck cannot call Python", "none, mass, hand"
+        problems.append(Problem(message, file=file, key="operator.type", value="python", allowed=known))
+    if problems:
+        raise InputError(problems)
+
+
+def _deck(plan: Plan, what: str, elements: list[str], shown: list[str]) -> list[str]:
+    scene, circuit = plan.scene, plan.circuit
+    title = " ".join(scene.title.split())
+    board = plan.board.text.splitlines()
+    currents = [f"imot{j}" for j in range(1, circuit.joints + 1)]
+    saved = [*currents, *shown, *plan.recorded]
+    return [
+        f"{title}: {what}",
+        f"* {plan.board.board}, sha256 {plan.board.digest}. Run with `ngspice -b{_behaviour(board)}`.",
+        *board[1:],
+        *elements,
+        plan.tolerances.line(),
+        f".tran {scene.solver.max_step_s!r} {scene.duration_s!r} 0 {scene.solver.max_step_s!r}",
+        ".save " + " ".join(f"v({name})" for name in saved),
+        *_measures(currents, shown, scene.duration_s),
+        ".end",
+    ]
+
+
+def _behaviour(board: list[str]) -> str:
+    """Option that a board with a vendor's PSpice model needs."""
+    marks = [line.partition("ngbehavior=")[2].strip() for line in board if line.startswith("*@ ngbehavior=")]
+    return f" -D ngbehavior={marks[0]}" if marks else ""
+
+
+def _measures(currents: list[str], shown: list[str], end: float) -> list[str]:
+    lines = []
+    for name in currents:
+        lines += [f".meas tran {name}_{kind} {kind} v({name})" for kind in ("max", "min")]
+        lines.append(f".meas tran {name}_rms rms v({name})")
+    for name in shown:
+        lines.append(f".meas tran {name}_end find v({name}) at={end!r}")
+    return lines
+
+
+def _constant(run: Run, name: str) -> float:
+    constants: dict[str, Any] = run.plan["constants"]
+    return float(constants[name])

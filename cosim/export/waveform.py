@@ -1,0 +1,79 @@
+"""Recorded signals as piecewise linear sources."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.scene import Scene
+
+#: A DAC without settling time jumps right after its sample instant; a deck needs a slope [s].
+RISE_S = 100e-9
+#: A point this close to the line through its neighbours, in shares of the signal's range, is left out.
+_STRAIGHT = 1e-13
+
+Vector = NDArray[np.float64]
+
+
+def settling_s(scene: Scene) -> float:
+    """Length of the ramp [s] by which the DACs change, 0 when they jump."""
+    return scene.computer.dac.settling_s if scene.effects.dac else 0.0
+
+
+def channel(time: Vector, volts: Vector, settle: float) -> tuple[Vector, Vector]:
+    """Corners of a DAC channel that was recorded at every accepted point.
+
+    Parameters
+    ----------
+    time, volts
+        Recorded points, shape (points,) [s, V]. Where a ramp begins and ends there is a point.
+    settle
+        Length of a ramp [s]. At 0 the channel jumps right after a recorded point, which becomes a ramp of
+        `RISE_S`.
+
+    Returns
+    -------
+    tuple
+        Times and values of the corners, the first at time 0.
+    """
+    changed = np.flatnonzero(np.diff(volts)) + 1
+    if settle > 0.0:
+        near = np.unique(np.concatenate([[0], changed - 1, changed]))
+        return straightened(time[near], volts[near])
+    t, v = [time[0]], [volts[0]]
+    for k in changed:
+        before = time[k - 1]
+        t += [before, before + min(RISE_S, time[k] - before)]
+        v += [volts[k - 1], volts[k]]
+    start = 1 if len(t) > 1 and t[1] == t[0] else 0
+    return np.array(t[start:]), np.array(v[start:])
+
+
+def straightened(t: Vector, v: Vector) -> tuple[Vector, Vector]:
+    """Leave out what lies on the straight line between the points around it."""
+    allowed = _STRAIGHT * (np.ptp(v) + np.max(np.abs(v)))
+    keep = [0]
+    for k in range(1, len(t) - 1):
+        a, b = keep[-1], k + 1
+        line = v[a] + (v[b] - v[a]) * (t[k] - t[a]) / (t[b] - t[a])
+        if abs(v[k] - line) > allowed:
+            keep.append(k)
+    if len(t) > 1:
+        keep.append(len(t) - 1)
+    return t[keep], v[keep]
+
+
+def pwl(t: Vector, v: Vector) -> str:
+    """Return what follows the nodes of a source: `dc`, or `pwl(...)` with all digits."""
+    if len(t) == 1 or np.all(v == v[0]):
+        return f"dc {float(v[0])!r}"
+    return "pwl(" + " ".join(f"{float(a)!r} {float(b)!r}" for a, b in zip(t, v, strict=True)) + ")"
+
+
+def channels(scene: Scene, signals: Mapping[str, Vector], names: tuple[str, ...]) -> dict[str, str]:
+    """Return the sources of the DAC channels `names` as recorded in `signals`."""
+    time = np.asarray(signals["time"])
+    settle = settling_s(scene)
+    return {name: pwl(*channel(time, np.asarray(signals[name]), settle)) for name in names}
