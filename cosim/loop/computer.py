@@ -200,8 +200,9 @@ def law(c: Record, p: Record, x: Record) -> None:
         ww = 0.0
         for j in range(n):
             ww += w[j] * w[j]
-        for j in range(n):
-            x.u[j] += w[j] * force / (c.k_dp * ww)
+        if ww > 0.0:  # at full stretch no torque pushes along the arm: nothing to ask for
+            for j in range(n):
+                x.u[j] += w[j] * force / (c.k_dp * ww)
     else:
         for j in range(n):
             x.cmd[j] = w[j] * force
