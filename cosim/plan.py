@@ -135,10 +135,13 @@ def resolve(scene: Scene, *, trust: bool = False) -> Plan:
 
 def _check_path(scene: Scene) -> None:
     computer = scene.computer
-    if computer.law is None and computer.command_path.value == "u" and computer.method is Method.DISCRETE:
+    springless = computer.method is Method.DISCRETE or (
+        computer.method is Method.COMBINED and computer.analog_stiffness_n_per_m == 0.0
+    )
+    if computer.law is None and computer.command_path.value == "u" and springless:
         raise InputError(
             Problem(
-                "with all spring gains zero u makes no torque; a purely discrete wall needs the path cmd",
+                "with all spring gains zero u makes no torque; without an analog spring the path must be cmd",
                 file=str(scene.file) if scene.file else None,
                 key="computer.command_path",
                 value="u",
