@@ -418,3 +418,13 @@ def test_real_boards_have_an_operating_point_at_every_level(simulator: Simulator
                 # (E96 rounding below 0.1 %, offsets of the full level some mV of 1.6 V)
                 amps = current(simulator, deck, cmd1=0.1 * 15.625)
                 assert amps == pytest.approx(0.1 / (0.04 * 8), rel=0.02), (file, level, drive)
+
+
+def test_constants_of_a_deck_behind_an_analysis() -> None:
+    """ngspice writes `.csparam` to the current plot, which an analysis leaves behind as its own."""
+    deck = "deck\nv1 a 0 1\nr1 a 0 1k\n.param x={value}\n.csparam {name}={{x}}\n.end\n"
+    simulator = Simulator()
+    simulator.load(deck.format(value=3, name="first"))
+    simulator.command("op")
+    simulator.load(deck.format(value=5, name="second"))
+    assert simulator.constant("second") == 5.0

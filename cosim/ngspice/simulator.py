@@ -96,6 +96,7 @@ class Simulator:
         self._clear()
         behaviour = _BEHAVIOUR.search(text)
         self._run(f"set ngbehavior={behaviour[1]}" if behaviour else "unset ngbehavior")
+        self._run("setplot const")  # where `.csparam` lines land: ngspice writes them to the current plot
         ffi, library = self._library.ffi, self._library
         rows = text.rstrip("\n").split("\n")
         if not any(row.strip().lower() == ".end" for row in rows):
