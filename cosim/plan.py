@@ -127,7 +127,7 @@ def resolve(scene: Scene, *, trust: bool = False) -> Plan:
         board=board,
         model="spice",
         circuit=drive(scene),
-        tolerances=Tolerances(rtol=solver.rtol, method=solver.method.value),
+        tolerances=Tolerances(solver.rtol, solver.method.value, solver.charge_tolerance_c),
         recorded=recorded,
         watched=watched,
     )

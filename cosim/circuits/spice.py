@@ -50,14 +50,14 @@ class Tolerances:
     ----------
     rtol : relative tolerance of Newton's method and of the integration
     method : 'gear' or 'trap'
-    charge_c : charge [C] below which a capacitor's truncation error does not shorten the step. The default
-        lets the op-amps' internal poles (pF, settling in microseconds) be stepped over by the L-stable
-        method, while motor, differentiator and filter are resolved.
+    charge_c : charge [C] below which a capacitor's truncation error does not shorten the step: op-amps'
+        internal poles (pF, settling in microseconds) are then stepped over by the L-stable method, while
+        motor, differentiator and filter are resolved.
     """
 
     rtol: float
     method: str
-    charge_c: float = 1e-9
+    charge_c: float
 
     def line(self) -> str:
         """Return the `.options` line."""
