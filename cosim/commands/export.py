@@ -1,0 +1,41 @@
+"""``cosim export``: the scene as one deck for plain ngspice."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from cosim.commands.command import Command, load_variants, scene_arguments
+
+
+def _arguments(parser: argparse.ArgumentParser) -> None:
+    scene_arguments(parser)
+    parser.add_argument("-o", "--out", metavar="FILE", required=True, help="deck to write")
+    parser.add_argument(
+        "--kind",
+        choices=("monolithic", "replay"),
+        default="monolithic",
+        help="monolithic: linkage and hand as B-sources, the computer's outputs as recorded steps; "
+        "replay: every source recorded (default: monolithic)",
+    )
+
+
+def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    import tempfile
+
+    from cosim.errors import fail
+    from cosim.export import export
+    from cosim.plan import resolve
+    from cosim.run import run
+
+    found = load_variants(args)
+    if len(found) > 1:
+        fail("one deck holds one scene: give each name one value", key="--set", value=args.set)
+    plan = resolve(found[0][1], trust=args.trust)
+    with tempfile.TemporaryDirectory(prefix="cosim-export-") as folder:
+        # The computer's outputs have to be known first: the scene runs once.
+        result = run(plan, Path(folder) / "run", formats=())
+        deck = export(plan, result, args.out, kind=args.kind)
+    return {"deck": str(deck), "kind": args.kind}, f"wrote {deck} ({args.kind}); run it with: ngspice -b {deck}"
+
+
+COMMAND = Command("export", "write the scene as one deck for plain ngspice", _arguments, _run)
