@@ -349,6 +349,30 @@ def test_dac_settles_on_a_ramp(tmp_path: Path) -> None:
                 assert np.abs(t - (k * 0.01 + settling)).min() < 1e-12
 
 
+def test_a_ramp_longer_than_the_period_goes_on_from_where_it_is(tmp_path: Path) -> None:
+    # u follows a joint at 1 rad/s; each sample turns the ramp towards its wish, from half-way of the one before
+    period, settling = 0.01, 0.02
+    run = quick(
+        tmp_path,
+        slider(
+            duration_s=0.1,
+            device={"start": {"q_rad": [0.3], "v_rad_per_s": [1.0]}},
+            wall=None,
+            computer={"period_s": period, "dac": {"settling_s": settling, "bits": 32}},
+            effects={"dac": True},
+        ),
+    )
+    t, y = np.asarray(run.signals["time"]), np.asarray(run.signals["u1"]) / V_RAD
+    held = target = 0.3
+    for k in range(10):
+        wish = 0.3 + k * period  # what the encoder sees in free flight
+        held += period / settling * (target - held) if k else 0.0
+        target = wish
+        part = (t > k * period + 1e-12) & (t <= (k + 1) * period + 1e-12)
+        ramp = held + (t[part] - k * period) / settling * (target - held)
+        np.testing.assert_allclose(y[part], ramp, atol=1e-8)
+
+
 def test_equilibria_and_commands_follow_the_gains_by_the_skew(tmp_path: Path) -> None:
     skew = 5e-4
     tables = merge(FALLING, {"computer": {"dac": {"skew_s": skew, "bits": 32}}, "effects": {"dac": True}})

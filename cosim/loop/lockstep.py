@@ -94,13 +94,17 @@ def _release(s: Record, group: int) -> bool:
     slot = s.queue_out[group] % QUEUE
     start = s.queue_time[slot] + (s.skew if group == 1 else 0.0)
     s.queue_out[group] += 1
+    part = 1.0  # of the ramp before, which a settling time longer than the period leaves unfinished
+    if s.ramping:
+        part = min(max((start - s.dac_start[group]) / s.settle, 0.0), 1.0)
     s.dac_start[group] = start
     changed = False
     for i in range(s.dacs):
         k = s.dac_channel[i]
         if _is_gain(s, k) != (group == 0):
             continue
-        s.dac_from[k] = s.dac_to[k]
+        reached = s.dac_to[k] if part == 1.0 else s.dac_from[k] + part * (s.dac_to[k] - s.dac_from[k])
+        s.dac_from[k] = reached
         s.dac_to[k] = s.queue[slot, k]
         changed = changed or s.dac_to[k] != s.dac_from[k]
         if s.settle == 0.0:
