@@ -1,0 +1,58 @@
+"""`python -m benchmarks [NAME ...]`: measure, print a table, write `benchmarks/latest.json`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from cosim.compiled import cache_folder
+
+HERE = Path(__file__).resolve().parent
+REPETITIONS = 15
+
+
+def main() -> int:
+    """Measure the figures asked for; exit code 1 when one misses its target."""
+    import os
+
+    os.environ.setdefault("NUMBA_CACHE_DIR", cache_folder())
+    from benchmarks.anatomy import anatomy
+    from benchmarks.figure import TARGETS, Figure
+    from benchmarks.suite import SUITE
+    from benchmarks.table import show
+
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Peers side by side.")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join([*TARGETS, 'anatomy'])}")
+    parser.add_argument("--repetitions", type=int, default=REPETITIONS, help="of each timed pair")
+    parser.add_argument("--out", type=Path, default=HERE / "latest.json", help="file for the figures")
+    args = parser.parse_args()
+    unknown = [name for name in args.names if name not in TARGETS and name != "anatomy"]
+    if unknown:
+        parser.error(f"no such benchmark: {', '.join(unknown)}")
+    if args.repetitions < 1:
+        parser.error("at least one repetition is needed")
+    figures: list[Figure] = []
+    for names, measure in SUITE.items():
+        if not args.names or set(names) & set(args.names):
+            for found in measure(args.repetitions):
+                figures.append(found)
+                print(show(found), flush=True)
+    if not args.names or "anatomy" in args.names:
+        print(anatomy(), flush=True)
+    if figures:
+        write(args.out, figures)
+    return 0 if all(found.met for found in figures) else 1
+
+
+def write(path: Path, figures: "list[Figure]") -> None:  # noqa: F821
+    """Write the figures in place of those of the same name; others in the file stay."""
+    fresh = {found.name: found.as_dict() for found in figures}
+    kept = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
+    rows = [row for row in kept if row["name"] not in fresh] + list(fresh.values())
+    path.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

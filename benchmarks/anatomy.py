@@ -1,0 +1,2 @@
+def anatomy():
+    return ""

@@ -1,0 +1,305 @@
+"""What the compiled callbacks of a run cost: every call of the run is logged, then repeated without ngspice.
+
+The log holds each call in order with its arguments, and the values ngspice handed over. Repeating it on a
+fresh copy of the state does all the work of the run's callbacks - predictor, linkage, samples, rows, files -
+and must end in the same state to the last bit. What the loop itself costs is found with empty callbacks
+and subtracted.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+from llvmlite import ir
+from numba import carray, cfunc, njit, types
+from numba.core import types as numba_types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from cosim.circuits.spice import lockstep_deck, saved
+from cosim.loop import lockstep as shipped
+from cosim.loop.native import doubles_at, vector_value
+from cosim.loop.setup import Memory, pack
+from cosim.loop.simulate import Recorder, coupled_step, read_constants
+from cosim.ngspice.simulator import Simulator
+from cosim.plan import Plan
+
+_f8, _i4, _i8, _u1 = types.float64, types.int32, types.int64, types.uint8
+_DOUBLE, _INT, _LONG = ir.DoubleType(), ir.IntType(32), ir.IntType(64)
+#: Columns of the log: which callback (0 source, 1 sync, 2 data), time, source number or location, delta, redo.
+_WIDTH = 5
+_LOG = np.dtype(
+    [
+        ("user", "i8"),
+        ("source", "i8"),
+        ("sync", "i8"),
+        ("data", "i8"),
+        ("calls", "i8"),
+        ("used", "i8"),
+        ("values", "i8"),
+        ("points", "i8"),
+        ("vectors", "i8"),
+    ],
+    align=True,
+)
+_log = numba.from_dtype(_LOG)
+
+
+def _caller(answer: Any, *given: Any) -> Any:
+    """Make an intrinsic that calls a C function at an address; integers of 64 bits are pointers."""
+    native = {numba_types.float64: _DOUBLE, numba_types.int32: _INT, numba_types.int64: _LONG}
+
+    def call(typing_context: Any, address: Any, arguments: Any) -> Any:
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            function = ir.FunctionType(_INT, [native[kind] for kind in given])
+            values = [builder.extract_value(args[1], i) for i in range(len(given))]
+            return builder.call(builder.inttoptr(args[0], function.as_pointer()), values)
+
+        return answer(numba_types.int64, numba_types.Tuple(given)), codegen
+
+    return intrinsic(call)
+
+
+_I, _L, _D = numba_types.int32, numba_types.int64, numba_types.float64
+_call_source = _caller(_I, _L, _D, _L, _I, _L)
+_call_sync = _caller(_I, _D, _L, _D, _I, _I, _I, _L)
+_call_data = _caller(_I, _L, _I, _I, _L)
+
+
+@intrinsic
+def _address(typing_context: Any, pointer: Any) -> Any:
+    """Integer address of a pointer."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.ptrtoint(args[0], _LONG)
+
+    return numba_types.int64(pointer), codegen
+
+
+address_of: Any = _address
+
+
+@njit
+def _note(log: Any, kind: float, t: float, which: float, delta: float, redo: float) -> None:
+    row = carray(doubles_at(log.calls + 8 * _WIDTH * log.used), (_WIDTH,))
+    row[0], row[1], row[2], row[3], row[4] = kind, t, which, delta, redo
+    log.used += 1
+
+
+@cfunc(_i4(types.CPointer(_f8), _f8, types.CPointer(_u1), _i4, types.CPointer(_log)))
+def _source(voltage: Any, t: float, name: Any, ident: int, user: Any) -> int:
+    log = carray(user, 1)[0]
+    digits = carray(name, 3)
+    _note(log, 0.0, t, (digits[1] - 48) * 10 + digits[2] - 48, 0.0, 0.0)
+    return _call_source(log.source, (address_of(voltage), t, address_of(name), ident, log.user))
+
+
+@cfunc(_i4(_f8, types.CPointer(_f8), _f8, _i4, _i4, _i4, types.CPointer(_log)))
+def _sync(t: float, delta: Any, old: float, redo: int, ident: int, where: int, user: Any) -> int:
+    log = carray(user, 1)[0]
+    _note(log, 1.0, t, where, delta[0], redo)
+    return _call_sync(log.sync, (t, address_of(delta), old, redo, ident, where, log.user))
+
+
+@cfunc(_i4(types.CPointer(_i8), _i4, _i4, types.CPointer(_log)))
+def _data(data: Any, count: int, ident: int, user: Any) -> int:
+    log = carray(user, 1)[0]
+    _note(log, 2.0, 0.0, 0.0, 0.0, 0.0)
+    log.vectors = count
+    row = carray(doubles_at(log.values + 8 * count * log.points), (count,))
+    entries = carray(data, (2,))[1]
+    for i in range(count):
+        row[i] = vector_value(entries, i)
+    log.points += 1
+    return _call_data(log.data, (address_of(data), count, ident, log.user))
+
+
+@cfunc(_i4(types.CPointer(_f8), _f8, types.CPointer(_u1), _i4, types.CPointer(_u1)))
+def _no_source(voltage: Any, t: float, name: Any, ident: int, user: Any) -> int:
+    return 0
+
+
+@cfunc(_i4(_f8, types.CPointer(_f8), _f8, _i4, _i4, _i4, types.CPointer(_u1)))
+def _no_sync(t: float, delta: Any, old: float, redo: int, ident: int, where: int, user: Any) -> int:
+    return 0
+
+
+@cfunc(_i4(types.CPointer(_i8), _i4, _i4, types.CPointer(_u1)))
+def _no_data(data: Any, count: int, ident: int, user: Any) -> int:
+    return 0
+
+
+#: Addresses of empty callbacks, for runs that need none: the simulator's own defaults are Python.
+NO_SYNC, NO_DATA = _no_sync.address, _no_data.address
+
+
+@cfunc(_i4(_f8))
+def _no_breakpoint(t: float) -> int:
+    return 1
+
+
+@njit
+def _repeat(
+    calls: Any,
+    values: Any,
+    entries: Any,
+    all_address: int,
+    names: Any,
+    source: int,
+    sync: int,
+    data: int,
+    user: int,
+) -> float:
+    """Make all calls of a log again. `entries` [vectors, 4] are ngspice's vecvalues as doubles."""
+    slot = np.zeros(1)
+    slot_address = slot.ctypes.data
+    point = 0
+    total = 0.0
+    for k in range(len(calls)):
+        kind = calls[k, 0]
+        if kind == 0.0:
+            name = names.ctypes.data + 4 * np.int64(calls[k, 2])
+            _call_source(source, (slot_address, calls[k, 1], name, np.int32(0), user))
+            total += slot[0]
+        elif kind == 1.0:
+            slot[0] = calls[k, 3]
+            where, redo = np.int32(calls[k, 2]), np.int32(calls[k, 4])
+            _call_sync(sync, (calls[k, 1], slot_address, 0.0, redo, np.int32(0), where, user))
+            total += slot[0]
+        else:
+            for i in range(len(entries)):
+                entries[i, 1] = values[point, i]
+            point += 1
+            _call_data(data, (all_address, np.int32(len(entries)), np.int32(0), user))
+    return total
+
+
+class _NoVectors:
+    """Stands in for the simulator where nothing is running."""
+
+    def truncate_vectors(self) -> bool:
+        """Do nothing."""
+        return False
+
+    def stop(self) -> None:
+        """Fail: nothing may go wrong when a good run is repeated."""
+        raise RuntimeError("the repeated run failed")
+
+
+class CallLog:
+    """All callbacks of one run of a plan, ready to be repeated.
+
+    Parameters
+    ----------
+    plan
+        A scene without noise or a Python law.
+    points
+        Room for so many time points.
+    """
+
+    def __init__(self, plan: Plan, points: int = 20_000) -> None:
+        nodes = plan.recorded + tuple(n for n in plan.watched if n not in plan.recorded)
+        simulator = Simulator()
+        simulator.load(lockstep_deck(plan.board, plan.circuit, plan.tolerances, nodes))
+        constants = read_constants(simulator, str(plan.board.path))
+        self.memory: Memory = pack(plan.scene, constants, plan.circuit, plan.recorded, nodes[len(plan.recorded) :])
+        state = self.memory.state[0]
+        self._folder = tempfile.TemporaryDirectory(prefix="cosim-bench-")
+        self._recorder = Recorder(self.memory, simulator, Path(self._folder.name), lambda progress: None)
+        state["breakpoint_address"] = simulator.set_breakpoint_address()
+        shipped.begin(state)
+        shipped.fill(state, 0.0)
+        state["h_pole"] = min(state["h_pole"], coupled_step(simulator, plan.circuit, self.memory))
+        vectors: list[str] = []
+
+        def init(names: list[str]) -> None:
+            vectors[:] = names
+            at = [names.index(name.lower()) for name in saved(plan.circuit, nodes)]
+            state["time_index"] = names.index("time")
+            state["current_index"][: plan.circuit.joints] = at[: plan.circuit.joints]
+            state["node_index"][: len(nodes)] = at[plan.circuit.joints :]
+            self.before = self.memory.state.copy()
+
+        solver = plan.scene.solver
+        calls = np.zeros((points * 60, _WIDTH))
+        values = np.zeros(points * 128)
+        log = np.zeros(1, _LOG)
+        log["user"] = self.memory.state.ctypes.data
+        log["source"], log["sync"] = shipped.source.address, shipped.synchronise.address
+        log["data"] = shipped.accepted.address
+        log["calls"], log["values"] = calls.ctypes.data, values.ctypes.data
+        simulator.attach(
+            data=_data.address,
+            init=init,
+            source=_source.address,
+            sync=_sync.address,
+            user=log.ctypes.data,
+        )
+        simulator.command(
+            f"tran {solver.max_step_s!r} {plan.scene.duration_s!r} 0 {solver.max_step_s!r}"
+        )
+        self._recorder.drain()
+        used, width = int(log["used"][0]), int(log["vectors"][0])
+        self.points = int(log["points"][0])
+        if used > len(calls) or self.points * width > len(values):
+            raise RuntimeError("the log was too short for the run")
+        self.calls = calls[:used].copy()
+        self.values: NDArray[np.float64] = values[: self.points * width].reshape(-1, width).copy()
+        self.after = self.memory.state.copy()
+        self._build(width)
+        self._recorder.simulator = _NoVectors()  # type: ignore[assignment]
+
+    def _build(self, width: int) -> None:
+        """Lay out ngspice's `vecvaluesall` {count, index, vecvalues **} and the sources' names."""
+        self._entries = np.zeros((width, 4))
+        pointers = self._entries.ctypes.data + self._entries.strides[0] * np.arange(width)
+        self._pointers = pointers.astype(np.int64)
+        self._all = np.array([width, self._pointers.ctypes.data], np.int64)
+        text = b"".join(f"v{k:02d}\0".encode() for k in range(100))
+        self._names = np.frombuffer(text, np.uint8).copy()
+
+    def seconds(self, *, empty: bool = False) -> float:
+        """Repeat all calls and return the time [s]; with `empty` callbacks, what the loop costs."""
+        state = self.memory.state
+        state[:] = self.before
+        state["breakpoint_address"] = _no_breakpoint.address
+        addresses = (
+            (_no_source.address, _no_sync.address, _no_data.address)
+            if empty
+            else (shipped.source.address, shipped.synchronise.address, shipped.accepted.address)
+        )
+        begun = time.perf_counter()
+        _repeat(
+            self.calls,
+            self.values,
+            self._entries,
+            self._all.ctypes.data,
+            self._names,
+            *addresses,
+            state.ctypes.data,
+        )
+        elapsed = time.perf_counter() - begun
+        if not empty:
+            self._recorder.drain()
+            self._check()
+        return elapsed
+
+    def _check(self) -> None:
+        """The repeated run must have done the same work: its state ends where the run's ended."""
+        for field in ("t", "q", "v", "a", "points", "tick", "defect_sum"):
+            if not np.array_equal(self.memory.state[field], self.after[field]):
+                raise RuntimeError(f"the repeated calls ended elsewhere: {field}")
+
+    def parts(self) -> dict[str, int]:
+        """Number of calls of each callback."""
+        kinds = self.calls[:, 0]
+        return {
+            "source": int((kinds == 0).sum()),
+            "synchronise": int((kinds == 1).sum()),
+            "accepted": int((kinds == 2).sum()),
+        }

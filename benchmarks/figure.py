@@ -1,0 +1,98 @@
+"""One figure of the benchmarks: a ratio (or a plain number) with its spread, its errors and its target."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+#: Name -> (target, unit, what it says). A figure meets its target when it is not above it.
+TARGETS: dict[str, tuple[float, str, str]] = {
+    "lockstep_vs_replay": (1.10, "", "wall: lockstep / ngspice alone fed with the recorded sources"),
+    "lockstep_vs_replay_points": (1.2, "", "time points: the same two"),
+    "callback_share": (0.05, "", "compiled callbacks / wall of the lockstep"),
+    "lockstep_vs_monolithic": (0.7, "", "wall: lockstep / linkage as B-sources, at equal accuracy"),
+    "lockstep_vs_pyspice": (0.3, "", "wall: compiled callbacks / PySpice's Python callbacks"),
+    "growth_exponent": (1.3, "", "wall per simulated second against number of equations, 1 to 6 joints"),
+    "memory_100s_mb": (500.0, "MB", "peak resident memory of the simulation's process, 100 s scene"),
+    "help_vs_numpy": (3.0, "", "wall: cosim --help / python -c 'import numpy'"),
+    "warm_run_outside_s": (1.0, "s", "wall of a warm `cosim run` outside the simulation"),
+}
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One row of `latest.json`.
+
+    Attributes
+    ----------
+    name : key of `TARGETS`
+    ratio : median over the repetitions (the number itself where it is no ratio); min, max : their spread
+    error_ours, error_peer : errors against a tight reference, as `error_unit` says; None where there is none
+    target : not to be exceeded
+    command : how to measure it again
+    details : further numbers, printed and kept
+    """
+
+    name: str
+    ratio: float
+    min: float
+    max: float
+    error_ours: float | None
+    error_peer: float | None
+    target: float
+    command: str
+    error_unit: str
+    details: dict[str, Any]
+
+    @property
+    def met(self) -> bool:
+        """Whether the target is met."""
+        return self.ratio <= self.target
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figure, ready for JSON."""
+        return asdict(self)
+
+
+def figure(
+    name: str,
+    values: Sequence[float],
+    *,
+    ratio: float | None = None,
+    error_ours: float | None = None,
+    error_peer: float | None = None,
+    error_unit: str = "",
+    details: dict[str, Any] | None = None,
+) -> Figure:
+    """Make a figure from the values of its repetitions.
+
+    `ratio` replaces the median of `values` where the better estimate is a ratio of medians.
+    """
+    if not values or not all(math.isfinite(v) for v in values):
+        raise ValueError(f"{name}: no finite values: {list(values)}")
+    return Figure(
+        name=name,
+        ratio=statistics.median(values) if ratio is None else ratio,
+        min=min(values),
+        max=max(values),
+        error_ours=error_ours,
+        error_peer=error_peer,
+        target=TARGETS[name][0],
+        command=f"python -m benchmarks {name}",
+        error_unit=error_unit,
+        details=details or {},
+    )
+
+
+def interleaved(repetitions: int, *runs: Callable[[], float]) -> list[list[float]]:
+    """Call the runs in turn, A B A B ..., and return the times of each; a first round warms up."""
+    times: list[list[float]] = [[] for _ in runs]
+    for repetition in range(repetitions + 1):
+        for run, kept in zip(runs, times, strict=True):
+            value = run()
+            if repetition:
+                kept.append(value)
+    return times
