@@ -6,7 +6,7 @@ from the design constants that the computer believes: a test that compares the t
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -42,11 +42,6 @@ COMMAND_TRUE = 0.5 * SIEMENS * TORQUE  # N m per V at cmd
 EMF_TRUE = KT**2 * GEAR**2 / MOTOR_OHM  # N m s/rad at the joint
 # What the board tells the computer.
 V_RAD, K_FS, V_FS, V_NM = 3.37034, 3.0003, 10.0, 15.625
-
-
-def spring_share() -> float:
-    """Rendered over believed spring gain of the ideal board, and the equilibrium's scale u_true = u * this."""
-    return SPRING_TRUE / K_FS
 
 
 def toml(tables: Mapping[str, Any]) -> str:
@@ -139,7 +134,7 @@ def at_times(run: Run, times: Array, name: str) -> Array:
 
 
 def count_equations(payload: Mapping[str, Any], report: Any) -> dict[str, Any]:
-    """In a child: what ngspice makes of the lockstep deck of a plan (nodes and branches; rows of its matrix)."""
+    """In a child: rows of ngspice's matrix (nodes and branches) for the lockstep deck of a plan."""
     plan = payload["plan"]
     simulator = Simulator()
     simulator.load(lockstep_deck(plan.board, plan.circuit, plan.tolerances, ()).replace(".save", "*save"))
@@ -236,7 +231,7 @@ def paper_law(
 
 
 def hand_force(tables: Mapping[str, Any], t: float, r: Array, rdot: Array) -> Array:
-    """Force on the device without the hand's inertia: spring and damper about a minimum-jerk path, and a push."""
+    """Force on the device without the hand's inertia: spring, damper about a minimum-jerk path, push."""
     way = np.array(tables["waypoints_s_m"])
     k = int(np.clip(np.searchsorted(way[:, 0], t, side="right") - 1, 0, len(way) - 1))
     goal, speed = way[k, 1:], np.zeros(2)
@@ -254,12 +249,6 @@ def hand_force(tables: Mapping[str, Any], t: float, r: Array, rdot: Array) -> Ar
     return force
 
 
-def ticks(run: Run, period: float) -> Iterator[tuple[int, float]]:
-    """Number and time of every sample of a run."""
-    for k in range(len(run.samples["tick"])):
-        yield k, k * period
-
-
 class ExactSlider:
     """The sampled one-joint device solved exactly: matrix exponentials between samples, the law written out.
 
@@ -268,9 +257,9 @@ class ExactSlider:
     """
 
     def __init__(
-        self, *, inertia: float, radius: float, viscosity: float = 0.0, hand: tuple[float, float, float] = (0, 0, 0),
-        period: float, q_wall: float = 0.0, kp: float = 0.0, kd: float = 0.0, k_dp: float = 0.0,
-        path: str = "cmd", encoder_step: float = 0.0,
+        self, *, inertia: float, radius: float, viscosity: float = 0.0,
+        hand: tuple[float, float, float] = (0, 0, 0), period: float, q_wall: float = 0.0, kp: float = 0.0,
+        kd: float = 0.0, k_dp: float = 0.0, path: str = "cmd", encoder_step: float = 0.0,
     ) -> None:  # fmt: skip
         self.inertia, self.radius, self.viscosity, self.hand = inertia, radius, viscosity, hand
         self.period, self.q_wall, self.kp, self.kd, self.k_dp = period, q_wall, kp, kd, k_dp
@@ -313,7 +302,9 @@ class ExactSlider:
             ]
         )
 
-    def solve(self, q: float, v: float, samples: int, force: list[tuple[float, float]], times: Array) -> Array:
+    def solve(
+        self, q: float, v: float, samples: int, force: list[tuple[float, float]], times: Array
+    ) -> Array:
         """States (q, v) [len(times), 2] at ascending `times`; `force` are rows (t, N), linear between."""
         knots = np.array(force)
         state = np.array([q, v, force[0][1], 1.0])

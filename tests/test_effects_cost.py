@@ -38,11 +38,15 @@ def count(*effects: str, more: tuple[str, ...] = ()) -> int:
 
 
 def test_ideal_levels_add_no_equations() -> None:
-    """Per amplifier: none for ideal, 1 for gbw (as its file says); per multiplier 1; per motor 1 node, 1 branch."""
+    """Beyond ideal, gbw adds one equation an amplifier or multiplier, L a node and a branch a motor."""
     board = resolve(slope()).board
     bare = count()
     stages = {role: sum(a.role == role for a in board.amplifiers) for role in ("opamp", "vca", "driver")}
-    assert stages == {"opamp": 8, "vca": 8, "driver": 2}  # per joint angle, diff, der, sum; n^2 springs and dampers
+    assert stages == {
+        "opamp": 8,
+        "vca": 8,
+        "driver": 2,
+    }  # per joint angle, diff, der, sum; n^2 springs and dampers
     assert count("opamp=gbw") - bare == stages["opamp"]
     assert count("vca=gbw") - bare == stages["vca"]
     assert count("driver_level=gbw") - bare == stages["driver"]
@@ -55,7 +59,11 @@ def test_ideal_level_leaves_no_trace_of_the_deeper_ones() -> None:
     plain = size(resolve(slope()))["names"]
     deep = size(resolve(slope("opamp=full", "vca=full", "driver_level=full", "motor=full")))["names"]
     assert len(deep) >= len(plain) + 3 * 8 + 2 * 2  # at least three more an op-amp and two a motor
-    inner = [name for name in plain if any(name.endswith(tail) for tail in (".xop.x", ".xop.y", ".xmul.c", ".xmotor.a"))]
+    inner = [
+        name
+        for name in plain
+        if any(name.endswith(tail) for tail in (".xop.x", ".xop.y", ".xmul.c", ".xmotor.a"))
+    ]
     assert inner == []
 
 
@@ -158,7 +166,9 @@ def test_gravity_friction_and_coriolis_off_are_not_computed(tmp_path: Path) -> N
 # ---- potentiometer noise
 
 
-def white(rms: float = 0.006, seed: int = 0, bandwidth: float = 200.0, duration: float = 4.0) -> dict[str, Any]:
+def white(
+    rms: float = 0.006, seed: int = 0, bandwidth: float = 200.0, duration: float = 4.0
+) -> dict[str, Any]:
     """A joint held in free space by nothing: the noise does not move it."""
     return slider(
         seed=seed,
@@ -211,7 +221,10 @@ def test_noise_is_seeded_and_its_streams_do_not_know_of_each_other(tmp_path: Pat
     assert bytes_of(first) == bytes_of(again)
     assert np.abs(np.corrcoef(ticks(first), ticks(other))[0, 1]) < 4 / math.sqrt(50)
     # other effects, and a second joint, leave the first joint's values alone
-    dressed = quick(tmp_path, merge(white(seed=5, duration=0.2), {"effects": {"encoder": True, "dac": True, "motor": "emf"}}))
+    dressed = quick(
+        tmp_path,
+        merge(white(seed=5, duration=0.2), {"effects": {"encoder": True, "dac": True, "motor": "emf"}}),
+    )
     np.testing.assert_allclose(ticks(dressed), ticks(first), atol=1e-15)
     noise = ("pot_noise=white",)
     more = ("seed=5", "device.potentiometer.noise_bandwidth_hz=200.0")
@@ -291,7 +304,9 @@ def test_energy_ledger_closes(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize("name", ["drop", "slope"])
 def test_energy_ledger_closes_with_coulomb_friction(tmp_path: Path, name: str) -> None:
-    scenes = [load_scene(SCENES / f"{name}.toml", ["effects.coulomb=true", tolerance]) for tolerance in TOLERANCES]
+    scenes = [
+        load_scene(SCENES / f"{name}.toml", ["effects.coulomb=true", tolerance]) for tolerance in TOLERANCES
+    ]
     coarse, fine = (simulate(scene, tmp_path / str(k)) for k, scene in enumerate(scenes))
     closes(coarse, 1e-5)
     closes(fine)

@@ -34,8 +34,8 @@ from cosim.scene import load_scene
 RADIUS = 0.1333
 ENCODER = 2 * math.pi / (500 * 4 * GEAR)
 
-#: What op-amps of gain 1e9 with noise gains up to 18 leave of an ideal circuit: 3e-8 of half a radian of travel,
-#: carried along by ten bounces.
+#: What op-amps of gain 1e9 with noise gains up to 18 leave of an ideal circuit: 3e-8 of half a radian of
+#: travel, carried along by ten bounces.
 IDEAL_RAD = 2e-7
 #: Issue bound for agreement with a reference [m].
 MICROMETRE = 1e-6
@@ -95,7 +95,9 @@ def test_mass_dropped_on_the_wall_follows_the_exact_sampled_solution(
     assert error * RADIUS < MICROMETRE
 
 
-def slope_reference(kind: str, *, encoder: bool, emf: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def slope_reference(
+    kind: str, *, encoder: bool, emf: bool = True
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Sample times, states (q, v) there and force of the hand [N] just before, of scenes/`kind`.toml."""
     import tomllib  # the file is read as a user reads it, not through the loader
 
@@ -129,7 +131,7 @@ def slope_reference(kind: str, *, encoder: bool, emf: bool = True) -> tuple[np.n
         spring, u = asked["ksp"] * SPRING_TRUE / K_FS, asked["u"] * V_RAD / POT_V
         command = asked["cmd"] * COMMAND_TRUE * V_NM
 
-        def rates(t: float, y: np.ndarray, spring=spring, u=u, command=command) -> np.ndarray:  # noqa: B006
+        def rates(t: float, y: np.ndarray, spring=spring, u=u, command=command) -> np.ndarray:
             q, v = y[:2], y[2:]
             jac = arm.jacobian(q)
             push = hand_force(hand, t, arm.tip(q), jac @ v)
@@ -176,7 +178,8 @@ def test_slope_follows_dop853_on_the_textbook_equations(tmp_path: Path, kind: st
     peak = np.hypot(*forces.T).max()
     estimate = run.stats["defect_sum_rad"]
     print(
-        f"{kind}: tip {off.max():.2e} m, force {miss.max() / peak:.1e} of its peak {peak:.2f} N, angle {angle:.1e} rad, "
+        f"{kind}: tip {off.max():.2e} m, force {miss.max() / peak:.1e} of its peak {peak:.2f} N, "
+        f"angle {angle:.1e} rad, "
         f"printed estimate {estimate:.1e} rad, {len(t)} points"
     )
     assert np.asarray(run.samples["contact"]).sum() > 40
