@@ -168,8 +168,8 @@ def test_two_mass_oscillator_split_over_the_coupling(tmp_path: Path) -> None:  #
 
 
 def test_parallel_coupling_does_not_grow(tmp_path: Path) -> None:  # 33
-    # Exchanging held values every H = 0.01 s grows at k_c H / (4 m) = 16 pi^2 H / 4 = 0.3948 a second, 50 times
-    # in ten seconds. The predictor must keep that below a hundredth of it (seen: 3.4e-4 a second).
+    # Exchanging held values every H = 0.01 s grows at k_c H / (4 m) = 16 pi^2 H / 4 = 0.3948 a second, 50
+    # times in ten seconds. The predictor must keep that below a hundredth of it (seen: 3.4e-4 a second).
     run, error = two_masses(tmp_path, 0.01, 10.0)
     energy = np.asarray(run.signals["e_kin"]) + np.asarray(run.signals["e_spring"])
     rate = math.log(energy[-1] / energy[0]) / 2 / 10.0
