@@ -1,0 +1,341 @@
+"""Rational fit of frequency responses that share their poles, and its real, stable state space.
+
+AAA (Nakatsukasa, Sete and Trefethen, SIAM J. Sci. Comput. 40, A1494, 2018) on all paths of a block at once
+(Lietaert, Meerbergen, Perez and Vandereycken, IMA J. Numer. Anal. 42, 1087, 2022), with support points in
+conjugate pairs, so that everything is real: the poles are common to the paths by construction and each is
+found where it shows best. The poles alone are taken from it. Residues come from linear least squares, where
+a pole that no path needs (a Froissart doublet) shows by its small share and goes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from cosim.circuits.linear import rational
+
+__all__ = ["FitError", "Modes", "fit"]
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: AAA goes on to this error relative to each path's maximum; rounding in `.ac` is at 1e-16 to 1e-14.
+_FINE = 1e-13
+#: A fit worse than this is none.
+_GOOD = 1e-10
+#: A pole whose share of every path stays below this is spurious.
+_SPURIOUS = 1e-12
+#: Poles nearer to each other than this (relative) share a chain instead of having residues of their own.
+_NEAR = 0.1
+#: Paths weaker than this share of the strongest path to the same output are fitted to that share's measure.
+_WEAK = 1e-6
+#: Error that a smaller number of copies of a chain may make, relative to each path's maximum.
+_RANK = 1e-11
+_MOST_PAIRS = 40
+#: Poles this much faster than the fastest point measured are part of the feedthrough.
+_BEYOND = 1e4
+_NEWTON = 5
+
+
+class FitError(Exception):
+    """No rational function of reasonable order fits, or only one with a pole in the right half plane.
+
+    Parameters
+    ----------
+    message
+        What is wrong.
+    poles
+        Poles [rad/s] in the right half plane, if that is the reason.
+    """
+
+    def __init__(self, message: str, poles: Complex | None = None) -> None:
+        super().__init__(message)
+        self.poles = poles
+
+
+@dataclass(frozen=True)
+class Modes:
+    """H(s) = C (sI - A)^-1 B + D with A in blocks along the diagonal, one for each group of near poles.
+
+    Attributes
+    ----------
+    a, b, c, d
+        Real matrices; A is block diagonal with 1x1, 2x2 and (near poles) lower triangular blocks.
+    poles
+        Poles [rad/s], those of each block together.
+    blocks
+        Sizes of the blocks.
+    error
+        [outputs, inputs], largest error at the measured points relative to the path's maximum.
+    """
+
+    a: Array
+    b: Array
+    c: Array
+    d: Array
+    poles: Complex
+    blocks: tuple[int, ...]
+    error: Array
+
+
+def fit(s: Complex, h: Complex) -> Modes:
+    """Fit responses with one set of poles.
+
+    Parameters
+    ----------
+    s
+        [F], points jw with w > 0 [rad/s].
+    h
+        [F, outputs, inputs].
+
+    Raises
+    ------
+    FitError
+        When no rational function fits, or when one fits that has a pole in the right half plane.
+    """
+    size, rows, columns = h.shape
+    own = np.abs(h).max(axis=0)
+    # what is weaker than _WEAK of its row is known, to rounding, only relative to the row
+    scale = np.maximum(own, _WEAK * own.max(axis=1, keepdims=True))
+    scale[scale == 0.0] = 1.0
+    f = (h / scale).reshape(size, rows * columns)
+    poles = _needed(s, f[:, _distinct(f)])
+    chains = _chains(poles)
+    basis = _basis(s, chains)
+    weights = _least_squares(basis, f).reshape(-1, rows, columns)
+    modes = _realise(chains, weights, np.abs(basis).max(axis=0), scale)
+    error = np.abs(rational(s, modes.a, modes.b, modes.c, modes.d) - h).max(axis=0) / scale
+    if error.max(initial=0.0) > _GOOD:
+        raise FitError(f"order {len(modes.a)} leaves an error of {error.max():.1e} of the path's maximum")
+    return replace(modes, error=error)
+
+
+def _distinct(f: Complex) -> list[int]:
+    """Return the columns that are not equal to an earlier one (equal channels are common, and cost time)."""
+    found: list[int] = []
+    for k in range(f.shape[1]):
+        if np.abs(f[:, k]).max() > 0.0 and all(np.abs(f[:, k] - f[:, i]).max() > _FINE for i in found):
+            found.append(k)
+    return found
+
+
+def _needed(s: Complex, f: Complex) -> Complex:
+    """Return the poles that the paths need, one of each conjugate pair."""
+    if f.shape[1] == 0:
+        return np.empty(0, complex)
+    every = _aaa(s, f)
+    poles = every[every.real < 0.0]
+    misfit = _misfit(s, f, poles)
+    if len(poles) < len(every) and misfit > _GOOD and misfit > 100.0 * _misfit(s, f, every):
+        share = _shares(s, f, every)
+        wrong = (every.real >= 0.0) & (share > _GOOD)
+        raise FitError("a pole lies in the right half plane", every[wrong])
+    limit = max(_SPURIOUS, 3.0 * misfit)
+    while len(poles):
+        rest = np.delete(poles, int(np.argmin(_shares(s, f, poles))))
+        if _misfit(s, f, rest) > limit:
+            break
+        poles = rest
+    return poles
+
+
+def _misfit(s: Complex, f: Complex, poles: Complex) -> float:
+    basis = _basis(s, _chains(poles))
+    return float(np.abs(basis @ _least_squares(basis, f) - f).max())
+
+
+def _shares(s: Complex, f: Complex, poles: Complex) -> Array:
+    """Return how much of any path each pole makes at most; within a chain all count as much."""
+    chains = _chains(poles)
+    basis = _basis(s, chains)
+    weights = np.abs(_least_squares(basis, f)).max(axis=1) * np.abs(basis).max(axis=0)
+    out, at = np.zeros(len(poles)), 1
+    for chain in chains:
+        size = sum(_states(pole) for pole in chain)
+        last = _states(chain[-1])  # the end of a chain is what its poles make together
+        for pole in chain:
+            out[poles == pole] = weights[at + size - last : at + size].max()
+        at += size
+    return out
+
+
+def _states(pole: complex) -> int:
+    return 2 if pole.imag else 1
+
+
+def _chains(poles: Complex) -> list[list[complex]]:
+    """Group poles that lie near to each other, by ascending magnitude."""
+    chains: list[list[complex]] = []
+    for pole in poles[np.argsort(np.abs(poles))].tolist():
+        near = [c for c in chains if any(abs(pole - other) < _NEAR * abs(pole) for other in c)]
+        merged = [other for chain in near for other in chain] + [pole]
+        chains = [chain for chain in chains if chain not in near] + [merged]
+    return chains
+
+
+def _basis(s: Complex, chains: list[list[complex]]) -> Complex:
+    """Return 1 and the states of the chains driven by 1; shape [F, 1 + states]."""
+    columns = [np.ones(len(s), complex)]
+    for chain in chains:
+        drive = np.ones(len(s), complex)
+        for pole in chain:
+            size = abs(pole)
+            if pole.imag:
+                drive = drive * size**2 / (s * s - 2.0 * pole.real * s + size**2)
+                columns += [drive, drive * s / size]
+            else:
+                drive = drive * size / (s - pole.real)
+                columns.append(drive)
+    return np.stack(columns, axis=1)
+
+
+def _blocks(chain: list[complex]) -> tuple[Array, Array]:
+    """Return A and B of a chain, whose states `_basis` evaluates."""
+    size = sum(_states(pole) for pole in chain)
+    a, b = np.zeros((size, size)), np.zeros(size)
+    at, previous = 0, None
+    for pole in chain:
+        rate = abs(pole)
+        if pole.imag:
+            a[at : at + 2, at : at + 2] = [[0.0, rate], [-rate, 2.0 * pole.real]]
+            driven = at + 1
+        else:
+            a[at, at] = pole.real
+            driven = at
+        if previous is None:
+            b[driven] = rate
+        else:
+            a[driven, previous] = rate
+        previous = at
+        at += _states(pole)
+    return a, b
+
+
+def _least_squares(basis: Complex, f: Complex) -> Array:
+    """Return real weights [1 + states, paths] that make `basis @ weights` nearest to `f`."""
+    left = np.concatenate([basis.real, basis.imag])
+    right = np.concatenate([f.real, f.imag])
+    size = np.abs(left).max(axis=0)
+    out: Array = np.linalg.lstsq(left / size, right, rcond=1e-15)[0] / size[:, None]
+    return out
+
+
+def _realise(chains: list[list[complex]], weights: Array, peaks: Array, scale: Array) -> Modes:
+    """Make the smallest state space of each chain: as many copies as its weights have rank.
+
+    `weights` [1 + states, outputs, inputs] belong to paths divided by `scale`; `peaks` are the largest
+    values of the basis functions.
+    """
+    parts: list[tuple[Array, Array, Array]] = []
+    at = 1
+    for chain in chains:
+        a, b = _blocks(chain)
+        size = len(a)
+        share = weights[at : at + size]
+        height = peaks[at : at + size, None, None]
+        parts.append(_copies(a, b, share, height, scale))
+        at += size
+    order = sum(len(a) for a, _, _ in parts)
+    inputs, outputs = weights.shape[2], weights.shape[1]
+    return Modes(
+        scipy.linalg.block_diag(*[a for a, _, _ in parts]) if order else np.zeros((0, 0)),
+        np.concatenate([np.zeros((0, inputs)), *[b for _, b, _ in parts]]),
+        np.concatenate([np.zeros((outputs, 0)), *[c for _, _, c in parts]], axis=1),
+        weights[0] * scale,
+        np.array([pole for chain in chains for pole in chain], complex),
+        tuple(len(a) for a, _, _ in parts),
+        np.zeros((outputs, inputs)),
+    )
+
+
+def _copies(a: Array, b: Array, weights: Array, peaks: Array, scale: Array) -> tuple[Array, Array, Array]:
+    """Return A, B, C of one chain: a copy for each direction of its inputs, or of its outputs if fewer."""
+    size, outputs, inputs = weights.shape
+    by_input = _directions(weights, scale, peaks)
+    by_output = _directions(weights.transpose(0, 2, 1), scale.T, peaks)
+    true = weights * scale
+    if len(by_input) <= len(by_output):
+        copies = len(by_input)
+        c = np.einsum("koi,ri->ork", true, by_input).reshape(outputs, copies * size)
+        return np.kron(np.eye(copies), a), np.kron(by_input, b[:, None]), c
+    copies = len(by_output)
+    back = np.einsum("koi,ro->rki", true, by_output).reshape(copies * size, inputs)
+    return np.kron(np.eye(copies), a.T), back, np.kron(by_output.T, b[None, :])
+
+
+def _directions(weights: Array, scale: Array, peaks: Array) -> Array:
+    """Return as few orthonormal rows as span the last axis of `weights * scale` to the fit's own error."""
+    true = weights * scale
+    rows = true / scale.max(axis=1, keepdims=True)  # outputs count alike, whatever their units
+    _, _, span = np.linalg.svd(rows.reshape(-1, rows.shape[2]), full_matrices=False)
+    for rank in range(len(span)):
+        missed = true - true @ span[:rank].T @ span[:rank]
+        if np.abs(missed / scale * peaks).max(initial=0.0) <= _RANK:
+            return np.asarray(span[:rank])
+    return np.asarray(span)
+
+
+def _aaa(s: Complex, f: Complex) -> Complex:
+    """Return the poles of the AAA fit of all columns of `f`, one of each conjugate pair.
+
+    Every support point jw brings -jw with it and the conjugate weight, so 2 real unknowns.
+    """
+    support: list[int] = []
+    fitted = np.broadcast_to(f.real.mean(axis=0), f.shape).astype(complex)
+    best, found, stale = np.inf, (s[:0], s[:0]), 0
+    for _ in range(min(_MOST_PAIRS, len(s) // 4)):
+        wrong = np.abs(f - fitted).max(axis=1)
+        wrong[support] = 0.0
+        support.append(int(np.argmax(wrong)))
+        rest = np.ones(len(s), bool)
+        rest[support] = False
+        at, value = s[support], f[support]
+        near, far = 1.0 / (s[rest, None] - at), 1.0 / (s[rest, None] + at)
+        low = (f[rest][:, None] - value) * near[:, :, None]
+        high = (f[rest][:, None] - value.conj()) * far[:, :, None]
+        loewner = np.concatenate([low + high, 1j * (low - high)], axis=1).transpose(0, 2, 1)
+        loewner = loewner.reshape(-1, 2 * len(support))
+        upper = np.linalg.qr(np.concatenate([loewner.real, loewner.imag]), mode="r")
+        last = np.linalg.svd(upper)[2][-1]
+        weight = last[: len(support)] + 1j * last[len(support) :]
+        above = near @ (weight[:, None] * value) + far @ (weight[:, None] * value).conj()
+        fitted = f.copy()
+        fitted[rest] = above / (near @ weight + far @ weight.conj())[:, None]
+        error = float(np.abs(f - fitted).max())
+        stale = 0 if error < 0.1 * best else stale + 1
+        if error < best:
+            best, found = error, (at, weight)
+        if best < _FINE or (best < _GOOD and stale > 2):
+            break
+    return _zeros(*found)
+
+
+def _zeros(at: Complex, weight: Complex) -> Complex:
+    """Return the zeros of sum(weight/(s - at) + conj(weight)/(s + at)), one of each conjugate pair."""
+    pairs = len(at)
+    a, b = np.zeros((2 * pairs + 1, 2 * pairs + 1)), np.eye(2 * pairs + 1)
+    b[0, 0] = 0.0
+    for k in range(pairs):
+        i = 1 + 2 * k
+        # each row divided by its frequency: they range over ten decades
+        a[i, 0], a[i, i + 1], a[i + 1, i] = 1.0 / at[k].imag, -1.0, 1.0
+        b[i, i] = b[i + 1, i + 1] = 1.0 / at[k].imag
+        a[0, i], a[0, i + 1] = 2.0 * weight[k].real, -2.0 * weight[k].imag
+    # one zero more than there are is infinite, and comes out so or very large
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = scipy.linalg.eigvals(a, b)
+    found = found[np.isfinite(found)]
+    found = found[np.abs(found) < _BEYOND * np.abs(at).max()]
+    real = np.abs(found.imag) <= 1e-14 * np.abs(found)
+    found = np.where(real, found.real, found)
+    for _ in range(_NEWTON):
+        near, far = 1.0 / (found[:, None] - at), 1.0 / (found[:, None] + at)
+        step = (near @ weight + far @ weight.conj()) / (near**2 @ weight + far**2 @ weight.conj())
+        # a step in the wrong by rounding must not tear a double zero apart
+        found = found + np.where(np.abs(step) < 1e-3 * np.abs(found), step, 0.0)
+    found = np.where(real, found.real, found)
+    out: Complex = found[real | (found.imag > 0.0)]
+    return out

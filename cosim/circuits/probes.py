@@ -1,0 +1,65 @@
+"""Where a board lets us look: its 0 V sources, found by walking the netlist."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cosim.ngspice.deck import Deck
+from cosim.ngspice.lines import number, tokens
+from cosim.ngspice.netlist import Block, parse
+
+__all__ = ["Probe", "find_probes"]
+
+
+@dataclass(frozen=True)
+class Probe:
+    """A 0 V source inside the board.
+
+    Attributes
+    ----------
+    group
+        Path of the instance it stands in, ``xboard.xksp11``; the probes of one multiplier share it.
+    source
+        Name by which ngspice alters it.
+    nodes
+        ngspice's names of the nodes at its two ends.
+    """
+
+    group: str
+    source: str
+    nodes: tuple[str, str]
+
+
+def find_probes(board: Deck) -> list[Probe]:
+    """Return every 0 V source of the board outside nested definitions, in the order of the netlist."""
+    net = parse(board.lines[1:])
+    found: list[Probe] = []
+
+    def walk(block: Block, path: str, nets: dict[str, str]) -> None:
+        def named(node: str) -> str:
+            return nets.get(node, "0" if node in ("0", "gnd") else f"{path}.{node}")
+
+        for words in _sources(block):
+            first, second = (named(word.lower()) for word in words[1:3])
+            found.append(Probe(path, f"v.{path}.{words[0].lower()}", (first, second)))
+        for instance in block.instances():
+            child = net.blocks.get(instance.block)
+            if child is not None:
+                inner = dict(zip(child.pins, map(named, instance.nodes), strict=False))
+                walk(child, f"{path}.{instance.name}", inner)
+
+    walk(net.blocks[board.board], "xboard", {pin: pin for pin in board.pins})
+    return found
+
+
+def _sources(block: Block) -> list[list[str]]:
+    """Return the words of each ``Vname a b [dc] 0`` line outside nested definitions."""
+    found, depth = [], 0
+    for line in block.body:
+        depth += (line.keyword == ".subckt") - (line.keyword in (".ends", ".eom"))
+        words = tokens(line.text)
+        if depth == 0 and words[0][0] in "vV" and len(words) >= 3:
+            value = [word for word in words[3:] if word.lower() != "dc"]
+            if not value or (len(value) == 1 and number(value[0]) == 0.0):
+                found.append(words)
+    return found
