@@ -14,7 +14,7 @@ from cosim.circuits.boardgen import write_board
 from cosim.circuits.spice import Tolerances
 from cosim.errors import InputError
 from cosim.export import export
-from cosim.export.waveform import RISE_S, channel, pwl, straightened
+from cosim.export.waveform import RISE_S, channel, source, straightened
 from cosim.plan import resolve
 from cosim.rawfile import read_raw
 from cosim.run import run as run_plan
@@ -137,8 +137,9 @@ def test_any_number_of_links(tmp_path, n):
     check_agreement(*both_sides(tmp_path, file))
 
 
-def test_replay_gives_the_recorded_currents(tmp_path):
-    run = simulate(load_scene(SCENES / "slope.toml"), tmp_path / "run")
+@pytest.mark.parametrize("noise", ["none", "white"])
+def test_replay_gives_the_recorded_currents(tmp_path, noise):
+    run = simulate(load_scene(SCENES / "slope.toml", (f'effects.pot_noise="{noise}"',)), tmp_path / "run")
     again = ngspice(export(resolve(run.scene), run, tmp_path / "replay.cir", "replay"))
     peak = max(np.abs(run.signals["imot1"]).max(), np.abs(run.signals["imot2"]).max())
     for name in ("imot1", "imot2"):
@@ -228,7 +229,7 @@ def test_a_channel_that_settles_keeps_its_ramp():
 
 
 def test_a_constant_channel_is_a_number():
-    assert pwl(*channel(np.array([0.0, 1.0]), np.array([2.5, 2.5]), 0.0)) == "dc 2.5"
+    assert source("u1", *channel(np.array([0.0, 1.0]), np.array([2.5, 2.5]), 0.0)) == "Vu1 u1 0 dc 2.5"
 
 
 def test_straight_lines_lose_their_inner_points():

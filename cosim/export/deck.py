@@ -12,7 +12,7 @@ import numpy as np
 from cosim.circuits.spice import testbench
 from cosim.errors import InputError, Problem, fail
 from cosim.export.mechanics import mechanics
-from cosim.export.waveform import channels, pwl
+from cosim.export.waveform import channels, source, stopping_source
 from cosim.loop.setup import mechanism, operator, start
 from cosim.plan import Plan
 from cosim.results import Run
@@ -71,13 +71,15 @@ def _check_run(plan: Plan, run: Run) -> None:
 def _replay(plan: Plan, run: Run) -> list[str]:
     circuit, signals = plan.circuit, run.signals
     time = np.asarray(signals["time"])
-    sources = channels(plan.scene, signals, circuit.channels)
     gear = _constant(run, "gear")
+    # angles are smooth between samples, unless noise bends them at any point
+    angle = source if plan.scene.effects.pot_noise is PotNoise.NONE else stopping_source
+    sources = channels(plan.scene, signals, circuit.channels)
     for j in range(1, circuit.joints + 1):
-        sources[f"pot{j}"] = pwl(time, np.asarray(signals[f"pot{j}"]))
+        sources.append(angle(f"pot{j}", time, np.asarray(signals[f"pot{j}"])))
         if circuit.speeds:
-            sources[f"vel{j}"] = pwl(time, gear * np.asarray(signals[f"v{j}"]))
-    return _deck(plan, "replay of recorded sources", testbench(plan.board, circuit, sources), [])
+            sources.append(source(f"vel{j}", time, gear * np.asarray(signals[f"v{j}"])))
+    return _deck(plan, "replay of recorded sources", sources, [])
 
 
 def _monolithic(plan: Plan, run: Run) -> list[str]:
@@ -88,13 +90,13 @@ def _monolithic(plan: Plan, run: Run) -> list[str]:
     q, v = start(scene, linkage)
     p, op = linkage.pack()[0], operator(scene).pack()[0]
     moving = mechanics(p, op, q, v, gear, _constant(run, "kt"), circuit.speeds)
-    bench = testbench(plan.board, circuit, channels(scene, run.signals, circuit.channels))
+    commands = channels(scene, run.signals, circuit.channels)
     shown = ["x", "y"]
     if scene.operator.type != "none":
         shown += ["fx", "fy"]
     for j in range(1, circuit.joints + 1):
         shown += [f"pot{j}", f"w{j}"]
-    return _deck(plan, "circuit, linkage and operator", [*bench, *moving], shown)
+    return _deck(plan, "circuit, linkage and operator", [*commands, *moving], shown)
 
 
 def _check_carried(scene: Scene) -> None:
@@ -127,6 +129,7 @@ def _deck(plan: Plan, what: str, elements: list[str], shown: list[str]) -> list[
         f"{title}: {what}",
         f"* {plan.board.board}, sha256 {plan.board.digest}. Run with `ngspice -b{_behaviour(board)}`.",
         *board[1:],
+        *testbench(plan.board, circuit, {}),
         *elements,
         plan.tolerances.line(),
         f".tran {scene.solver.max_step_s!r} {scene.duration_s!r} 0 {scene.solver.max_step_s!r}",
@@ -147,8 +150,8 @@ def _measures(currents: list[str], shown: list[str], end: float) -> list[str]:
     for name in currents:
         lines += [f".meas tran {name}_{kind} {kind} v({name})" for kind in ("max", "min")]
         lines.append(f".meas tran {name}_rms rms v({name})")
-    for name in shown:
-        lines.append(f".meas tran {name}_end find v({name}) at={end!r}")
+    # a shade before the end: rounding must not put it behind the last point
+    lines += [f".meas tran {name}_end find v({name}) at={end * (1 - 1e-9)!r}" for name in shown]
     return lines
 
 

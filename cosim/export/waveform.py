@@ -65,15 +65,48 @@ def straightened(t: Vector, v: Vector) -> tuple[Vector, Vector]:
     return t[keep], v[keep]
 
 
-def pwl(t: Vector, v: Vector) -> str:
-    """Return what follows the nodes of a source: `dc`, or `pwl(...)` with all digits."""
-    if len(t) == 1 or np.all(v == v[0]):
-        return f"dc {float(v[0])!r}"
-    return "pwl(" + " ".join(f"{float(a)!r} {float(b)!r}" for a, b in zip(t, v, strict=True)) + ")"
+def source(node: str, t: Vector, v: Vector) -> str:
+    """Return a source of piecewise linear voltage at a node, with all digits.
+
+    A B-source finds its place among the corners by bisection, where the time of a V-source's `pwl` grows with
+    their number; but it makes ngspice stop at none of them: see `clocks`. Its `pwl` goes on along the first and
+    the last line, so both are made level.
+    """
+    if np.all(v == v[0]):
+        return f"V{node} {node} 0 dc {float(v[0])!r}"
+    t = np.concatenate([[t[0] - 1.0], t, [t[-1] + 1.0]])
+    v = np.concatenate([v[:1], v, v[-1:]])
+    corners = ",".join(f"{float(a)!r},{float(b)!r}" for a, b in zip(t, v, strict=True))
+    return f"B{node} {node} 0 v=pwl(time,{corners})"
 
 
-def channels(scene: Scene, signals: Mapping[str, Vector], names: tuple[str, ...]) -> dict[str, str]:
-    """Return the sources of the DAC channels `names` as recorded in `signals`."""
+def stopping_source(node: str, t: Vector, v: Vector) -> str:
+    """Return the same as a V-source, at each of whose corners ngspice stops."""
+    corners = " ".join(f"{float(a)!r} {float(b)!r}" for a, b in zip(t, v, strict=True))
+    return f"V{node} {node} 0 pwl({corners})"
+
+
+def channels(scene: Scene, signals: Mapping[str, Vector], names: tuple[str, ...]) -> list[str]:
+    """Return the sources of the DAC channels `names` as recorded in `signals`, and their clocks."""
     time = np.asarray(signals["time"])
     settle = settling_s(scene)
-    return {name: pwl(*channel(time, np.asarray(signals[name]), settle)) for name in names}
+    lines = [source(name, *channel(time, np.asarray(signals[name]), settle)) for name in names]
+    return lines + clocks(scene)
+
+
+def clocks(scene: Scene) -> list[str]:
+    """Return sources that make ngspice stop where DACs begin and end to change.
+
+    A pulse toggles at every sample with the slope of the DACs: its corners are theirs. With skew, the
+    equilibria's DACs have a clock of their own.
+    """
+    computer, effects = scene.computer, scene.effects
+    period, rise = computer.period_s, settling_s(scene) or RISE_S
+    starts = [computer.delay_fraction * period if effects.delay else 0.0]
+    if effects.dac and computer.dac.skew_s > 0.0:
+        starts.append(starts[0] + computer.dac.skew_s)
+    return [
+        f"Vclock{k} clock{k} 0 pulse(0 1 {start!r} {rise!r} {rise!r} {period - rise!r} {2 * period!r})"
+        for k, start in enumerate(starts)
+        if rise < period
+    ]
