@@ -587,7 +587,7 @@ def test_a_law_of_the_wrong_shape_or_without_method_is_told(tmp_path: Path) -> N
         quick(tmp_path, slider(computer={"law": "law.py:Shape"}))
     for law_name, words in (
         ("law.py:NoMethod", "control"),
-        ("law.py:Absent", "Absent"),
+        ("law.py:Absent", "computer.law"),
         ("gone.py:Law", "no such file"),
     ):
         with pytest.raises(InputError, match=words):
