@@ -1,1 +1,1 @@
-"""Peers side by side: `python -m benchmarks` measures ratios in one run and writes `benchmarks/latest.json`."""
+"""Peers side by side: `python -m benchmarks` measures ratios in one run and writes `latest.json`."""

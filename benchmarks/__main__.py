@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cosim.compiled import cache_folder
+
+if TYPE_CHECKING:
+    from benchmarks.figure import Figure
 
 HERE = Path(__file__).resolve().parent
 REPETITIONS = 15
@@ -15,11 +20,9 @@ REPETITIONS = 15
 
 def main() -> int:
     """Measure the figures asked for; exit code 1 when one misses its target."""
-    import os
-
     os.environ.setdefault("NUMBA_CACHE_DIR", cache_folder())
     from benchmarks.anatomy import anatomy
-    from benchmarks.figure import TARGETS, Figure
+    from benchmarks.figure import TARGETS
     from benchmarks.suite import SUITE
     from benchmarks.table import show
 
@@ -46,7 +49,7 @@ def main() -> int:
     return 0 if all(found.met for found in figures) else 1
 
 
-def write(path: Path, figures: "list[Figure]") -> None:  # noqa: F821
+def write(path: Path, figures: list[Figure]) -> None:
     """Write the figures in place of those of the same name; others in the file stay."""
     fresh = {found.name: found.as_dict() for found in figures}
     kept = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []

@@ -17,7 +17,6 @@ import numba
 import numpy as np
 from llvmlite import ir
 from numba import carray, cfunc, njit, types
-from numba.core import types as numba_types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
@@ -31,7 +30,7 @@ from cosim.plan import Plan
 
 _f8, _i4, _i8, _u1 = types.float64, types.int32, types.int64, types.uint8
 _DOUBLE, _INT, _LONG = ir.DoubleType(), ir.IntType(32), ir.IntType(64)
-#: Columns of the log: which callback (0 source, 1 sync, 2 data), time, source number or location, delta, redo.
+#: Columns of the log: callback (0 source, 1 sync, 2 data), time, source's number or location, delta, redo.
 _WIDTH = 5
 _LOG = np.dtype(
     [
@@ -52,7 +51,7 @@ _log = numba.from_dtype(_LOG)
 
 def _caller(answer: Any, *given: Any) -> Any:
     """Make an intrinsic that calls a C function at an address; integers of 64 bits are pointers."""
-    native = {numba_types.float64: _DOUBLE, numba_types.int32: _INT, numba_types.int64: _LONG}
+    native = {types.float64: _DOUBLE, types.int32: _INT, types.int64: _LONG}
 
     def call(typing_context: Any, address: Any, arguments: Any) -> Any:
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -60,28 +59,27 @@ def _caller(answer: Any, *given: Any) -> Any:
             values = [builder.extract_value(args[1], i) for i in range(len(given))]
             return builder.call(builder.inttoptr(args[0], function.as_pointer()), values)
 
-        return answer(numba_types.int64, numba_types.Tuple(given)), codegen
+        return answer(types.int64, types.Tuple(given)), codegen
 
     return intrinsic(call)
 
 
-_I, _L, _D = numba_types.int32, numba_types.int64, numba_types.float64
+_I, _L, _D = types.int32, types.int64, types.float64
 _call_source = _caller(_I, _L, _D, _L, _I, _L)
 _call_sync = _caller(_I, _D, _L, _D, _I, _I, _I, _L)
 _call_data = _caller(_I, _L, _I, _I, _L)
 
 
-@intrinsic
 def _address(typing_context: Any, pointer: Any) -> Any:
     """Integer address of a pointer."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.ptrtoint(args[0], _LONG)
 
-    return numba_types.int64(pointer), codegen
+    return types.int64(pointer), codegen
 
 
-address_of: Any = _address
+address_of: Any = intrinsic(_address)
 
 
 @njit
@@ -96,14 +94,16 @@ def _source(voltage: Any, t: float, name: Any, ident: int, user: Any) -> int:
     log = carray(user, 1)[0]
     digits = carray(name, 3)
     _note(log, 0.0, t, (digits[1] - 48) * 10 + digits[2] - 48, 0.0, 0.0)
-    return _call_source(log.source, (address_of(voltage), t, address_of(name), ident, log.user))
+    answer: int = _call_source(log.source, (address_of(voltage), t, address_of(name), ident, log.user))
+    return answer
 
 
 @cfunc(_i4(_f8, types.CPointer(_f8), _f8, _i4, _i4, _i4, types.CPointer(_log)))
 def _sync(t: float, delta: Any, old: float, redo: int, ident: int, where: int, user: Any) -> int:
     log = carray(user, 1)[0]
     _note(log, 1.0, t, where, delta[0], redo)
-    return _call_sync(log.sync, (t, address_of(delta), old, redo, ident, where, log.user))
+    answer: int = _call_sync(log.sync, (t, address_of(delta), old, redo, ident, where, log.user))
+    return answer
 
 
 @cfunc(_i4(types.CPointer(_i8), _i4, _i4, types.CPointer(_log)))
@@ -116,7 +116,8 @@ def _data(data: Any, count: int, ident: int, user: Any) -> int:
     for i in range(count):
         row[i] = vector_value(entries, i)
     log.points += 1
-    return _call_data(log.data, (address_of(data), count, ident, log.user))
+    answer: int = _call_data(log.data, (address_of(data), count, ident, log.user))
+    return answer
 
 
 @cfunc(_i4(types.CPointer(_f8), _f8, types.CPointer(_u1), _i4, types.CPointer(_u1)))
@@ -207,7 +208,9 @@ class CallLog:
         simulator = Simulator()
         simulator.load(lockstep_deck(plan.board, plan.circuit, plan.tolerances, nodes))
         constants = read_constants(simulator, str(plan.board.path))
-        self.memory: Memory = pack(plan.scene, constants, plan.circuit, plan.recorded, nodes[len(plan.recorded) :])
+        self.memory: Memory = pack(
+            plan.scene, constants, plan.circuit, plan.recorded, nodes[len(plan.recorded) :]
+        )
         state = self.memory.state[0]
         self._folder = tempfile.TemporaryDirectory(prefix="cosim-bench-")
         self._recorder = Recorder(self.memory, simulator, Path(self._folder.name), lambda progress: None)
@@ -240,9 +243,7 @@ class CallLog:
             sync=_sync.address,
             user=log.ctypes.data,
         )
-        simulator.command(
-            f"tran {solver.max_step_s!r} {plan.scene.duration_s!r} 0 {solver.max_step_s!r}"
-        )
+        simulator.command(f"tran {solver.max_step_s!r} {plan.scene.duration_s!r} 0 {solver.max_step_s!r}")
         self._recorder.drain()
         used, width = int(log["used"][0]), int(log["vectors"][0])
         self.points = int(log["points"][0])
@@ -290,13 +291,13 @@ class CallLog:
         return elapsed
 
     def _check(self) -> None:
-        """The repeated run must have done the same work: its state ends where the run's ended."""
+        """Make sure that the same work was done: the state ends where that of the run ended."""
         for field in ("t", "q", "v", "a", "points", "tick", "defect_sum"):
             if not np.array_equal(self.memory.state[field], self.after[field]):
                 raise RuntimeError(f"the repeated calls ended elsewhere: {field}")
 
     def parts(self) -> dict[str, int]:
-        """Number of calls of each callback."""
+        """Count the calls of each callback."""
         kinds = self.calls[:, 0]
         return {
             "source": int((kinds == 0).sum()),

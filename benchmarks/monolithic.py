@@ -13,7 +13,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +69,7 @@ class Steps:
 
 
 def recorded_steps(plan: Plan, run: Outcome) -> Steps:
-    """Read the DAC voltages of a lockstep run (kept signals) off its signals, just before each next sample."""
+    """Read the DAC voltages off the signals of a lockstep run, where each has settled."""
     scene = plan.scene
     settle = scene.computer.dac.settling_s
     period = scene.computer.period_s
@@ -100,7 +99,9 @@ def _sources(steps: Steps, feed: str, folder: Path) -> list[str]:
         instants = sorted({t for corners in every for t, _ in corners} | {0.0})
         table = [instants]
         instants += [steps.times[-1] + 1e6]  # behind its last row a filesource is 0
-        table += [np.interp(instants, *zip(*corners, strict=True)).tolist() for corners in every]
+        for corners in every:
+            knots = np.array(corners)
+            table.append(np.interp(instants, knots[:, 0], knots[:, 1]).tolist())
         file = folder / "dacs.txt"
         np.savetxt(file, np.array(table).T, fmt="%.17g")
         nodes = " ".join(f"%vd({steps.names[i]},0)" for i in moving)
@@ -112,9 +113,9 @@ def _sources(steps: Steps, feed: str, folder: Path) -> list[str]:
         ]
     if feed in ("filesource", "chunks"):
         # neither lands on its corners: this does
-        every = [t for i in moving for t, _ in steps.corners(i, 0, len(steps.times))]
-        corners = [(t, float(k % 2)) for k, t in enumerate(sorted(set(every)))]
-        lines.append(f"Vtick tick 0 pwl({_polygon(corners)})")
+        landings = {t for i in moving for t, _ in steps.corners(i, 0, len(steps.times))}
+        teeth = [(t, float(k % 2)) for k, t in enumerate(sorted(landings))]
+        lines.append(f"Vtick tick 0 pwl({_polygon(teeth)})")
     return lines
 
 

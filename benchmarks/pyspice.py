@@ -31,14 +31,16 @@ class PythonLockstep(NgSpiceShared):  # type: ignore[misc]  # PySpice carries no
         logging.getLogger("PySpice").setLevel(logging.CRITICAL)
         NgSpiceShared.LIBRARY_PATH = os.environ.get("NGSPICE_LIBRARY_PATH", "libngspice.so.0")
         super().__init__(send_data=True)
-        self._sync_c = ffi.callback("int (double, double *, double, int, int, int, void *)", self.get_sync_data)
+        self._sync_c = ffi.callback(
+            "int (double, double *, double, int, int, int, void *)", self.get_sync_data
+        )
         self._ngspice_shared.ngSpice_Init_Sync(
             self._get_vsrc_data_c, self._get_isrc_data_c, self._sync_c, self._ngspice_id, self._self_c
         )
 
-    def begin(self, plan: Plan, constants: DesignConstants) -> None:
-        """Make ready for a run of a plan."""
-        self.plan = plan
+    def begin(self, plan: Plan, constants: DesignConstants, order: int = 2) -> None:
+        """Make ready for a run of a plan; `order` 1 forgets the acceleration before the last."""
+        self.plan, self.order = plan, order
         nodes = plan.recorded + tuple(n for n in plan.watched if n not in plan.recorded)
         self.deck = lockstep_deck(plan.board, plan.circuit, plan.tolerances, nodes)
         self.names = [name.lower() for name in saved(plan.circuit, nodes)]
@@ -175,7 +177,7 @@ class PythonLockstep(NgSpiceShared):  # type: ignore[misc]  # PySpice carries no
                 defect = max(defect, abs(q - q_trial[j]) + h * abs(v - v_trial[j]))
                 self.q[j], self.v[j] = q, v
             self.a_old, self.a = self.a, self.acceleration(t, self.q, self.v)
-            self.t, self.h_old, self.history = t, h, min(self.history + 1, 2)
+            self.t, self.h_old, self.history = t, h, min(self.history + 1, self.order)
             share = defect / (0.8 * self.tolerance)
             self.h_couple = h * (4.0 if share * 64.0 < 1.0 else share ** (-1.0 / 3.0))
             self.trial = (-1.0, self.q, self.v)
@@ -206,9 +208,9 @@ _simulator: PythonLockstep | None = None
 
 
 def run(payload: dict[str, Any], report: Any) -> Outcome:
-    """Run a plan once in a process of its own ('plan', 'constants'): `cosim.ngspice.child` calls it."""
+    """Run a plan ('plan', 'constants', 'order') once, in a process of its own."""
     global _simulator
     if _simulator is None:
         _simulator = PythonLockstep()
-    _simulator.begin(payload["plan"], payload["constants"])
+    _simulator.begin(payload["plan"], payload["constants"], payload.get("order", 2))
     return _simulator.run()

@@ -51,9 +51,9 @@ def slope(*overrides: str) -> Plan:
     return resolve(load_scene(SLOPE, overrides))
 
 
-def smooth() -> Plan:
-    """Return the plan of the slope scene without rounding in the computer."""
-    return slope(*SMOOTH)
+def smooth(duration_s: float | None = None) -> Plan:
+    """Return the plan of the slope scene (or its beginning) without rounding in the computer."""
+    return slope(*SMOOTH, *([] if duration_s is None else [f"duration_s={duration_s!r}"]))
 
 
 def tight(plan: Plan) -> Plan:
@@ -147,7 +147,7 @@ def instants(plan: Plan) -> NDArray[np.float64]:
     """Return the instants [s] at which runs are compared: the samples, where every run has a point."""
     period = plan.scene.computer.period_s
     count = int(plan.scene.duration_s / period * (1 + 1e-12))
-    return period * np.arange(1, count + 1)
+    return np.arange(1, count + 1, dtype=np.float64) * np.float64(period)
 
 
 def error(

@@ -1,4 +1,4 @@
-"""What runs in the simulations' processes: each function takes (payload, report), as `cosim.ngspice.child` asks."""
+"""What runs in the simulations' processes: functions of (payload, report), as `cosim.ngspice.child` asks."""
 
 from __future__ import annotations
 
@@ -116,13 +116,16 @@ def monolithic_choice(payload: dict[str, Any], report: Report) -> dict[str, Any]
         # the same setting with the other feeds: the same points, another cost
         feeds = {feed: peer(method, feed, rtol, longest) for feed in monolithic.FEEDS}
         errors = {feed: error(run.signals, reference.signals, names, times) for feed, run in feeds.items()}
-        runs = [lambda f=feed: peer(method, f, rtol, longest).wall_s for feed in monolithic.FEEDS]
+
+        def timed(feed: str) -> Callable[[], float]:
+            return lambda: peer(method, feed, rtol, longest).wall_s
+
         silent = peer(method, "none", rtol, longest)
         walls = interleaved(
             repetitions,
             lambda: lockstep(plan).wall_s,
-            *runs,
-            lambda: peer(method, "none", rtol, longest).wall_s,
+            *(timed(feed) for feed in monolithic.FEEDS),
+            timed("none"),
         )
     peers = dict(zip(monolithic.FEEDS, walls[1:-1], strict=True))
     fastest = min(peers, key=lambda feed: statistics.median(peers[feed]))
@@ -152,3 +155,24 @@ def memory_run(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     done = lockstep(payload["plan"])
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return {"peak_mb": peak / (1e6 if sys.platform == "darwin" else 1e3), "points": done.stats["points"]}
+
+
+def same_work(payload: dict[str, Any], report: Report) -> dict[str, Any]:
+    """Run the peers of this process once on a short run: what a test can hold them to."""
+    plan = smooth(payload["duration_s"])
+    ours = lockstep(plan, keep=True)
+    assert ours.constants is not None
+    times = instants(plan)
+    peer = replay(plan, ours, ours.constants.gear).run()
+    log = CallLog(plan)
+    log.seconds()
+    with tempfile.TemporaryDirectory(prefix="cosim-bench-") as folder:
+        steps = monolithic.recorded_steps(plan, ours)
+        whole = monolithic.run(plan, ours.constants, steps, "pwl", Path(folder))
+    return {
+        "points": ours.stats["points"],
+        "replay_points": peer.stats["points"],
+        "replay_difference": error(peer.signals, ours.signals, CURRENTS, times),
+        "calls": log.parts(),
+        "monolithic_difference": error(whole.signals, ours.signals, ("q1", "q2"), times),
+    }

@@ -18,9 +18,7 @@ def show(found: Figure) -> str:
         f"    {what}",
     ]
     if found.error_ours is not None or found.error_peer is not None:
-        ours, peer = (
-            "-" if e is None else f"{e:.3g}" for e in (found.error_ours, found.error_peer)
-        )
+        ours, peer = ("-" if e is None else f"{e:.3g}" for e in (found.error_ours, found.error_peer))
         lines.append(f"    errors: ours {ours}, peer {peer} ({found.error_unit})")
     for key, value in found.details.items():
         lines += _detail(key, value)

@@ -1,0 +1,86 @@
+"""The benchmarks' figures: names, targets and form; that both sides of a pair do the same work."""
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from benchmarks.__main__ import write
+from benchmarks.figure import TARGETS, figure, interleaved
+from benchmarks.suite import SUITE
+from benchmarks.table import show
+from cosim.ngspice.child import Child
+
+LATEST = Path(__file__).resolve().parents[1] / "benchmarks" / "latest.json"
+KEYS = {"name", "ratio", "min", "max", "error_ours", "error_peer", "target", "command"}
+STATED = {
+    "lockstep_vs_replay": 1.10,
+    "lockstep_vs_replay_points": 1.2,
+    "callback_share": 0.05,
+    "lockstep_vs_monolithic": 0.7,
+    "lockstep_vs_pyspice": 0.3,
+    "growth_exponent": 1.3,
+    "memory_100s_mb": 500.0,
+    "help_vs_numpy": 3.0,
+    "warm_run_outside_s": 1.0,
+}
+
+
+def check_form(rows):
+    for row in rows:
+        assert set(row) >= KEYS, row["name"]
+        assert row["target"] == STATED[row["name"]]
+        assert row["min"] <= row["ratio"] <= row["max"] or row["name"] == "growth_exponent"
+        assert row["command"] == f"python -m benchmarks {row['name']}"
+        for key in ("error_ours", "error_peer"):
+            assert row[key] is None or math.isfinite(row[key])
+
+
+def test_every_figure_has_its_target_and_its_measurement():
+    assert {name: target for name, (target, _, _) in TARGETS.items()} == STATED
+    assert [name for names in SUITE for name in names] == list(STATED)
+
+
+@pytest.mark.skipif(not LATEST.exists(), reason="no figures yet: `make bench` writes them")
+def test_latest_figures_are_complete():
+    rows = json.loads(LATEST.read_text(encoding="utf-8"))
+    check_form(rows)
+    assert {row["name"] for row in rows} == set(STATED)
+
+
+def test_figures_replace_those_of_their_name(tmp_path):
+    file = tmp_path / "latest.json"
+    write(file, [figure("growth_exponent", [1.0, 2.0, 3.0]), figure("callback_share", [0.04])])
+    write(file, [figure("callback_share", [0.02, 0.03, 0.01], error_ours=1e-6, error_peer=2e-6)])
+    rows = {row["name"]: row for row in json.loads(file.read_text(encoding="utf-8"))}
+    check_form(rows.values())
+    assert rows["growth_exponent"]["ratio"] == 2.0
+    assert (rows["callback_share"]["min"], rows["callback_share"]["max"]) == (0.01, 0.03)
+
+
+def test_a_figure_says_whether_it_meets_its_target():
+    assert "MISSED" in show(figure("callback_share", [0.06]))
+    assert "met" in show(figure("callback_share", [0.05], details={"calls": {"source": 3}}))
+    with pytest.raises(ValueError, match="callback_share"):
+        figure("callback_share", [float("nan")])
+
+
+def test_runs_are_interleaved_behind_a_warm_up():
+    order = []
+    times = interleaved(2, lambda: order.append("a") or 1.0, lambda: order.append("b") or 2.0)
+    assert order == ["a", "b"] * 3
+    assert times == [[1.0, 1.0], [2.0, 2.0]]
+
+
+def test_both_sides_of_the_pairs_do_the_same_work():
+    with Child() as child:
+        got = child.call("benchmarks.sides:same_work", {"duration_s": 0.3})
+    # the replay takes the recorded angles instead of predicted ones, so a rejected step may differ
+    assert got["replay_points"] == pytest.approx(got["points"], rel=0.02)
+    # the recorded cubic against the predictor: local errors of the coupling, 1e-7 rad of half a radian
+    assert got["replay_difference"] < 1e-5
+    # repeated without ngspice the callbacks end in the same state, or `seconds` raises
+    assert got["calls"]["accepted"] == got["points"]
+    # the linkage as circuit elements: same physics, both at a tolerance of 1e-4
+    assert got["monolithic_difference"] < 1e-3
