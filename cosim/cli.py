@@ -12,14 +12,14 @@ from collections.abc import Sequence
 from typing import Any, TextIO
 
 from cosim import __version__
-from cosim.commands import export, new, plan, report, run
+from cosim.commands import effects, export, new, plan, report, run
 from cosim.errors import CosimError
 
 EXIT_FAILURE = 1
 EXIT_INTERRUPTED = 130
 
 
-COMMANDS = (plan.COMMAND, run.COMMAND, report.COMMAND, export.COMMAND, new.COMMAND)
+COMMANDS = (plan.COMMAND, run.COMMAND, report.COMMAND, effects.COMMAND, export.COMMAND, new.COMMAND)
 
 
 def build_parser() -> argparse.ArgumentParser:

@@ -21,6 +21,7 @@ class Effect:
     ----------
     name : key in `[effects]`
     null : its null form, as the scene spells it
+    on : what it can be instead, the usual value first
     home : where it lives ('netlist', 'linkage', 'computer', 'potentiometer')
     models : circuit models that can carry it
     cost : what it adds where it is in force, in words
@@ -29,6 +30,7 @@ class Effect:
 
     name: str
     null: str | bool
+    on: tuple[str | bool, ...]
     home: str
     models: frozenset[str]
     cost: str
@@ -105,21 +107,59 @@ def _coulomb(scene: Scene) -> str:
 
 #: Every effect, in the order in which a plan lists them.
 EFFECTS = (
-    Effect("opamp", "ideal", "netlist", _DYNAMIC, "one state an op-amp (gbw), three (full)", _opamp),
-    Effect("vca", "ideal", "netlist", _DYNAMIC, "one state a multiplier, n^2 springs and dampers", _vca),
-    Effect("driver_level", "ideal", "netlist", _DYNAMIC, "one state a driver (gbw), two (full)", _opamp),
     Effect(
-        "motor", "ideal", "netlist", _DYNAMIC, "back-EMF couples speeds; full adds one state a motor", _motor
+        "opamp",
+        "ideal",
+        ("gbw", "full"),
+        "netlist",
+        _DYNAMIC,
+        "one state an op-amp (gbw), three (full)",
+        _opamp,
     ),
-    Effect("potentiometer", "ideal", "netlist", _ALL, "track and wiper resistance", _pot),
-    Effect("pot_noise", "none", "potentiometer", _ALL, "one point each 1 / (2 bandwidth)", _pot),
-    Effect("encoder", False, "computer", _ALL, "nothing", _encoder),
-    Effect("dac", False, "computer", _ALL, "one point a sample when settling", _dac),
-    Effect("delay", False, "computer", _ALL, "one restart a sample when fractional", _delay),
-    Effect("gravity", False, "linkage", _ALL, "nothing", _gravity),
-    Effect("coriolis", False, "linkage", _ALL, "nothing", _coriolis),
-    Effect("viscous", False, "linkage", _ALL, "nothing", _viscous),
-    Effect("coulomb", False, "linkage", _ALL, "short steps near rest", _coulomb),
+    Effect(
+        "vca",
+        "ideal",
+        ("gbw", "full"),
+        "netlist",
+        _DYNAMIC,
+        "one state a multiplier, n^2 springs and dampers",
+        _vca,
+    ),
+    Effect(
+        "driver_level",
+        "ideal",
+        ("gbw", "full"),
+        "netlist",
+        _DYNAMIC,
+        "one state a driver (gbw), two (full)",
+        _opamp,
+    ),
+    Effect(
+        "motor",
+        "ideal",
+        ("full", "emf"),
+        "netlist",
+        _DYNAMIC,
+        "back-EMF couples speeds; full adds one state a motor",
+        _motor,
+    ),
+    Effect("potentiometer", "ideal", ("full",), "netlist", _ALL, "track and wiper resistance", _pot),
+    Effect(
+        "pot_noise",
+        "none",
+        ("white", "peak_to_peak", "static", "position"),
+        "potentiometer",
+        _ALL,
+        "one point each 1 / (2 bandwidth)",
+        _pot,
+    ),
+    Effect("encoder", False, (True,), "computer", _ALL, "nothing", _encoder),
+    Effect("dac", False, (True,), "computer", _ALL, "one point a sample when settling", _dac),
+    Effect("delay", False, (True,), "computer", _ALL, "one restart a sample when fractional", _delay),
+    Effect("gravity", False, (True,), "linkage", _ALL, "nothing", _gravity),
+    Effect("coriolis", False, (True,), "linkage", _ALL, "nothing", _coriolis),
+    Effect("viscous", False, (True,), "linkage", _ALL, "nothing", _viscous),
+    Effect("coulomb", False, (True,), "linkage", _ALL, "short steps near rest", _coulomb),
 )
 
 

@@ -1,0 +1,110 @@
+"""``cosim effects``: what each effect changes in a scene, and what it costs."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.commands.command import Command
+
+if TYPE_CHECKING:
+    from cosim.studies.ledger import EffectsLedger
+
+
+def _arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("scene", help="scene file (TOML)")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="change a key of the scene; repeatable",
+    )
+    parser.add_argument(
+        "--measure", default="peak_force", metavar="NAME", help="measure of the table and the picture"
+    )
+    parser.add_argument("-o", "--out", metavar="FOLDER", help="folder for the picture and the table (CSV)")
+
+
+def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    from cosim.ngspice.child import start_early
+
+    with start_early("cosim.loop.simulate") as child:
+        from cosim.errors import fail, nearest
+        from cosim.settings import parse_settings
+        from cosim.studies.ledger import effects_ledger
+
+        settings = parse_settings(args.set)
+        if any(len(setting.values) > 1 for setting in settings):
+            fail("a ledger is of one scene: give each name one value", key="--set", value=args.set)
+        overrides = tuple(setting.override(setting.values[0]) for setting in settings)
+        with _progress() as show:
+            ledger = effects_ledger(args.scene, overrides, child=child, on_progress=show)
+    if args.measure not in ledger.full:
+        near = nearest(args.measure, ledger.full)
+        fail(
+            "no such measure in this scene" + (f"; nearest is {near}" if near else ""),
+            key="--measure",
+            value=args.measure,
+            allowed=", ".join(ledger.full),
+        )
+    text = table(ledger, args.measure)
+    if args.out:
+        from reports.effects import write_effects
+
+        text += f"\nwrote {write_effects(ledger, args.measure, Path(args.out))}"
+    return as_dict(ledger), text
+
+
+def _progress() -> Any:
+    import sys
+    from contextlib import nullcontext
+
+    if not sys.stderr.isatty():
+        return nullcontext(None)
+    from rich.console import Console
+    from rich.progress import Progress
+
+    bar = Progress(console=Console(stderr=True), transient=True)
+    task = bar.add_task("effects", total=None)
+
+    class Shown:
+        def __enter__(self) -> Any:
+            bar.start()
+            return lambda done, total, name: bar.update(task, completed=done, total=total, description=name)
+
+        def __exit__(self, *_: object) -> None:
+            bar.stop()
+
+    return Shown()
+
+
+def as_dict(ledger: "EffectsLedger") -> dict[str, Any]:
+    """Return the ledger JSON-ready."""
+    return {
+        "runs": ledger.runs,
+        "null": {"measures": dict(ledger.null), "wall_s": ledger.null_s},
+        "full": {"measures": dict(ledger.full), "wall_s": ledger.full_s},
+        "rows": [vars(row) for row in ledger.rows],
+    }
+
+
+def table(ledger: "EffectsLedger", measure: str) -> str:
+    """Return the ledger of one measure, the largest effect first."""
+    row = ledger.full[measure]
+    unit = str(row["unit"])
+    lines = [
+        f"{measure} [{unit}]: {ledger.null[measure]['value']:.5g} with no effect ({1e3 * ledger.null_s:.3g} ms), "
+        f"{row['value']:.5g} with all ({1e3 * ledger.full_s:.3g} ms); {ledger.runs} runs",
+        "",
+        f"{'effect':14} {'value':14} {'alone':>12} {'cost [ms]':>10} {'on top of all':>14} {'cost [ms]':>10}",
+    ]
+    size = lambda r: max(abs(r.on.get(measure, 0.0)), abs(r.off.get(measure, 0.0)))  # noqa: E731
+    for r in sorted(ledger.rows, key=size, reverse=True):
+        lines.append(
+            f"{r.effect:14} {r.value:14} {r.on.get(measure, 0.0):>+12.3g} {1e3 * r.on_s:>+10.3g} "
+            f"{r.off.get(measure, 0.0):>+14.3g} {1e3 * r.off_s:>+10.3g}"
+        )
+    return "\n".join(lines)
+
+
+COMMAND = Command("effects", "measure what each effect changes and costs in a scene", _arguments, _run)

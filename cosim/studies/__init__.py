@@ -1,0 +1,1 @@
+"""Questions that need several runs: what an effect changes and costs, what an edit did."""

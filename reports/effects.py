@@ -1,0 +1,85 @@
+"""The effects ledger as a picture: what an effect changes against what it costs."""
+
+import csv
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cosim.staging import disk_errors
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from cosim.studies.ledger import EffectsLedger
+
+
+def write_effects(ledger: "EffectsLedger", measure: str, folder: Path) -> Path:
+    """Write ``effects.png``, ``effects.svg`` and ``effects.csv`` (all measures) and return the PNG.
+
+    Raises
+    ------
+    InputError
+        When the folder cannot be written.
+    """
+    from reports.style import look
+
+    with disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / "effects.csv").open("w", encoding="utf-8", newline="") as stream:
+            names = list(ledger.full)
+            writer = csv.writer(stream)
+            writer.writerow(["effect", "value", "alone_s", "among_s", *names, *(f"{n}_among" for n in names)])
+            for row in ledger.rows:
+                alone = [row.on.get(name) for name in names]
+                among = [row.off.get(name) for name in names]
+                writer.writerow([row.effect, row.value, row.on_s, row.off_s, *alone, *among])
+        with look():
+            figure = draw(ledger, measure)
+            for ending in ("svg", "png"):
+                figure.savefig(folder / f"effects.{ending}")
+    return folder / "effects.png"
+
+
+def draw(ledger: "EffectsLedger", measure: str) -> "Figure":
+    """Return the figure: bars of size, alone and on top of all others, beside bars of cost."""
+    from reports.style import figure as new_figure
+
+    rows = sorted(ledger.rows, key=lambda r: max(abs(r.on.get(measure, 0)), abs(r.off.get(measure, 0))))
+    labels = [f"{row.effect} {'' if row.value == 'True' else row.value}".strip() for row in rows]
+    drawing, axes = new_figure(
+        1.2 + 0.28 * len(rows), columns=2, sharey=True, gridspec_kw={"width_ratios": (3, 2)}
+    )
+    size, cost = axes[0]
+    unit = str(ledger.full[measure]["unit"])
+    _bars(
+        size,
+        labels,
+        [abs(r.on.get(measure, 0.0)) for r in rows],
+        [abs(r.off.get(measure, 0.0)) for r in rows],
+    )
+    size.set_xscale("log")
+    scale = abs(float(ledger.full[measure]["value"])) or 1.0
+    size.set_xlim(scale * 1e-6, scale * 10)
+    size.axvline(scale * 0.01, color="0.4", linewidth=1, linestyle="--")
+    size.annotate("1 %", (scale * 0.01, 1.0), xycoords=("data", "axes fraction"), ha="center", va="bottom")
+    size.set_xlabel(f"change of {measure.replace('_', ' ')}" + (f" [{unit}]" if unit else ""))
+    _bars(cost, labels, [1e3 * r.on_s for r in rows], [1e3 * r.off_s for r in rows])
+    cost.set_xscale("symlog", linthresh=_linear_part(ledger))
+    cost.set_xlabel("cost [ms]")
+    cost.axvline(0.0, color="0.4", linewidth=1)
+    size.legend(loc="lower right")
+    return drawing
+
+
+def _linear_part(ledger: "EffectsLedger") -> float:
+    # below a tenth of the cheapest run, times are noise: shown linearly
+    return 10.0 ** math.floor(math.log10(max(100 * ledger.null_s, 1e-3)))
+
+
+def _bars(axes: "Axes", labels: list[str], alone: list[float], among: list[float]) -> None:
+    at = range(len(labels))
+    axes.barh([y + 0.2 for y in at], alone, height=0.38, label="alone")
+    axes.barh([y - 0.2 for y in at], among, height=0.38, label="on top of all others")
+    axes.set_yticks(list(at), labels)
+    axes.set_ylim(-0.7, len(labels) - 0.3)
