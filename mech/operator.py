@@ -246,7 +246,7 @@ def load_user(spec: str, folder: str | Path = ".") -> UserOperator:
     sys.modules[module_spec.name] = module  # dataclasses and pickle look a class's module up
     try:
         module_spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise refused(f"loadable; it raised {type(error).__name__}: {error}", error) from error
     kind: Any = getattr(module, name, None)
     if not isinstance(kind, type):
@@ -258,7 +258,7 @@ def load_user(spec: str, folder: str | Path = ".") -> UserOperator:
         raise refused("a class with a method force(self, t, r, v) -> (fx, fy)")
     try:
         target: Any = kind()
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise refused(f"a class that starts without arguments; {name}() raised {error!r}", error) from error
     try:
         inspect.signature(target.force).bind(0.0, None, None)

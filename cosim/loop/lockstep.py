@@ -20,9 +20,11 @@ from cosim.loop.state import QUEUE, STATE, Fault
 from mech.kernels import dynamics
 
 _NOT_FINITE, _DIVERGED, _COLLAPSED = Fault.NOT_FINITE, Fault.DIVERGED, Fault.STEP_COLLAPSED
-_SAMPLE_LOST = Fault.SAMPLE_LOST
+_SAMPLE_LOST, _RAN_AWAY = Fault.SAMPLE_LOST, Fault.RAN_AWAY
 #: A predicted angle this wrong [rad] after one step is no prediction: the coupling has diverged.
 _DIVERGENCE_RAD = 0.5
+#: No joint of a haptic device turns this fast [rad/s], ten times the fastest start that a scene may state.
+_RUNAWAY_RAD_PER_S = 1e5
 #: The next step aims at this share of the tolerance, and grows at most this much.
 _SAFETY, _GROWTH = 0.8, 4.0
 _NEVER = 1e300
@@ -129,6 +131,7 @@ def compute_sample(s: Record) -> None:
     if s.queue_in - min(s.queue_out[0], s.queue_out[1]) > QUEUE:
         s.fault = _SAMPLE_LOST
     s.tick += 1
+    s.points_before = s.points
     _write_sample(s)
 
 
@@ -286,6 +289,9 @@ def advance(s: Record, t: float) -> None:
     s.history = min(s.history + 1, 2)
     if not s.defect < _DIVERGENCE_RAD:
         s.fault = _DIVERGED
+    for j in range(s.n):
+        if abs(s.v[j]) > _RUNAWAY_RAD_PER_S:
+            s.fault = _RAN_AWAY
     s.defect_max = max(s.defect_max, s.defect)
     s.defect_sum += s.defect
     # the predictor's local error is of third order: aim the next step at the tolerance
@@ -312,6 +318,8 @@ def accepted(data: Any, count: int, ident: int, user: Any) -> int:
         evaluate(s, t, s.q, s.v, s.a)
         s.history = 1
     s.points += 1
+    if s.points - s.points_before > s.most_points:
+        s.fault = _COLLAPSED
     row = carray(doubles_at(s.rows + 8 * s.columns * s.rows_used), (s.columns,))
     n = s.n
     row[0] = t

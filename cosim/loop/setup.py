@@ -16,7 +16,7 @@ from cosim.loop.driven import channels
 from cosim.loop.noise import Noise, no_noise, potentiometer_noise
 from cosim.loop.state import QUEUE, STATE
 from cosim.scene import Scene, schema
-from mech import Chain, Hand, NoOperator, Operator, PointMass, Slider, load_user
+from mech import Chain, Hand, NoOperator, Operator, ParameterError, PointMass, Slider, load_user
 
 _METHOD = {
     schema.Method.DISCRETE: Method.DISCRETE,
@@ -26,6 +26,8 @@ _METHOD = {
 }
 #: The first step behind a jump, as a share of the longest step (backward Euler; see adams.py).
 FIRST_STEP_SHARE = 0.01
+#: Nodes that are recorded or watched, at most (`STATE.node_index`).
+MOST_NODES = 256
 
 
 def mechanism(scene: Scene, gear: float) -> Chain | Slider:
@@ -71,7 +73,21 @@ def mechanism(scene: Scene, gear: float) -> Chain | Slider:
 
 
 def operator(scene: Scene) -> Operator:
-    """Return the operator of the scene as mechanics knows it; a user's class is loaded from its file."""
+    """Return the operator of the scene as mechanics knows it; a user's class is loaded from its file.
+
+    Raises
+    ------
+    InputError
+        When the user's file or class is not what it should be.
+    """
+    try:
+        return _operator(scene)
+    except ParameterError as error:
+        file = str(scene.file) if scene.file else None
+        raise InputError(Problem(str(error), file=file, key="operator")) from error
+
+
+def _operator(scene: Scene) -> Operator:
     given = scene.operator
     if isinstance(given, schema.MassOperator):
         return PointMass(mass_kg=given.mass_kg)
@@ -268,6 +284,9 @@ def pack(
     s["h_couple"] = s["h_max"]
     s["h_pole"] = s["h_max"]
     s["tol"] = solver.coupling_tolerance_rad
+    # A million is thousands of times what a period needs, ten times more than it was asked for is too.
+    fine = min(s["h_max"], drawn.dt) if drawn.dt > 0 else s["h_max"]
+    s["most_points"] = max(1_000_000, math.ceil(10 * period / fine))
     s["delta_min"] = 1e-12 * max(period, scene.duration_s * 1e-3)
     rows = np.zeros((row_capacity, len(columns(circuit, recorded))))
     samples = np.zeros((sample_capacity, len(sample_columns(n))))

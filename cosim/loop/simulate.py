@@ -20,18 +20,22 @@ from cosim.loop.lockstep import evaluate
 from cosim.loop.setup import Memory, columns, pack, sample_columns
 from cosim.loop.signals import Layout, write_signals
 from cosim.loop.state import Fault
-from cosim.loop.userlaw import UserLaw, load_law
+from cosim.loop.userlaw import UserLaw, in_users_words, load_law
 from cosim.ngspice.deck import Deck
 from cosim.ngspice.simulator import Simulator
 from cosim.results import RAW
-from cosim.scene import Scene
+from cosim.scene import PythonOperator, Scene
+from cosim.staging import disk_errors
 
 _FAULTS = {
     Fault.NOT_FINITE: "a motor current is not a finite number",
     Fault.DIVERGED: "the coupling of circuit and linkage diverged: a joint angle was predicted wrong by more "
     "than half a radian in one step; shorten solver.max_step_s",
-    Fault.STEP_COLLAPSED: "the step collapsed: more than a million points in one sampling period",
+    Fault.STEP_COLLAPSED: "the steps became endlessly short: more than a million points in one sampling "
+    "period; loosen solver.coupling_tolerance_rad or solver.rtol",
     Fault.SAMPLE_LOST: "a sample of the computer was overtaken before its DACs changed",
+    Fault.RAN_AWAY: "the device ran away: a joint turns faster than 1e5 rad/s; check gains and "
+    "component values",
 }
 #: Frequency of the low-frequency limit of the back-EMF's viscosity: far below L/R, far above leakage.
 _LOW_HZ = 0.1
@@ -43,8 +47,18 @@ Report = Callable[[dict[str, Any]], None]
 class Recorder:
     """Streams rows and samples to files, and turns faults of compiled code into exceptions."""
 
-    def __init__(self, memory: Memory, simulator: Simulator, folder: Path, report: Report) -> None:
+    def __init__(
+        self,
+        memory: Memory,
+        simulator: Simulator,
+        folder: Path,
+        report: Report,
+        *,
+        deck: str | None = None,
+        person: str = "operator",
+    ) -> None:
         self.memory, self.simulator, self.report = memory, simulator, report
+        self.folder, self.deck, self.person = folder, deck, person
         self.failure: BaseException | None = None
         self.rows: BinaryIO = open(folder / ROWS, "wb")
         self.samples: BinaryIO = open(folder / SAMPLES, "wb")
@@ -57,12 +71,16 @@ class Recorder:
         """Write what compiled code has left in the buffers; called by it, so it must not raise."""
         try:
             s = self.memory.state[0]
-            self._write(self.rows, self.memory.rows, "rows_used")
-            self._write(self.samples, self.memory.samples, "samples_used")
+            with disk_errors(self.folder):
+                self._write(self.rows, self.memory.rows, "rows_used")
+                self._write(self.samples, self.memory.samples, "samples_used")
             self.simulator.truncate_vectors()
-            self.memory.operator.raise_pending()
+            try:
+                self.memory.operator.raise_pending()
+            except BaseException as error:
+                raise in_users_words(self.person, error, float(s["t"])) from error
             if s["fault"]:
-                raise SimulationError(_FAULTS[int(s["fault"])], time_s=float(s["t"]))
+                raise SimulationError(_FAULTS[int(s["fault"])], deck=self.deck, time_s=float(s["t"]))
             self.report({"time_s": float(s["t"]), "points": int(s["points"])})
         except BaseException as error:
             self.fail(error)
@@ -80,8 +98,12 @@ class Recorder:
     def close(self) -> None:
         """Write the rest and close; raises what went wrong while compiled code was running."""
         self.drain()
-        self.rows.close()
-        self.samples.close()
+        for file in (self.rows, self.samples):
+            try:
+                with disk_errors(self.folder):
+                    file.close()
+            except InputError as error:  # the rest in the buffer met a full disk
+                self.fail(error)
         if self.failure is not None:
             raise self.failure
 
@@ -146,7 +168,12 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     recorded, watched = tuple(payload["recorded"]), tuple(payload["watched"])
     nodes = recorded + tuple(node for node in watched if node not in recorded)
     # ngspice itself tells the time when no point is accepted for long: steps cut endlessly are no progress
-    simulator = Simulator(on_time=lambda reached: report({"time_s": reached}))
+    moving = False
+
+    def beat(reached: float) -> None:
+        report({"time_s": reached} if moving else {})  # an analysis before the run has its own clock
+
+    simulator = Simulator(on_time=beat)
     circuit = drive(scene)
     text = lockstep_deck(board, circuit, tolerances, nodes)
     simulator.load(text, lines=board.lines, name=str(board.path))
@@ -158,27 +185,22 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         if a.swing_param is not None
     }
     state = memory.state[0]
-    recorder = Recorder(memory, simulator, Path(payload["folder"]), report)
+    missing: list[str] = []
+    person = scene.operator.file if isinstance(scene.operator, PythonOperator) else "operator"
+    recorder = Recorder(
+        memory, simulator, Path(payload["folder"]), report, deck=str(board.path), person=person
+    )
     if scene.computer.law is not None:
-        law = UserLaw(load_law(scene.computer.law, scene.file), state, recorder.fail)
+        where = scene.computer.law
+        law = UserLaw(load_law(where, scene.file), state, recorder.fail, where)
         state["law_address"] = law.address
 
     def named(names: list[str]) -> None:
         state["time_index"] = names.index("time")
         wanted = [name.lower() for name in saved(circuit, nodes)]
-        problems = [
-            Problem(
-                "the board has no such node"
-                + (f"; nearest is {near}" if (near := nearest(name, names)) else ""),
-                file=str(board.path),
-                key="record.nodes",
-                value=name,
-            )
-            for name in wanted
-            if name not in names
-        ]
-        if problems:
-            raise InputError(problems)
+        missing.extend(name for name in wanted if name not in names)
+        if missing:
+            raise InputError("the board lacks a node")
         at = [names.index(name) for name in wanted]
         state["current_index"][: circuit.joints] = at[: circuit.joints]
         state["node_index"][: len(nodes)] = at[circuit.joints :]
@@ -195,10 +217,15 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         user=memory.state.ctypes.data,
     )
     wall, cpu = time.perf_counter(), time.process_time()
+    moving = True
     try:
         simulator.command(
             f"tran {scene.solver.max_step_s!r} {scene.duration_s!r} 0 {scene.solver.max_step_s!r}"
         )
+    except InputError:
+        if missing:
+            raise unknown_nodes(simulator, text, board, missing) from None
+        raise
     finally:
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         recorder.close()
@@ -215,6 +242,24 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         "swings": swings,
         "ngspice": simulator.version,
     }
+
+
+def unknown_nodes(simulator: Simulator, text: str, board: Deck, missing: list[str]) -> InputError:
+    """Return the error that names the nodes asked for in vain, each with the nearest that the board has."""
+    circuit = "\n".join(line for line in text.splitlines() if not line.startswith(".save"))
+    simulator.load(circuit)
+    simulator.attach(source=lambda name, t: 0.0)
+    simulator.command("op")
+    names = simulator.vector_names()
+    return InputError(
+        Problem(
+            "the board has no such node" + (f"; nearest is {near}" if (near := nearest(name, names)) else ""),
+            file=str(board.path),
+            key="record.nodes",
+            value=name,
+        )
+        for name in missing
+    )
 
 
 def statistics(memory: Memory, wall_s: float, cpu_s: float) -> dict[str, Any]:

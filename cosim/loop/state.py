@@ -88,6 +88,7 @@ STATE = np.dtype(
         ("announced", "i8"),
         ("t_end", "f8"),
         ("delta_min", "f8"),
+        ("most_points", "i8"),  # in one sampling period, before it counts as endless cutting of steps
         # where ngspice's accepted values are
         ("time_index", "i8"),
         ("current_index", "i8", NMAX),
@@ -108,6 +109,7 @@ STATE = np.dtype(
         ("breakpoint_address", "i8"),
         # counters and verdict
         ("points", "i8"),
+        ("points_before", "i8"),  # up to the last sample
         ("rejected", "i8"),
         ("source_calls", "i8"),
         ("discontinuities", "i8"),
@@ -128,3 +130,4 @@ class Fault:
     DIVERGED = 2
     STEP_COLLAPSED = 3
     SAMPLE_LOST = 4
+    RAN_AWAY = 5

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib.util
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cosim.errors import InputError, Problem, SimulationError
+from cosim.errors import InputError, Problem, SimulationError, nearest
 from mech.kernels import jacobian, tip
 from mech.records import NMAX
 
@@ -85,12 +86,36 @@ def load_law(where: str, scene: Path | None) -> Any:
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-        law = getattr(module, name)()
-    except Exception as error:
-        raise refuse(f"{type(error).__name__}: {error}") from error
+        kind = getattr(module, name, None)
+        if not isinstance(kind, type):
+            near = nearest(name, [key for key, value in vars(module).items() if isinstance(value, type)])
+            raise refuse("the file has no such class" + (f", nearest is {near}" if near else ""))
+        law = kind()
+    except (Exception, SystemExit) as error:
+        if isinstance(error, InputError):
+            raise
+        raise refuse(_words(error)) from error
     if not callable(getattr(law, "control", None)):
         raise refuse(f"the class {name} has no method control(sample)")
     return law
+
+
+def in_users_words(where: str, error: BaseException, time_s: float) -> SimulationError:
+    """Return the error of a run that a user's class ended: its own words, and the line of its file."""
+    if isinstance(error, SimulationError):
+        return error
+    lines = [
+        (frame.filename, frame.lineno)
+        for cause in (error.__cause__, error)
+        for frame in traceback.extract_tb(cause.__traceback__ if cause is not None else None)
+        if frame.filename == where.rpartition(":")[0]
+    ]
+    place = f"{lines[-1][0]}:{lines[-1][1]}" if lines else where
+    return SimulationError(f"{place}: {_words(error)}", time_s=time_s)
+
+
+def _words(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
 
 
 class UserLaw:
@@ -101,10 +126,13 @@ class UserLaw:
     law : object with `control(sample) -> Command`
     state : the `STATE` record that compiled code works on
     failed : called with what went wrong; must stop the run
+    where : how errors call it, 'file.py:Class'
     """
 
-    def __init__(self, law: Any, state: np.void, failed: Callable[[BaseException], None]) -> None:
-        self.law, self.state, self.failed = law, state, failed
+    def __init__(
+        self, law: Any, state: np.void, failed: Callable[[BaseException], None], where: str = "control law"
+    ) -> None:
+        self.law, self.state, self.failed, self.where = law, state, failed, where
         self.callback = ctypes.CFUNCTYPE(None)(self._sample)
         self.address = ctypes.cast(self.callback, ctypes.c_void_p).value
 
@@ -112,7 +140,7 @@ class UserLaw:
         try:
             self._control()
         except BaseException as error:  # ctypes would print it and go on
-            self.failed(error)
+            self.failed(in_users_words(self.where, error, float(self.state["x"]["time"])))
 
     def _control(self) -> None:
         n = int(self.state["n"])
@@ -135,6 +163,8 @@ class UserLaw:
             wall_normal=c["normal"].copy(),
         )
         command = self.law.control(sample)
+        if not isinstance(command, Command):
+            raise TypeError(f"control(sample) returned {command!r} and no cosim.loop.userlaw.Command")
         x["r"], x["pen"], x["contact"] = r, pen, int(pen > 0)
         x["u"][:n] = _checked("u_rad", q if command.u_rad is None else command.u_rad, (n,), sample)
         x["cmd"][:n] = _checked("torque_n_m", command.torque_n_m, (n,), sample)
@@ -143,10 +173,10 @@ class UserLaw:
 
 
 def _checked(what: str, given: ArrayLike, shape: tuple[int, ...], sample: Sample) -> NDArray[np.float64]:
-    value = np.broadcast_to(np.asarray(given, dtype=float), shape)
+    try:
+        value = np.broadcast_to(np.asarray(given, dtype=float), shape)
+    except ValueError:
+        raise ValueError(f"the control law's {what} must fit the shape {shape}: {given!r}") from None
     if not np.isfinite(value).all():
-        raise SimulationError(
-            f"the control law's {what} is not finite at sample {sample.tick}: {value.tolist()}",
-            time_s=sample.time_s,
-        )
+        raise ValueError(f"the control law's {what} is not finite at sample {sample.tick}: {value.tolist()}")
     return value
