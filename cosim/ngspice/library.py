@@ -68,6 +68,7 @@ class Library:
         self.recent: deque[str] = deque(maxlen=20)
         self.failure: BaseException | None = None
         self.exited = False
+        self.loaded = False
         self.on_time: Callable[[float], None] | None = None
         self.init: Init | None = None
         self.vectors: list[Any] = []

@@ -58,7 +58,6 @@ class Simulator:
         self._library.on_time = on_time
         self._commands = 0
         self._deck: str | None = None
-        self._loaded = False
         self._constants: list[str] = []
         self.notes: deque[str] = deque(maxlen=1000)
         self._run("set nomoremode")
@@ -107,7 +106,7 @@ class Simulator:
         said = self._said()
         if library.exited or status or any(is_error(line) for line in library.lines):
             raise InputError(load_problems(said, rows, lines))
-        self._loaded = True
+        library.loaded = True
         self._constants = [name.lower() for name in _CSPARAM.findall(text)]
         self.notes.extend(said)
         return said
@@ -280,8 +279,8 @@ class Simulator:
             )
 
     def _clear(self) -> None:
-        if self._loaded:
-            self._loaded = False
+        if self._library.loaded:  # by whichever simulator; every old plot would slow each point of a run
+            self._library.loaded = False
             self._run("destroy all")
             self._run("remcirc")
 
