@@ -12,14 +12,22 @@ from collections.abc import Sequence
 from typing import Any, TextIO
 
 from cosim import __version__
-from cosim.commands import effects, export, new, plan, report, run
+from cosim.commands import check, effects, export, new, plan, report, run
 from cosim.errors import CosimError
 
 EXIT_FAILURE = 1
 EXIT_INTERRUPTED = 130
 
 
-COMMANDS = (plan.COMMAND, run.COMMAND, report.COMMAND, effects.COMMAND, export.COMMAND, new.COMMAND)
+COMMANDS = (
+    check.COMMAND,
+    plan.COMMAND,
+    run.COMMAND,
+    report.COMMAND,
+    effects.COMMAND,
+    export.COMMAND,
+    new.COMMAND,
+)
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -34,7 +42,7 @@ def build_parser() -> argparse.ArgumentParser:
         sub = commands.add_parser(command.name, help=command.help, description=command.help)
         command.arguments(sub)
         sub.add_argument("--json", action="store_true", help="print the result as JSON")
-        sub.set_defaults(run=command.run)
+        sub.set_defaults(run=command.run, exit_code=command.exit_code)
     return parser
 
 
@@ -61,7 +69,7 @@ def _outcome(args: argparse.Namespace) -> tuple[int, str, TextIO]:
         return error.exit_code, f"cosim {args.command}: {error}", sys.stderr
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED, f"cosim {args.command}: interrupted; finished results are whole", sys.stderr
-    return 0, _json(result) if args.json else text, sys.stdout
+    return args.exit_code(args, result), _json(result) if args.json else text, sys.stdout
 
 
 def _json(value: dict[str, Any]) -> str:

@@ -10,6 +10,10 @@ if TYPE_CHECKING:
     from cosim.settings import Variant
 
 
+def _success(args: argparse.Namespace, result: dict[str, Any]) -> int:
+    return 0
+
+
 @dataclass(frozen=True)
 class Command:
     """A subcommand.
@@ -22,12 +26,15 @@ class Command:
         Adds the command's own arguments to its parser.
     run
         Does the work; returns what ``--json`` prints and the text for people.
+    exit_code
+        Tells the exit code from the arguments and that result; 0 unless a command knows better.
     """
 
     name: str
     help: str
     arguments: Callable[[argparse.ArgumentParser], None]
     run: Callable[[argparse.Namespace], tuple[dict[str, Any], str]]
+    exit_code: Callable[[argparse.Namespace, dict[str, Any]], int] = _success
 
 
 def scene_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,0 +1,78 @@
+"""The check's child process: one bench with the parts' ideal levels, one with the levels in force."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from cosim.check.bench import Bench
+from cosim.check.constants import Constant, Rest, measure_constants, measure_rest, table
+from cosim.check.headroom import Headroom, measure_headroom
+from cosim.check.loops import Loop, measure_loops
+from cosim.check.noise import Noise, PotNoise, measure_noise, measure_pot_noise
+from cosim.check.paths import Brake, Path, Step, brakes, measure_admittance, measure_paths, measure_steps
+from cosim.circuits.port import DesignConstants
+from cosim.ngspice.simulator import Simulator
+
+
+@dataclass(frozen=True)
+class Measured:
+    """All that ngspice was asked about a board; the fields are explained where their types are."""
+
+    stated: DesignConstants
+    constants: tuple[Constant, ...]
+    rest: tuple[Rest, ...]
+    headroom: Headroom
+    loops: tuple[Loop, ...]
+    paths: tuple[Path, ...]
+    steps: tuple[Step, ...]
+    brakes: tuple[Brake, ...]
+    admittance_a_s: tuple[tuple[float, ...], ...]
+    noise: tuple[Noise, ...]
+    pot_noise: tuple[PotNoise, ...]
+
+
+def measure(payload: dict[str, Any], report: Callable[[dict[str, Any]], None]) -> Measured:
+    """Measure a board.
+
+    Parameters
+    ----------
+    payload
+        'board', 'ideal': Deck at the levels in force and with ideal parts; 'noise_rad' [rad] and
+        'noise_bandwidth_hz' of the potentiometer
+    report
+        called now and then
+
+    Raises
+    ------
+    InputError
+        With ngspice's words: syntax, no operating point, floating node, missing design constant.
+    """
+    simulator = Simulator(on_time=lambda reached: report({}))
+    bench = Bench(simulator, payload["ideal"])
+    bench.operating_point()
+    stated = bench.constants()
+    ideal = measure_constants(bench, stated, measure_paths(bench, stated))
+    bench = Bench(simulator, payload["board"])
+    rest = measure_rest(bench, stated)
+    paths = measure_paths(bench, stated)
+    constants = table(stated, measure_constants(bench, stated, paths), ideal)
+    admittance = measure_admittance(bench)
+    k_fs = {j: c.measured or 0.0 for c in constants for j in range(1, bench.joints + 1)
+            if c.name == "k_fs" and c.where == f"{j}{j}"}  # fmt: skip
+    return Measured(
+        stated=stated,
+        constants=tuple(constants),
+        rest=tuple(rest),
+        headroom=measure_headroom(bench, stated),
+        loops=tuple(measure_loops(bench)),
+        paths=tuple(paths),
+        steps=tuple(measure_steps(bench, stated, paths)),
+        brakes=tuple(brakes(paths, admittance, stated, k_fs)),
+        admittance_a_s=tuple(map(tuple, admittance)),
+        noise=tuple(measure_noise(bench, stated)),
+        pot_noise=tuple(
+            measure_pot_noise(bench, stated, payload["noise_rad"], payload["noise_bandwidth_hz"])
+        ),
+    )

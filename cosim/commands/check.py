@@ -1,0 +1,61 @@
+"""``cosim check``: what a board does, asked of ngspice in a few seconds."""
+
+import argparse
+from typing import Any
+
+from cosim.commands.command import Command
+
+_LEVELS = ("ideal", "gbw", "full")
+_DRIVERS = ("voltage", "current")
+
+
+def _arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("target", metavar="SCENE|BOARD", help="scene (.toml) or board netlist (.cir)")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=V1,V2,...",
+        help="try values of a netlist name (R12, xdiff1.r1), with a scene also of its keys; repeatable",
+    )
+    parser.add_argument(
+        "--level",
+        choices=_LEVELS,
+        help="level of all parts (default: the scene's effects; for a board: full)",
+    )
+    parser.add_argument(
+        "--driver", choices=_DRIVERS, help="kind of drive (default: the scene's; for a board: voltage)"
+    )
+    parser.add_argument("--strict", action="store_true", help="exit with 1 if there is a problem")
+    parser.add_argument(
+        "--trust", action="store_true", help="let the netlists run commands and read files of their choice"
+    )
+
+
+def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    from cosim.ngspice.child import start_early
+
+    with start_early("cosim.check.measure") as child:  # it imports while the netlists are read
+        from cosim.check.check import check
+        from cosim.check.subject import load_subject
+        from cosim.check.text import describe
+        from cosim.settings import parse_settings, variants
+
+        subjects = [
+            load_subject(args.target, variant, args.level, args.driver, trust=args.trust)
+            for variant in variants(parse_settings(args.set))
+        ]
+        checks = [check(subject, child=child) for subject in subjects]
+    text = "\n\n".join(
+        (f"{done.subject.label}\n" if done.subject.label else "") + describe(done) for done in checks
+    )
+    return {"checks": [done.as_dict() for done in checks]}, text
+
+
+def _exit_code(args: argparse.Namespace, result: dict[str, Any]) -> int:
+    return int(args.strict and any(done["problems"] for done in result["checks"]))
+
+
+COMMAND = Command(
+    "check", "ports, constants, headroom, margins, delays and noise of a board", _arguments, _run, _exit_code
+)
