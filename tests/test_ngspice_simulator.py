@@ -428,3 +428,30 @@ def test_constants_of_a_deck_behind_an_analysis() -> None:
     simulator.command("op")
     simulator.load(deck.format(value=5, name="second"))
     assert simulator.constant("second") == 5.0
+
+
+def test_a_data_callback_that_stays_is_not_exchanged() -> None:
+    """Every exchange initialises ngspice again, which loads its code models again: later points get slower."""
+    calls = []
+
+    @ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int, ctypes.c_int, ctypes.POINTER(ctypes.c_int64))
+    def data(values: Any, count: int, ident: int, user: Any) -> int:
+        calls.append(user[0])
+        return 0
+
+    address = ctypes.cast(data, ctypes.c_void_p).value
+    memory = np.array([7, 0], np.int64)
+    for _ in range(2):
+        simulator = Simulator()
+        simulator.load(RC)
+        simulator.attach(source=lambda name, time: 1.0)
+        simulator.command("tran 1u 10u")
+        simulator.attach(data=address, source=lambda name, time: 1.0, user=memory.ctypes.data, data_stays=True)
+        simulator.command("tran 1u 10u")
+    inside = [value for value in calls if value == 7]
+    outside = [value for value in calls if value == 0]
+    assert len(inside) + len(outside) == len(calls)
+    assert outside, "the callback stayed for the second simulator's first analysis"
+    simulator._library.attach(None, None, None, None, None)
+    simulator._library._stays = False
+    simulator.attach()

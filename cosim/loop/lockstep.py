@@ -304,6 +304,8 @@ def advance(s: Record, t: float) -> None:
 def accepted(data: Any, count: int, ident: int, user: Any) -> int:
     """SendData: the point is final; the linkage takes its step and the row is written."""
     s = carray(user, 1)[0]
+    if s.running == 0:
+        return 0
     vectors = carray(data, (2,))[1]
     t = vector_value(vectors, s.time_index)
     for j in range(s.n):

@@ -26,8 +26,6 @@ _METHOD = {
 }
 #: The first step behind a jump, as a share of the longest step (backward Euler; see adams.py).
 FIRST_STEP_SHARE = 0.01
-#: Nodes that are recorded or watched, at most (`STATE.node_index`).
-MOST_NODES = 256
 
 
 def mechanism(scene: Scene, gear: float) -> Chain | Slider:
@@ -240,6 +238,7 @@ def pack(
     s = state[0]
     person = operator(scene)
     s["p"], s["op"] = linkage.pack()[0], person.pack()[0]
+    s["running"] = 1
     s["n"] = n
     q, v = start(scene, linkage)
     s["q"][:n], s["v"][:n] = q, v

@@ -215,6 +215,7 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         source=lockstep.source.address,
         sync=lockstep.synchronise.address,
         user=memory.state.ctypes.data,
+        data_stays=True,
     )
     wall, cpu = time.perf_counter(), time.process_time()
     moving = True

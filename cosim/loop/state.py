@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from cosim.circuits.spice import MOST_NODES
 from cosim.loop.computer import COMPUTER, SAMPLE
 from mech.records import LINKAGE, NMAX, OPERATOR, WORK
 
@@ -18,6 +19,7 @@ QUEUE = 16
 
 STATE = np.dtype(
     [
+        ("running", "i8"),  # first word: 0 tells `accepted` that the values are of another analysis
         # mechanics at the last accepted point
         ("p", LINKAGE),
         ("op", OPERATOR),
@@ -93,8 +95,8 @@ STATE = np.dtype(
         ("time_index", "i8"),
         ("current_index", "i8", NMAX),
         ("nodes", "i8"),
-        ("node_index", "i8", 256),
-        ("node_peak", "f8", 256),
+        ("node_index", "i8", MOST_NODES),
+        ("node_peak", "f8", MOST_NODES),
         # rows of results
         ("rows", "i8"),
         ("rows_capacity", "i8"),

@@ -186,15 +186,18 @@ def _board(path: Path, net: Netlist) -> Block:
 
 
 def _joints(board: Block) -> int:
-    return sum(re.fullmatch(r"imot\d+", pin) is not None for pin in board.pins)
+    """Return the number of joints whose pins are most like the board's: a missing pin does not change it."""
+    pins = set(board.pins)
+    return min(range(MOST_JOINTS, 0, -1), key=lambda joints: len(pins ^ set(board_pins(joints))))
 
 
 def _check_pins(board: Block) -> None:
     """Raise an `InputError` that lists every missing, unknown and doubled pin."""
-    joints = max(_joints(board), 1)
+    joints = _joints(board)
     file, line = board.header.file, board.header.lineno
-    if joints > MOST_JOINTS:
-        fail(f"a board has at most {MOST_JOINTS} joints", file=file, line=line, key=board.name, value=joints)
+    motors = sum(re.fullmatch(r"imot\d+", pin) is not None for pin in board.pins)
+    if motors > MOST_JOINTS:
+        fail(f"a board has at most {MOST_JOINTS} joints", file=file, line=line, key=board.name, value=motors)
     wanted = board_pins(joints)
     problems = [
         Problem(

@@ -192,6 +192,7 @@ class Simulator:
         source: int | Source | None = None,
         sync: int | Sync | None = None,
         user: int | None = None,
+        data_stays: bool = False,
     ) -> None:
         """Set the callbacks of all later analyses; may be called before or after `load`.
 
@@ -213,9 +214,13 @@ class Simulator:
             ``None``. What a Python function raises stops the analysis and is raised by `command`.
         user
             Address handed to every callback; ngspice has only one such pointer.
+        data_stays
+            `data` stays in the library, also for a later `Simulator` or where a later `attach` names none:
+            it lives as long as the process and returns at once when the first 8 bytes at `user` are zero,
+            as they are when no `user` is given. Changing `data` slows ngspice down a little each time.
         """
         self._alive()
-        self._library.attach(data, init, source, sync, user)
+        self._library.attach(data, init, source, sync, user, data_stays)
 
     def set_breakpoint_address(self) -> int:
         """Return the address of the C function ``bool ngSpice_SetBkpt(double time)``."""
@@ -281,6 +286,7 @@ class Simulator:
     def _clear(self) -> None:
         if self._library.loaded:  # by whichever simulator; every old plot would slow each point of a run
             self._library.loaded = False
+            self._run("delete all")  # what `.save` and `stop` asked for: it would be sent again and again
             self._run("destroy all")
             self._run("remcirc")
 

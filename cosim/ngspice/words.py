@@ -35,7 +35,8 @@ _ERROR = re.compile(
 )
 _CHATTER = re.compile(
     r"Trying gmin|Supplies reduced|gmin (step|increment)|source step|\(?Note:|No\. of Data Rows"
-    r"|Doing analysis|^(stdout|stderr)\s*[-*]*\s*$|cannot recover and awaits|Circuit: |Creation Date"
+    r"|Doing analysis|^(stdout|stderr)\s+\S+#branch\s+\S+(\s+\S+)?\s*$"
+    r"|^(stdout|stderr)\s*[-*]*\s*$|cannot recover and awaits|Circuit: |Creation Date"
     r"|shared library",
     re.IGNORECASE,
 )
@@ -147,6 +148,10 @@ def _find(words: Sequence[str], rows: Sequence[str]) -> int | None:
             used = re.compile(rf"[={{'*/+(,\s-]{re.escape(missing[1])}\b(?!\s*=)", re.IGNORECASE)
             return next((i for i, row in enumerate(rows) if i and used.search(row)), None)
     normal = [" ".join(row.lower().split()) for row in rows]
+    for word in words:
+        _, found, expression = word.lower().partition("expression err:")
+        if found:
+            return next((i for i, row in enumerate(normal) if i and f"{{{expression.strip()}" in row), None)
     for word in words:
         quoted = " ".join(word.partition("error: unknown subckt:")[2].split() or word.lower().split()).lower()
         for index, row in enumerate(normal[1:], 1):
