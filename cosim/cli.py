@@ -7,7 +7,9 @@ Nothing heavy is imported before a command runs, so that ``cosim --help`` answer
 import argparse
 import json
 import os
+import signal
 import sys
+import threading
 from collections.abc import Sequence
 from typing import Any, TextIO
 
@@ -48,6 +50,9 @@ def build_parser() -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
+    if threading.current_thread() is threading.main_thread():
+        # a batch system's or `timeout`'s request to end is obeyed like a Ctrl-C: nothing is left half-written
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
     args = build_parser().parse_args(argv)
     code, text, stream = _outcome(args)
     try:

@@ -13,6 +13,28 @@ from cosim.errors import InputError, Problem, nearest
 from cosim.scene import Scene
 
 Signals = Mapping[str, NDArray[np.float64]]
+#: Every measure there is; those of the wall need one, some of them steady contact.
+NAMES = (
+    "peak_force",
+    "max_penetration",
+    "contact_share",
+    "peak_normal_force",
+    "mean_normal_force",
+    "steady_penetration",
+    "steady_normal_force",
+    "steady_tangential_force",
+    "rendered_stiffness",
+    "tangential_ratio",
+    "force_ripple",
+    "peak_current",
+    "rated_share",
+    "over_rated",
+    "heat",
+    "dac_saturations",
+    "unreachable_samples",
+    "headroom",
+    "ledger_closure",
+)
 #: The share of a run, at its end, over which steady figures are averaged.
 _STEADY = 0.2
 
@@ -132,27 +154,22 @@ def _heat(t: NDArray[np.float64], signals: Signals, n: int) -> float:
 
 
 def chosen(measures: dict[str, dict[str, Any]], scene: Scene) -> dict[str, dict[str, Any]]:
-    """Return the measures that `[measures] names` asks for, all when it asks for none.
+    """Return the measures that `[measures] names` asks for and this run has, all when it asks for none."""
+    return {name: measures[name] for name in scene.measures.names or measures if name in measures}
 
-    Raises
-    ------
-    InputError
-        For a name that this run does not have, with the nearest that it has.
-    """
-    names = scene.measures.names
-    if not names:
-        return measures
+
+def check_names(scene: Scene) -> None:
+    """Raise an `InputError` for every name in `[measures] names` that no run can have."""
     problems = [
         Problem(
-            "no such measure in this run"
-            + (f"; nearest is {near}" if (near := nearest(name, measures)) else ""),
+            "no such measure" + (f"; nearest is {near}" if (near := nearest(name, NAMES)) else ""),
             file=str(scene.file) if scene.file else None,
             key="measures.names",
             value=name,
+            allowed=", ".join(NAMES),
         )
-        for name in names
-        if name not in measures
+        for name in scene.measures.names
+        if name not in NAMES
     ]
     if problems:
         raise InputError(problems)
-    return {name: measures[name] for name in names}

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from cosim import effects
-from cosim.circuits.spice import Drive, Tolerances
+from cosim.circuits.spice import MOST_NODES, Drive, Tolerances
 from cosim.errors import InputError, Problem
 from cosim.loop.driven import drive
+from cosim.measures import check_names
 from cosim.ngspice.deck import Deck, load_deck
 from cosim.ngspice.parts import PartSwap
 from cosim.scene import Method, PartFile, PotNoise, Scene
@@ -85,6 +86,24 @@ def slower_paths(scene: Scene) -> list[str]:
     return said
 
 
+def _recorded(scene: Scene) -> tuple[str, ...]:
+    """Return the nodes to be recorded, each once; what is a signal of every run is there anyway."""
+    nodes = tuple(dict.fromkeys(node.lower() for node in scene.record.nodes))
+    if not nodes:
+        return ()
+    from cosim.loop.setup import columns  # brings compiled code along, which a plan has no other need of
+
+    known = columns(drive(scene), ())
+    return tuple(node for node in nodes if node not in known)
+
+
+def _placed(problem: Problem, scene: Scene) -> Problem:
+    """Name the scene's file and key in what the loader says of a part that the scene swaps."""
+    if problem.file is not None or problem.key not in scene.device.parts:
+        return problem
+    return replace(problem, file=str(scene.file) if scene.file else None, key=f"device.parts.{problem.key}")
+
+
 def _swaps(scene: Scene) -> dict[str, PartSwap | str]:
     return {
         name: PartSwap(part.file, part.subckt, part.pins, part.dialect.value)
@@ -102,13 +121,17 @@ def resolve(scene: Scene, *, trust: bool = False) -> Plan:
     InputError
         For a board that does not fit the scene, or effects that its model cannot carry.
     """
-    board = load_deck(
-        scene.device.board,
-        levels=effects.levels(scene),
-        parts=_swaps(scene),
-        overrides=scene.device.values,
-        trust=trust,
-    )
+    check_names(scene)
+    try:
+        board = load_deck(
+            scene.device.board,
+            levels=effects.levels(scene),
+            parts=_swaps(scene),
+            overrides=scene.device.values,
+            trust=trust,
+        )
+    except InputError as error:
+        raise InputError(_placed(problem, scene) for problem in error.problems) from error
     if board.joints != scene.joints:
         raise InputError(
             Problem(
@@ -120,8 +143,18 @@ def resolve(scene: Scene, *, trust: bool = False) -> Plan:
         )
     _check_path(scene)
     solver = scene.solver
-    recorded = tuple(node.lower() for node in scene.record.nodes)
+    recorded = _recorded(scene)
     watched = tuple(dict.fromkeys(a.out_node for a in board.amplifiers if a.out_node not in recorded))
+    if len(recorded) + len(watched) > MOST_NODES:
+        raise InputError(
+            Problem(
+                f"too many nodes: {len(watched)} outputs of amplifiers are watched anyway",
+                file=str(scene.file) if scene.file else None,
+                key="record.nodes",
+                value=f"{len(recorded)} nodes",
+                allowed=f"<= {MOST_NODES - len(watched)}",
+            )
+        )
     return Plan(
         scene=scene,
         board=board,

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.circuits.port import DesignConstants
+from cosim.errors import InputError, Problem
 from cosim.measures import chosen, headroom, standard
 from cosim.ngspice.child import Child, call
 from cosim.plan import Plan, resolve
@@ -26,6 +27,8 @@ __all__ = ["resolve", "run"]
 _TARGET = "cosim.loop.simulate"
 #: Without a sign of progress for so long [s], the simulation counts as hanging.
 _STALL_S = 60.0
+#: A predicted time so many times the limit is not worth starting.
+_HOPELESS = 10.0
 
 
 def run(
@@ -63,6 +66,7 @@ def run(
     """
     begun = time.perf_counter()
     scene = plan.scene
+    _check_duration(plan)
     target = Path(out) if out is not None else Path(tempfile.gettempdir()) / f"cosim-run-{uuid.uuid4().hex}"
     with Staging(target, RECORD) as stage:
         got = call(
@@ -108,6 +112,22 @@ def run(
         result.write_into(stage.path, formats)
         stage.publish()
     return Run.load(target)
+
+
+def _check_duration(plan: Plan) -> None:
+    """Refuse a run that could not end in time: its prediction is good to a factor of a few."""
+    seconds, limit = plan.cost()["seconds"], plan.scene.solver.time_limit_s
+    if seconds > _HOPELESS * limit:
+        raise InputError(
+            Problem(
+                f"the run would compute for about {seconds:.3g} s (see cosim plan): check duration_s, "
+                "computer.period_s, solver.max_step_s and the noise, or raise this limit",
+                file=str(plan.scene.file) if plan.scene.file else None,
+                key="solver.time_limit_s",
+                value=limit,
+                unit="s",
+            )
+        )
 
 
 def _read_samples(file: Path, columns: list[str]) -> dict[str, NDArray[np.float64]]:

@@ -69,6 +69,8 @@ def parse_settings(texts: Iterable[str]) -> tuple[Setting, ...]:
         setting = Setting(name.strip(), tuple(split_values(values)))
         if not setting.name or not all(setting.values):
             problems.append(Problem("must look like R12=8.2k or R12=8.2k,10k,12k", key="--set", value=text))
+        elif len(set(setting.values)) < len(setting.values):
+            problems.append(Problem("has the same value twice", key="--set", value=text))
         elif any(setting.name == other.name for other in settings):
             problems.append(Problem("is set twice; write all values in one --set", key="--set", value=text))
         settings.append(setting)

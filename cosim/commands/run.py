@@ -38,8 +38,9 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         plans = [(variant, resolve(scene, trust=args.trust)) for variant, scene in found]
         base = Path(args.out) if args.out else Path("out") / Path(args.scene).stem
         finished: list[tuple[Variant, Path, Run]] = []
-        for variant, plan in plans:
-            out = base if len(plans) == 1 else base / folder_name(variant.label)
+        names = folder_names([variant.label for variant, _ in plans])
+        for (variant, plan), name in zip(plans, names, strict=True):
+            out = base if len(plans) == 1 else base / name
             with progress(plan.scene.duration_s, variant.label or plan.scene.title) as show:
                 result = run(plan, out, formats=tuple(args.format), on_progress=show, child=child)
             finished.append((variant, out, result))
@@ -49,6 +50,19 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 def folder_name(label: str) -> str:
     """Return a folder's name for one combination of values."""
     return "".join(c if c.isalnum() or c in "._=-+" else "_" for c in label)
+
+
+def folder_names(labels: list[str]) -> list[str]:
+    """Return the folders' names of a series; values that differ in odd characters only are told apart."""
+    names: list[str] = []
+    for label in labels:
+        name = plain = folder_name(label)
+        count = 1
+        while name in names:
+            count += 1
+            name = f"{plain}_{count}"
+        names.append(name)
+    return names
 
 
 @contextmanager

@@ -25,7 +25,7 @@ _METHOD = {
     schema.Method.JOINT_PD: Method.JOINT_PD,
 }
 #: The first step behind a jump, as a share of the longest step (backward Euler; see adams.py).
-FIRST_STEP_SHARE = 0.01
+FIRST_STEP_SHARE = 0.002
 
 
 def mechanism(scene: Scene, gear: float) -> Chain | Slider:
@@ -280,6 +280,8 @@ def pack(
     solver = scene.solver
     s["h_max"] = min(solver.max_step_s, period)
     s["h_first"] = FIRST_STEP_SHARE * s["h_max"]
+    if s["settle"] > 0.0:
+        s["h_first"] = min(float(s["h_first"]), s["settle"] / 3)
     s["h_couple"] = s["h_max"]
     s["h_pole"] = s["h_max"]
     s["tol"] = solver.coupling_tolerance_rad

@@ -85,6 +85,8 @@ STATE = np.dtype(
         ("h_first", "f8"),
         ("h_couple", "f8"),
         ("h_pole", "f8"),
+        ("b_emf", "f8", (NMAX, NMAX)),  # N m s/rad at the joints: what the motors' back-EMF brakes with
+        ("column", "f8", NMAX),
         ("tol", "f8"),
         ("t_event", "f8"),
         ("announced", "i8"),

@@ -40,9 +40,9 @@ def _no_bool(value: Any) -> Any:
 
 # Upper limits are far outside of anything built; they exist to catch a value written in a wrong unit.
 Duration = Annotated[float, Field(gt=0, le=1e5), Unit("s")]
-Period = Annotated[float, Field(gt=0, le=10), Unit("s")]
+Period = Annotated[float, Field(ge=1e-6, le=10), Unit("s")]
 Lag = Annotated[float, Field(ge=0, le=1), Unit("s")]
-Step = Annotated[float, Field(gt=0, le=1), Unit("s")]
+Step = Annotated[float, Field(ge=1e-9, le=1), Unit("s")]
 Time = Annotated[float, Field(ge=0, le=1e5), Unit("s")]
 Length = Annotated[float, Field(gt=0, le=10), Unit("m")]
 Along = Annotated[float, Field(ge=0, le=10), Unit("m")]
@@ -52,7 +52,7 @@ RealMass = Annotated[float, Field(gt=0, le=1e3), Unit("kg")]
 Inertia = Annotated[float, Field(ge=0, le=1e3), Unit("kg m^2")]
 Angle = Annotated[float, Field(ge=-100, le=100), Unit("rad")]
 SmallAngle = Annotated[float, Field(ge=0, le=0.5), Unit("rad")]
-AngleSpan = Annotated[float, Field(gt=0, le=100), Unit("rad")]
+AngleSpan = Annotated[float, Field(ge=1e-3, le=100), Unit("rad")]
 Rate = Annotated[float, Field(ge=-1e4, le=1e4), Unit("rad/s")]
 PositiveRate = Annotated[float, Field(gt=0, le=1e4), Unit("rad/s")]
 Torque = Annotated[float, Field(ge=0, le=1e3), Unit("N m")]
@@ -340,8 +340,8 @@ class HandOperator(Table):
     mass_kg: Mass = 0.554
     damping_n_s_per_m: Damping = 6.45
     stiffness_n_per_m: Stiffness = 135.0
-    waypoints_s_m: tuple[tuple[Time, Place, Place], ...] = Field(min_length=1)
-    force_s_n: tuple[tuple[Time, Force, Force], ...] = ()
+    waypoints_s_m: tuple[tuple[Time, Place, Place], ...] = Field(min_length=1, max_length=256)
+    force_s_n: tuple[tuple[Time, Force, Force], ...] = Field(default=(), max_length=256)
 
 
 class PythonOperator(Table):
@@ -385,16 +385,15 @@ class Solver(Table):
     rtol: float = Field(default=1e-4, gt=0, le=0.1)
     max_step_s: Step = 2e-3
     method: Annotated[Integration, _Word] = Integration.GEAR
-    coupling_tolerance_rad: Annotated[float, Field(gt=0, le=0.1), Unit("rad")] = 1e-7
+    coupling_tolerance_rad: Annotated[float, Field(ge=1e-14, le=0.1), Unit("rad")] = 1e-7
     charge_tolerance_c: Annotated[float, Field(gt=0, le=1e-3), Unit("C")] = 1e-9
     time_limit_s: Annotated[float, Field(gt=0, le=1e6), Unit("s")] = 600.0
 
 
 class Record(Table):
-    """``[record]``: further nodes by their path, and whether every accepted point is kept."""
+    """``[record]``: further nodes by their path, such as ``xboard.xsum1.inn``."""
 
     nodes: tuple[str, ...] = ()
-    every_point: bool = True
 
 
 class Measures(Table):
