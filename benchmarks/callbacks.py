@@ -24,7 +24,7 @@ from cosim.circuits.spice import lockstep_deck, saved
 from cosim.loop import lockstep as shipped
 from cosim.loop.native import doubles_at, vector_value
 from cosim.loop.setup import Memory, pack
-from cosim.loop.simulate import Recorder, coupled_step, read_constants
+from cosim.loop.simulate import Recorder, back_emf_viscosity, read_constants
 from cosim.ngspice.simulator import Simulator
 from cosim.plan import Plan
 
@@ -217,7 +217,8 @@ class CallLog:
         state["breakpoint_address"] = simulator.set_breakpoint_address()
         shipped.begin(state)
         shipped.fill(state, 0.0)
-        state["h_pole"] = min(state["h_pole"], coupled_step(simulator, plan.circuit, self.memory))
+        n = plan.circuit.joints
+        state["b_emf"][:n, :n] = back_emf_viscosity(simulator, plan.circuit, state)
         vectors: list[str] = []
 
         def init(names: list[str]) -> None:

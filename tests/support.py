@@ -146,12 +146,12 @@ def count_equations(payload: Mapping[str, Any], report: Any) -> dict[str, Any]:
 
 def simulate_without_pole(payload: dict[str, Any], report: Any) -> dict[str, Any]:
     """In a child: a run with the bound of the back-EMF's coupled pole taken away."""
-    kept = simulation.coupled_step
-    simulation.coupled_step = lambda *_: math.inf
+    kept = simulation.back_emf_viscosity
+    simulation.back_emf_viscosity = lambda simulator, circuit, state: np.zeros((circuit.joints,) * 2)
     try:
         return simulation.simulate(payload, report)
     finally:
-        simulation.coupled_step = kept
+        simulation.back_emf_viscosity = kept
 
 
 class Arm:

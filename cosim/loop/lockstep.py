@@ -17,7 +17,7 @@ from cosim.loop.adams import correct, predict
 from cosim.loop.computer import law, read_encoders, to_volts
 from cosim.loop.native import call_plain, call_with_time, doubles_at, vector_value
 from cosim.loop.state import QUEUE, STATE, Fault
-from mech.kernels import dynamics
+from mech.kernels import dynamics, solve
 
 _NOT_FINITE, _DIVERGED, _COLLAPSED = Fault.NOT_FINITE, Fault.DIVERGED, Fault.STEP_COLLAPSED
 _SAMPLE_LOST, _RAN_AWAY = Fault.SAMPLE_LOST, Fault.RAN_AWAY
@@ -28,6 +28,8 @@ _RUNAWAY_RAD_PER_S = 1e5
 #: The next step aims at this share of the tolerance, and grows at most this much.
 _SAFETY, _GROWTH = 0.8, 4.0
 _NEVER = 1e300
+#: Share of the time constant of the coupled pole that a step may be.
+_POLE_SHARE = 0.5
 
 Record = Any
 _record = numba.from_dtype(STATE)
@@ -275,6 +277,22 @@ def evaluate(s: Record, t: float, q: Any, v: Any, a_out: Any) -> None:
 
 
 @njit(cache=True, error_model="numpy")
+def bound_by_pole(s: Record) -> None:
+    """Set the longest stable step of the explicit back-EMF coupling: 0.5 m_eff / b_eff (ngspice-notes 20).
+
+    The fastest rate is an eigenvalue of M^-1 B with the mass matrix of the present pose; M and B being
+    positive, their sum, the trace, bounds it.
+    """
+    rates = 0.0
+    for j in range(s.n):
+        for i in range(s.n):
+            s.column[i] = s.b_emf[i, j]
+        solve(s.n, s.w.mass, s.column, s.w.factor)
+        rates += s.column[j]
+    s.h_pole = min(s.h_max, _POLE_SHARE / rates) if rates > 0.0 else s.h_max
+
+
+@njit(cache=True, error_model="numpy")
 def advance(s: Record, t: float) -> None:
     """Take the linkage to the accepted time `t`, the motors' torques there being in `s.tau`."""
     h = t - s.t
@@ -298,6 +316,8 @@ def advance(s: Record, t: float) -> None:
     share = s.defect / (_SAFETY * s.tol)
     grow = _GROWTH if share * _GROWTH**3 < 1.0 else share ** (-1.0 / 3.0)
     s.h_couple = h * grow
+    if s.speeds > 0:
+        bound_by_pole(s)
 
 
 @cfunc(_i4(types.CPointer(_i8), _i4, _i4, types.CPointer(_record)), cache=True)
@@ -319,6 +339,8 @@ def accepted(data: Any, count: int, ident: int, user: Any) -> int:
     else:
         evaluate(s, t, s.q, s.v, s.a)
         s.history = 1
+        if s.speeds > 0:
+            bound_by_pole(s)
     s.points += 1
     if s.points - s.points_before > s.most_points:
         s.fault = _COLLAPSED

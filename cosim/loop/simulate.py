@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.circuits.port import DesignConstants
 from cosim.circuits.spice import Drive, Tolerances, lockstep_deck, saved
 from cosim.errors import CosimError, InputError, Problem, SimulationError, nearest
 from cosim.loop import lockstep
 from cosim.loop.driven import drive
-from cosim.loop.lockstep import evaluate
 from cosim.loop.setup import Memory, columns, pack, sample_columns
 from cosim.loop.signals import Layout, write_signals
 from cosim.loop.state import Fault
@@ -119,30 +119,24 @@ def read_constants(simulator: Simulator, file: str) -> DesignConstants:
     return DesignConstants.read(values, file)
 
 
-def coupled_step(simulator: Simulator, circuit: Drive, memory: Memory) -> float:
-    """Longest stable step [s] of the explicit back-EMF coupling: 0.5 m_eff / b_eff (ngspice-notes 20).
+def back_emf_viscosity(simulator: Simulator, circuit: Drive, state: np.void) -> NDArray[np.float64]:
+    """Viscosity [n, n] N m s/rad that the motors' back-EMF gives the joints, measured by `.ac` on the board.
 
-    The viscosity b_eff that the motors' back-EMF gives the joints is measured by `.ac` at a low frequency on
-    the loaded board; with the inertia M of the pose the fastest rate is the largest eigenvalue of M^-1 b_eff.
+    At a low frequency and at the start's gains; zero where the motors have no back-EMF.
     """
-    if not circuit.speeds:
-        return math.inf
     n = circuit.joints
-    state = memory.state[0]
-    first = circuit.sources().index("vel1")
-    held = {f"v{k:02d}": float(state["out"][k]) for k in range(len(circuit.sources()))}
-    simulator.attach(source=lambda name, t: held[name])
     admittance = np.zeros((n, n))
-    for j in range(n):
-        simulator.command(f"alter @v{first + j:02d}[acmag] = 1")
-        simulator.command(f"ac lin 1 {_LOW_HZ} {_LOW_HZ}")
-        admittance[:, j] = [np.real(simulator.vector(f"imot{i + 1}")[0]) for i in range(n)]
-        simulator.command(f"alter @v{first + j:02d}[acmag] = 0")
-    viscosity = -float(state["torque_per_amp"]) * float(state["gear"]) * admittance
-    evaluate(state, 0.0, state["q"], state["v"], state["a"])
-    rates = np.abs(np.linalg.eigvals(np.linalg.solve(state["w"]["mass"][:n, :n], viscosity)))
-    fastest = float(rates.max())
-    return 0.5 / fastest if fastest > 0.0 else math.inf
+    if circuit.speeds:
+        first = circuit.sources().index("vel1")
+        held = {f"v{k:02d}": float(state["out"][k]) for k in range(len(circuit.sources()))}
+        simulator.attach(source=lambda name, t: held[name])
+        for j in range(n):
+            simulator.command(f"alter @v{first + j:02d}[acmag] = 1")
+            simulator.command(f"ac lin 1 {_LOW_HZ} {_LOW_HZ}")
+            admittance[:, j] = [np.real(simulator.vector(f"imot{i + 1}")[0]) for i in range(n)]
+            simulator.command(f"alter @v{first + j:02d}[acmag] = 0")
+    viscosity: NDArray[np.float64] = -float(state["torque_per_amp"]) * float(state["gear"]) * admittance
+    return viscosity
 
 
 def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
@@ -208,7 +202,8 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     state["breakpoint_address"] = simulator.set_breakpoint_address()
     lockstep.begin(state)
     lockstep.fill(state, 0.0)
-    state["h_pole"] = min(state["h_pole"], coupled_step(simulator, circuit, memory))
+    n = circuit.joints
+    state["b_emf"][:n, :n] = back_emf_viscosity(simulator, circuit, state)
     simulator.attach(
         data=lockstep.accepted.address,
         init=named,
