@@ -100,15 +100,19 @@ def measure_constants(bench: Bench, constants: DesignConstants, paths: list[Path
 
 
 def multiplier_volts(bench: Bench, constants: DesignConstants, i: int, j: int) -> float | None:
-    """Return the output [V] of the multiplier from joint j to motor i at rated torque and full-scale gain.
+    """Return what the multiplier from joint j to motor i puts out for rated current, at full-scale gain [V].
 
-    It is the multiplier with the largest output, all other gains being zero; ``None`` if the board has none.
+    It is the multiplier with the largest output, all other gains being zero. ``None`` if the board has none,
+    or the motor gets nothing.
     """
     outputs = [a.out_node for a in bench.board.amplifiers if a.role == "vca"]
     rated = constants.i_rated * constants.kt * constants.gear
     bench.hold({f"ksp{i}{j}": constants.v_fs, f"pot{j}": -rated / constants.k_fs})
     point = bench.operating_point()
-    return max((abs(point[node]) for node in outputs), default=None)
+    current = abs(point[f"imot{i}"])
+    if not outputs or current == 0.0:
+        return None
+    return max(abs(point[node]) for node in outputs) * constants.i_rated / current
 
 
 def table(constants: DesignConstants, real: Readings, ideal: Readings) -> list[Constant]:

@@ -10,7 +10,7 @@ import numpy as np
 from cosim.check.bench import HIGHEST_HZ, Bench, Complex, Real
 from cosim.check.probes import Probe
 
-_SWEEP = f"dec 40 0.1 {HIGHEST_HZ:g}"
+_SWEEP = f"dec 20 0.1 {HIGHEST_HZ:g}"
 _NO_LOOP = 1e-6
 """Return ratio below which nothing comes back: reverse leakage, or rounding."""
 
@@ -71,8 +71,8 @@ def _loop(probe: Probe, f_hz: Real, t: Complex) -> Loop:
 def phase_margins(f_hz: Real, t: Complex) -> tuple[list[float], list[float]]:
     """Return the frequencies [Hz] where |T| crosses 1, and the phase margins there [deg].
 
-    Between two points log |T| and the phase are straight lines over log f, which at 40 points a decade is
-    within 0.05 deg of a plot of real poles.
+    Between two points log |T| and the phase are straight lines over log f: h^2/8 times their curvature off,
+    which at 20 points a decade (h = 0.115) and real poles is 4e-4 of |T| and 0.05 deg.
     """
     level, phase = np.log(np.abs(t)), np.unwrap(np.angle(t))
     frequencies, margins = [], []

@@ -208,10 +208,10 @@ def _top(noise: Noise) -> str:
 
 
 def _pot(pot: PotNoise) -> str:
+    spring, soft, damper = (_si(force, "N") for force in (pot.spring_n, pot.soft_n, pot.damper_n))
     return (
-        f"{pot.noise_rad:g} rad of potentiometer noise, white to {_si(pot.bandwidth_hz, 'Hz')}: "
-        f"{_si(pot.spring_n, 'N')} through the spring at k_fs, {_si(pot.soft_n, 'N')} at {SOFT_N_PER_M:g} N/m,"
-        f" {_si(pot.damper_n, 'N')} through the damper at c_fs"
+        f"{pot.noise_rad:g} rad of potentiometer noise, white to {_si(pot.bandwidth_hz, 'Hz')}: {spring} "
+        f"through the spring at k_fs, {soft} at {SOFT_N_PER_M:g} N/m, {damper} through the damper at c_fs"
     )
 
 

@@ -80,8 +80,8 @@ def _constants(measured: Measured) -> Iterable[Finding]:
             worst = max(parts, key=lambda c: abs(c.deviation_percent or 0.0))
             yield _warning(
                 "constants",
-                f"{name} is off by {worst.deviation_percent:+.3g} % at {_places(parts, rows)}; with ideal parts "
-                f"by {worst.ideal_deviation_percent:+.2g} %: errors of the parts at their level",
+                f"{name} is off by {worst.deviation_percent:+.3g} % at {_places(parts, rows)}; with ideal "
+                f"parts by {worst.ideal_deviation_percent:+.2g} %: errors of the parts at their level",
             )
         uneven = [c for c in rows if _off(c.spread_percent)]
         if uneven:

@@ -1,0 +1,363 @@
+"""`cosim check`: figures against theory on the shipped and on textbook boards, findings, errors."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import BOARD1, BOARD2, SCENES, scene_of, slider
+
+from cosim.check.bench import Bench
+from cosim.check.check import check
+from cosim.check.loops import encirclements, gain_margins, measure_loops, phase_margins
+from cosim.check.subject import load_subject
+from cosim.check.text import describe
+from cosim.check.verdict import Severity
+from cosim.cli import main
+from cosim.errors import InputError
+from cosim.ngspice.child import call, start_early
+from cosim.ngspice.deck import load_deck
+from cosim.ngspice.simulator import Simulator
+from cosim.settings import parse_settings, variants
+
+KT, GEAR, MOTOR_OHM, MOTOR_H, R_TIP = 0.04, 8.0, 5.0, 1.5e-3, 0.1333
+#: Where log |T| and the phase are joined by straight lines (see `phase_margins`), doubled.
+PHASE_DEG, LEVEL = 0.1, 1e-3
+
+
+@pytest.fixture(scope="module")
+def child():
+    with start_early("cosim.check.measure") as process:
+        yield process
+
+
+@pytest.fixture
+def checked(child):
+    def run(target=BOARD2, *settings, level=None, driver=None):
+        (variant,) = variants(parse_settings(settings))
+        return check(load_subject(str(target), variant, level, driver), child=child)
+
+    return run
+
+
+def problems(result, section):
+    return [f for f in result.findings if f.section == section and f.severity is Severity.PROBLEM]
+
+
+# --- loops: textbook cases -------------------------------------------------------------------------------
+
+
+def bisect(level):
+    """Frequency [Hz] at which a falling level is 1."""
+    low, high = 1.0, 1e9
+    for _ in range(200):
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if level(middle) > 1 else (low, middle)
+    return low
+
+
+def margins(f_gbw, *poles_hz, aol=1e6):
+    """Crossover [Hz], phase margin [deg] of aol/(1 + j f aol/f_gbw) behind more poles."""
+    corners = [f_gbw / aol, *poles_hz]
+    f = bisect(lambda hz: aol / math.prod(math.hypot(1, hz / p) for p in corners))
+    return f, 180.0 - sum(math.degrees(math.atan(f / p)) for p in corners)
+
+
+def textbook(folder, poles_hz, gbw_hz, feedback, ro=1e-3):
+    """One-joint board whose only op-amp has these poles, with a feedback of the test's choice."""
+    (folder / "parts").mkdir()
+    stages, last = "", "x"
+    for k, pole in enumerate(poles_hz):
+        stages += f"G{k} 0 n{k} {last} 0 1\nR{k} n{k} 0 1\nC{k} n{k} 0 {1 / (2 * math.pi * pole)!r}\n"
+        last = f"n{k}"
+    (folder / "parts" / "amp.lib").write_text(
+        "*@ role=opamp out=out swing=amp_swing\n.subckt amp p m out\n"
+        f"Gx 0 x p m 1\nRx x 0 1meg\nCx x 0 {1 / (2 * math.pi * gbw_hz)!r}\n"
+        f"{stages}Gout 0 out {last} 0 {1 / ro!r}\nRout out 0 {ro}\n.ends\n"
+    )
+    (folder / "board.cir").write_text(
+        "Textbook loop\n.subckt board pot1 vel1 u1 ksp11 ksd11 cmd1 imot1 vcc vee\n"
+        + feedback
+        + "Gi 0 imot1 out 0 1\nRi imot1 0 1\n.ends board\n"
+    )
+    (loop,) = measure_loops(Bench(Simulator(), load_deck(folder / "board.cir")))
+    return loop
+
+
+def opened(tmp_path, poles, gbw, feedback="xamp pot1 out out amp\n", ro=1e-3):
+    """Measure a textbook loop in a process of its own."""
+    return call("test_check:loop_of", (str(tmp_path), poles, gbw, feedback, ro), time_limit_s=60)
+
+
+def loop_of(payload, report):
+    folder, *rest = payload
+    return textbook(Path(folder), *rest)
+
+
+def test_margin_of_a_follower_with_a_second_pole(tmp_path):
+    loop = opened(tmp_path, [10e6], 3e6)
+    crossover, margin = margins(3e6, 10e6)
+    assert loop.dc_gain == pytest.approx(1e6, rel=1e-2)  # 0.1 Hz is 1/30 of its pole
+    assert loop.crossover_hz == pytest.approx(crossover, rel=LEVEL)
+    assert loop.phase_margin_deg == pytest.approx(margin, abs=PHASE_DEG)
+    assert loop.gain_margin_db is None  # two poles never reach -180 deg
+    assert loop.stable
+
+
+@pytest.mark.parametrize("pole", [5e6, 1e6])
+def test_gain_margin_of_an_integrator_with_two_poles(tmp_path, pole):
+    # phase -180 deg at the double pole itself, where |T| = gbw/(2 pole)
+    loop = opened(tmp_path, [pole, pole], 3e6)
+    _, margin = margins(3e6, pole, pole)
+    assert loop.gain_margin_db == pytest.approx(
+        20 * math.log10(2 * pole / 3e6), abs=20 * math.log10(1 + LEVEL)
+    )
+    assert loop.phase_margin_deg == pytest.approx(margin, abs=PHASE_DEG)
+    assert loop.stable == (pole > 1.5e6)
+    assert (loop.phase_margin_deg > 0) == loop.stable
+
+
+def test_feedback_divider_loads_the_output(tmp_path):
+    # 1 kOhm of output resistance into 9 k + 1 k: T = A * 1k/(11k)
+    feedback = "xamp pot1 inn out amp\nR1 out inn 9k\nR2 inn 0 1k\n"
+    loop = opened(tmp_path, [], 11e6, feedback, ro=1e3)
+    assert loop.crossover_hz == pytest.approx(1e6, rel=LEVEL)
+    assert loop.phase_margin_deg == pytest.approx(90.0, abs=PHASE_DEG)
+
+
+def test_load_capacitance_eats_the_margin(tmp_path):
+    # 100 Ohm and 10 nF: a pole at 159 kHz in a follower of 1 MHz
+    feedback = "xamp pot1 out out amp\nCload out 0 10n\n"
+    loop = opened(tmp_path, [], 1e6, feedback, ro=100.0)
+    crossover, margin = margins(1e6, 1 / (2 * math.pi * 100 * 10e-9))
+    assert loop.crossover_hz == pytest.approx(crossover, rel=LEVEL)
+    assert loop.phase_margin_deg == pytest.approx(margin, abs=PHASE_DEG)
+    assert margin < 45
+
+
+def test_margins_of_sampled_responses():
+    f = np.geomspace(1, 1e6, 121)
+    t = 1e3 / (1 + 1j * f / 10) ** 3  # crosses -180 deg at sqrt(3) 10 Hz with |T| = 125
+    (crossover,), (margin,) = phase_margins(f, t)
+    assert crossover == pytest.approx(10 * math.sqrt(99), rel=LEVEL)
+    assert margin == pytest.approx(180 - 3 * math.degrees(math.atan(math.sqrt(99))), abs=PHASE_DEG)
+    # three poles at one place: three times the curvature, 3*4e-4 of |T| and as much again from the phase
+    assert gain_margins(t) == pytest.approx([-20 * math.log10(125)], abs=0.03)
+    assert encirclements(t) == 2  # two poles of 1 + T in the right half plane
+    assert encirclements(t / 200) == 0
+
+
+# --- the shipped board -----------------------------------------------------------------------------------
+
+
+def test_ideal_board_keeps_its_word(checked):
+    result = checked(level="ideal")
+    assert not result.findings
+    assert {c.name for c in result.measured.constants} == {"v_rad", "k_fs", "c_fs", "v_nm", "w_rated"}
+    assert len([c for c in result.measured.constants if c.name == "k_fs"]) == 4
+    assert all(abs(c.deviation_percent) < 0.1 for c in result.measured.constants)
+    assert all(loop.stable is None for loop in result.measured.loops)  # no bandwidth, no crossover
+    assert all(rest.current_a == 0.0 for rest in result.measured.rest)
+
+
+def test_delays_are_the_blocks_time_constants(checked):
+    steps = {s.block: s.delay_s for s in checked(level="gbw").measured.steps if s.joint == 1}
+    # noise gain over 2 pi GBW: difference amplifier 1 + 169/10; summer 1 + 10k (2/24.3k + 2/6.19k + 1/20k)
+    gbw = 2 * math.pi * 3e6
+    summer = 1 + 10 * (2 / 24.3 + 2 / 6.19 + 1 / 20)
+    # finite gain (2e5, 8e4) and the 1 Ohm outputs take up to 2e-4 of each; the driver's noise gain of 3 at
+    # 1 MHz stands beside L/R
+    assert steps["xdiff1"] == pytest.approx(17.9 / gbw, rel=1e-3)
+    assert steps["xksp11"] == pytest.approx(1 / (2 * math.pi * 1e6), rel=1e-3)
+    assert steps["xsum1"] == pytest.approx(summer / gbw, rel=1e-3)
+    assert steps["potentiometer"] == pytest.approx(1 / gbw, rel=1e-3)
+    assert steps["driver and motor"] == pytest.approx(MOTOR_H / MOTOR_OHM + 3 / (2 * math.pi * 1e6), rel=1e-3)
+
+
+def test_back_emf_pays_for_the_delay(checked):
+    (brake,) = checked(BOARD1, level="gbw").measured.brakes
+    b = KT**2 * GEAR**2 / MOTOR_OHM
+    assert brake.viscosity_n_m_s == pytest.approx(b, rel=1e-4)
+    assert brake.stiffness_n_per_m == pytest.approx(b / brake.delay_s / R_TIP**2, rel=1e-4)
+    assert brake.eta == pytest.approx(3.0003 * brake.delay_s / b, rel=1e-3)
+
+
+def test_full_board_passes_and_names_the_parts_errors(checked):
+    result = checked()
+    assert result.count(Severity.PROBLEM) == 0
+    warned = [f.message for f in result.findings]
+    # full: 0.25 % scale error and 2.598*(0.4 + 0.1) % - 0.26 % of small-signal gain from the nonlinearity
+    assert any(m.startswith("k_fs is off by +1.3") and "errors of the parts" in m for m in warned)
+    (case, *_) = result.measured.headroom.cases
+    assert case.current_a == pytest.approx(0.875, rel=5e-3)  # at rated the cubic has come back
+    assert result.measured.rest[0].force_n < 0.05
+    limits = result.measured.headroom.limits_a
+    assert limits == pytest.approx([1.987, 1.987], rel=0.03)  # the clamp is two diodes
+
+
+def test_an_edited_resistor_is_found(checked):
+    result = checked(BOARD2, "r_diff_fb=171k", level="ideal")
+    # R12 and R14 move together: the gain is 17.1 instead of 16.9
+    off = {c.name: c.deviation_percent for c in result.measured.constants if abs(c.deviation_percent) > 0.1}
+    assert off.keys() == {"k_fs"}  # a multiplier makes rated torque with the volts of before
+    assert off["k_fs"] == pytest.approx(100 * (171 / 169 - 1), abs=0.01)
+    assert len(problems(result, "constants")) == 1
+
+
+def test_one_instance_edited_shows_at_its_own_places(checked):
+    result = checked(BOARD2, "xder1.r22=110k", level="ideal")
+    off = {(c.name, c.where) for c in result.measured.constants if abs(c.deviation_percent) > 0.1}
+    assert off == {("c_fs", "11"), ("c_fs", "21")}
+    assert "11, 21" in problems(result, "constants")[0].message
+
+
+def test_swapped_gains_are_found(checked, tmp_path):
+    project(tmp_path, ("xksp12 x2 ksp12", "xksp12 x2 ksp21"), ("xksp21 x1 ksp21", "xksp21 x1 ksp12"))
+    result = checked(tmp_path / "board2.cir", level="ideal")
+    assert any("k_fs is off by -100 % at 12, 21" in f.message for f in problems(result, "constants"))
+
+
+def test_a_cut_wire_is_no_number(checked, tmp_path):
+    project(tmp_path, ("Rcmd1 cmd1 sum1", "Rcmd1 cmd1 0"))
+    result = checked(tmp_path / "board2.cir", level="ideal")
+    assert next(c.measured for c in result.measured.constants if c.name == "v_nm") is None
+    assert any("v_nm (1): nothing comes through" in f.message for f in result.findings)
+    assert "v_nm" in describe(result)
+    json.dumps(result.as_dict(), allow_nan=False)
+
+
+def test_clipping_inside_the_working_range_is_found(checked):
+    # gain 26: at 100 N/m, 157.6 mrad * 3.37 V/rad * 26 = 13.8 V of 13.5 V
+    result = checked(BOARD2, "r_diff_fb=260k", level="full")
+    messages = [f.message for f in problems(result, "headroom")]
+    assert any("xboard.xdiff1.xop" in m and "100 N/m" in m for m in messages)
+    # more gain behind the multiplier: 5.3 V * 12/24.3 are rated torque
+    low = checked(BOARD2, "r_sum_spring=12k", level="ideal")
+    assert any("multiplier 11 makes" in f.message for f in problems(low, "headroom"))
+
+
+def current_loop():
+    """Loop gain of the current drive at the motor: integrator with its zero, motor, the op-amp's own loop."""
+
+    def t(f):
+        s = 2j * math.pi * f
+        zf, zin = 124e3 + 1 / (s * 2.2e-9), 1 / (1 / 13.7e3 + 1 / 2.8e3)
+        inner = 1e6 / (1j * f) * zin / (zin + zf)  # OPA548, 1 MHz
+        return zf / 2.8e3 / (1 + 1 / inner) * 0.511 / (5.511 + s * MOTOR_H)
+
+    return t
+
+
+def test_current_loop_and_its_margin(checked):
+    loops = {loop.path: loop for loop in checked(BOARD1, level="gbw", driver="current").measured.loops}
+    outer = loops["xboard.xdrv1.xmotor"]
+    t = current_loop()
+    f = bisect(lambda hz: abs(t(hz)))
+    # parts below 1e-3: the motor's loading of r_sense's divider, the OPA548's finite gain and 10 mOhm
+    assert outer.crossover_hz == pytest.approx(f, rel=2e-3)
+    assert outer.phase_margin_deg == pytest.approx(180 + math.degrees(np.angle(t(f))), abs=0.2)
+    slow = checked(BOARD1, "cc_drv=22p", level="gbw", driver="current")
+    assert any("xdrv1" in f.message for f in problems(slow, "loops"))
+
+
+def test_voltage_drive_has_no_current_loop(checked):
+    assert not [loop for loop in checked(BOARD1, level="gbw").measured.loops if loop.kind == "motor"]
+
+
+def test_noise_of_resistors_is_theirs(checked):
+    (noise, *_) = checked(BOARD1, level="ideal").measured.noise
+    assert noise.gains == "all gains zero"
+    kt4 = 4 * 1.380649e-23 * 300.15
+    summer = kt4 * (10e3**2 * (1 / 24.3e3 + 1 / 6.19e3 + 1 / 20e3) + 10e3)
+    volts = 4 * (summer + kt4 * 10e3) + kt4 * 20e3  # driver: gain 2, its input and feedback resistors
+    # 0.1 and 1 Ohm outputs of ideal parts add 1e-4; ngspice integrates a flat spectrum exactly
+    force = math.sqrt(volts * (1e5 - 0.1)) / MOTOR_OHM * KT * GEAR / R_TIP
+    assert noise.force_n == pytest.approx(force, rel=2e-3)
+    shares = {c.name: c.share_percent for c in noise.top}
+    assert shares["rsd11"] == pytest.approx(100 * 4 * kt4 * 10e3**2 / 6.19e3 / volts, rel=1e-2)
+
+
+def test_potentiometer_noise_through_spring_and_damper(checked):
+    (pot,) = checked(BOARD1, level="ideal").measured.pot_noise
+    assert pot.spring_n == pytest.approx(0.006 * 3.0003 / R_TIP, rel=1e-3)
+    assert pot.soft_n == pytest.approx(100 * R_TIP * 0.006, rel=1e-3)
+    # white to B through c s/(1 + s/w1) with w1 at 100.7 Hz, the second corner at 1.6 kHz beside it
+    f = np.linspace(0, 100, 20001)
+    h = 2 * np.pi * f / np.abs(1 + 1j * f * 2 * np.pi * 1.58e-3) / np.abs(1 + 1j * f * 2 * np.pi * 1e-4)
+    rms = 0.006 * math.sqrt(np.trapezoid(h**2, f) / 100)
+    # trapezoids at 20 points a decade: h^2 grows as f^2, 0.5*(ln 10/20)^2/... = 0.3 % at most
+    assert pot.damper_n == pytest.approx(rms * 0.06969 / R_TIP, rel=3e-3)
+
+
+def test_a_scene_states_its_effects_and_bounds_the_step(checked, tmp_path):
+    scene = scene_of(tmp_path, slider(effects={"motor": "full", "opamp": "gbw"}))
+    result = checked(scene.file)
+    assert {p.name: p.level for p in result.subject.board.parts}["tl072"] == "gbw"
+    inertia = 0.2 * R_TIP**2
+    assert result.coupling.step_s == pytest.approx(0.5 * inertia / (KT**2 * GEAR**2 / MOTOR_OHM), rel=1e-4)
+    assert checked(scene.file, level="ideal").coupling is None
+
+
+def test_a_swapped_part_is_checked_as_it_is(checked, tmp_path):
+    scene = scene_of(tmp_path, slider(device={"parts": {"tl072": "opa2134"}}, effects={"opamp": "gbw"}))
+    loops = {loop.path: loop for loop in checked(scene.file).measured.loops}
+    angle = loops["xboard.xangle1.xop"]
+    assert angle.part == "opa2134"
+    assert angle.crossover_hz == pytest.approx(8e6, rel=1e-2)  # its GBW; 1 Ohm into 10 kOhm
+
+
+# --- errors and the command ------------------------------------------------------------------------------
+
+
+def project(folder, *edits):
+    """Copy of the shipped netlists with a text of board2 replaced."""
+    import shutil
+
+    shutil.copytree(BOARD2.parent, folder, dirs_exist_ok=True)
+    text = BOARD2.read_text()
+    for old, new in edits:
+        assert old in text
+        text = text.replace(old, new)
+    (folder / "board2.cir").write_text(text)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("xdiff1 u1 p1 x1", "Rbad x1\nxdiff1 u1 p1 x1", "Rbad"),
+        ("xdiff1 u1 p1 x1", "Vbad x1 0 1\nVworse x1 0 2\nxdiff1 u1 p1 x1", "vbad"),
+        ("xdiff1 u1 p1 x1", "Cbad alone 0 1n\nCworse alone x1 1n\nxdiff1 u1 p1 x1", "alone"),
+    ],
+    ids=["syntax", "no operating point", "floating node"],
+)
+def test_a_broken_netlist_is_the_users_mistake(tmp_path, capsys, old, new, said):
+    project(tmp_path, (old, new))
+    code = main(["check", str(tmp_path / "board2.cir")])
+    out = capsys.readouterr()
+    assert code == 2, out
+    assert said.lower() in out.err.lower()
+    assert "Traceback" not in out.err
+
+
+def test_command_prints_sections_and_counts(capsys):
+    assert main(["check", str(SCENES / "slope.toml")]) == 0
+    text = capsys.readouterr().out
+    for word in ("Design constants", "Out of contact", "Headroom", "Loops", "Paths", "Noise", "Coupling"):
+        assert word in text
+    assert text.splitlines()[-1] == "0 problems, 0 warnings"
+
+
+def test_strict_and_json(capsys):
+    given = ["check", str(BOARD1), "--level", "ideal", "--json", "--set", "r_diff_fb=169k,171k"]
+    assert main(given) == 0
+    as_found = json.loads(capsys.readouterr().out)["checks"]
+    assert [done["problems"] for done in as_found] == [0, 1]
+    assert main([*given, "--strict"]) == 1
+    assert json.loads(capsys.readouterr().out)["checks"] == as_found
+
+
+def test_a_board_has_no_scene_keys():
+    (variant,) = variants(parse_settings(["computer.period_s=0.01"]))
+    with pytest.raises(InputError, match="no scene keys"):
+        load_subject(str(BOARD1), variant, None, None)
