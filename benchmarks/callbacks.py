@@ -8,10 +8,11 @@ and subtracted.
 
 from __future__ import annotations
 
+import ctypes
 import tempfile
 import time
-from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numba
 import numpy as np
@@ -20,11 +21,10 @@ from numba import carray, cfunc, njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from cosim.circuits.spice import lockstep_deck, saved
-from cosim.loop import lockstep as shipped
+from benchmarks.rig import lockstep
+from cosim.loop import simulate as simulation
 from cosim.loop.native import doubles_at, vector_value
 from cosim.loop.setup import Memory, pack
-from cosim.loop.simulate import Recorder, back_emf_viscosity, read_constants
 from cosim.ngspice.simulator import Simulator
 from cosim.plan import Plan
 
@@ -180,18 +180,6 @@ def _repeat(
     return total
 
 
-class _NoVectors:
-    """Stands in for the simulator where nothing is running."""
-
-    def truncate_vectors(self) -> bool:
-        """Do nothing."""
-        return False
-
-    def stop(self) -> None:
-        """Fail: nothing may go wrong when a good run is repeated."""
-        raise RuntimeError("the repeated run failed")
-
-
 class CallLog:
     """All callbacks of one run of a plan, ready to be repeated.
 
@@ -204,57 +192,62 @@ class CallLog:
     """
 
     def __init__(self, plan: Plan, points: int = 20_000) -> None:
-        nodes = plan.recorded + tuple(n for n in plan.watched if n not in plan.recorded)
-        simulator = Simulator()
-        simulator.load(lockstep_deck(plan.board, plan.circuit, plan.tolerances, nodes))
-        constants = read_constants(simulator, str(plan.board.path))
-        self.memory: Memory = pack(
-            plan.scene, constants, plan.circuit, plan.recorded, nodes[len(plan.recorded) :]
-        )
-        state = self.memory.state[0]
-        self._folder = tempfile.TemporaryDirectory(prefix="cosim-bench-")
-        self._recorder = Recorder(self.memory, simulator, Path(self._folder.name), lambda progress: None)
-        state["breakpoint_address"] = simulator.set_breakpoint_address()
-        shipped.begin(state)
-        shipped.fill(state, 0.0)
-        n = plan.circuit.joints
-        state["b_emf"][:n, :n] = back_emf_viscosity(simulator, plan.circuit, state)
-        vectors: list[str] = []
-
-        def init(names: list[str]) -> None:
-            vectors[:] = names
-            at = [names.index(name.lower()) for name in saved(plan.circuit, nodes)]
-            state["time_index"] = names.index("time")
-            state["current_index"][: plan.circuit.joints] = at[: plan.circuit.joints]
-            state["node_index"][: len(nodes)] = at[plan.circuit.joints :]
-            self.before = self.memory.state.copy()
-
-        solver = plan.scene.solver
-        calls = np.zeros((points * 60, _WIDTH))
-        values = np.zeros(points * 128)
+        calls, values = np.zeros((points * 60, _WIDTH)), np.zeros(points * 128)
         log = np.zeros(1, _LOG)
-        log["user"] = self.memory.state.ctypes.data
-        log["source"], log["sync"] = shipped.source.address, shipped.synchronise.address
-        log["data"] = shipped.accepted.address
         log["calls"], log["values"] = calls.ctypes.data, values.ctypes.data
-        simulator.attach(
-            data=_data.address,
-            init=init,
-            source=_source.address,
-            sync=_sync.address,
-            user=log.ctypes.data,
-        )
-        simulator.command(f"tran {solver.max_step_s!r} {plan.scene.duration_s!r} 0 {solver.max_step_s!r}")
-        self._recorder.drain()
+        memories: list[Memory] = []
+
+        def packed(*given: Any, **named: Any) -> Memory:
+            memories.append(pack(*given, **named))
+            return memories[-1]
+
+        def begun() -> None:
+            self.before = memories[0].state.copy()
+
+        class Logging(Simulator):
+            """Puts the log between ngspice and the callbacks of a run."""
+
+            def attach(self, **given: Any) -> None:
+                if not isinstance(given.get("data"), int):
+                    return super().attach(**given)
+                for name in ("source", "sync", "data", "user"):
+                    log[name] = given[name]
+                wanted = given["init"]
+
+                def init(names: list[str]) -> None:
+                    wanted(names)
+                    begun()
+
+                super().attach(
+                    data=_data.address,
+                    init=init,
+                    source=_source.address,
+                    sync=_sync.address,
+                    user=log.ctypes.data,
+                )
+
+        with patch.object(simulation, "Simulator", Logging), patch.object(simulation, "pack", packed):
+            lockstep(plan)
+        self.memory = memories[0]
+        self.after = self.memory.state.copy()
         used, width = int(log["used"][0]), int(log["vectors"][0])
         self.points = int(log["points"][0])
         if used > len(calls) or self.points * width > len(values):
             raise RuntimeError("the log was too short for the run")
         self.calls = calls[:used].copy()
         self.values: NDArray[np.float64] = values[: self.points * width].reshape(-1, width).copy()
-        self.after = self.memory.state.copy()
+        self.targets = [int(log[name][0]) for name in ("source", "sync", "data")]
         self._build(width)
-        self._recorder.simulator = _NoVectors()  # type: ignore[assignment]
+        self._sink = tempfile.TemporaryFile()
+        self._drain = ctypes.CFUNCTYPE(None)(self._write)
+
+    def _write(self) -> None:
+        """Write the buffers to a file, as the run's recorder does."""
+        state = self.memory.state[0]
+        self._sink.seek(0)
+        for buffer, used in ((self.memory.rows, "rows_used"), (self.memory.samples, "samples_used")):
+            self._sink.write(buffer[: state[used]].data)
+            state[used] = 0
 
     def _build(self, width: int) -> None:
         """Lay out ngspice's `vecvaluesall` {count, index, vecvalues **} and the sources' names."""
@@ -270,11 +263,8 @@ class CallLog:
         state = self.memory.state
         state[:] = self.before
         state["breakpoint_address"] = _no_breakpoint.address
-        addresses = (
-            (_no_source.address, _no_sync.address, _no_data.address)
-            if empty
-            else (shipped.source.address, shipped.synchronise.address, shipped.accepted.address)
-        )
+        state["drain_address"] = ctypes.cast(self._drain, ctypes.c_void_p).value
+        nothing = (_no_source.address, _no_sync.address, _no_data.address)
         begun = time.perf_counter()
         _repeat(
             self.calls,
@@ -282,12 +272,11 @@ class CallLog:
             self._entries,
             self._all.ctypes.data,
             self._names,
-            *addresses,
+            *(nothing if empty else self.targets),
             state.ctypes.data,
         )
         elapsed = time.perf_counter() - begun
         if not empty:
-            self._recorder.drain()
             self._check()
         return elapsed
 
