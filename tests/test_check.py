@@ -275,6 +275,7 @@ def test_noise_of_resistors_is_theirs(checked):
     force = math.sqrt(volts * (1e5 - 0.1)) / MOTOR_OHM * KT * GEAR / R_TIP
     assert noise.force_n == pytest.approx(force, rel=2e-3)
     shares = {c.name: c.share_percent for c in noise.top}
+    assert noise.complete
     assert shares["rsd11"] == pytest.approx(100 * 4 * kt4 * 10e3**2 / 6.19e3 / volts, rel=1e-2)
 
 
@@ -305,6 +306,21 @@ def test_a_swapped_part_is_checked_as_it_is(checked, tmp_path):
     angle = loops["xboard.xangle1.xop"]
     assert angle.part == "opa2134"
     assert angle.crossover_hz == pytest.approx(8e6, rel=1e-2)  # its GBW; 1 Ohm into 10 kOhm
+
+
+def test_a_vendors_model_is_checked_and_what_cannot_be_known_is_said(checked, tmp_path):
+    vendor = Path(__file__).parent / "data" / "ngspice" / "vendor" / "boyle.lib"
+    swap = {"file": str(vendor), "subckt": "TL072", "pins": "1 2 3 4 5", "dialect": "pspice"}
+    result = checked(scene_of(tmp_path, slider(device={"parts": {"opamp": swap}})).file)
+    said = " ".join(f.message for f in result.findings)
+    assert "states no output limit" in said
+    assert ".noise does not pass" in said  # its POLY sources are XSPICE devices
+    loops = {loop.path: loop for loop in result.measured.loops}
+    # 3 MHz, less what 125 Ohm lose into 10 kOhm beside 1.58 kOhm (8 %) and a second pole (a few percent)
+    assert loops["xboard.xangle1.xop"].crossover_hz == pytest.approx(2.7e6, rel=0.05)
+    assert 45 < loops["xboard.xangle1.xop"].phase_margin_deg < 90
+    # the board's own share is told without it
+    assert all(abs(c.ideal_deviation_percent) < 0.01 for c in result.measured.constants)
 
 
 # --- errors and the command ------------------------------------------------------------------------------

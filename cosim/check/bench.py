@@ -100,13 +100,17 @@ class Bench:
         share = i2 - v1 + 2.0 * (v1 * i2 - i1 * v2)  # (Yaa + Ybb)/(Yaa + Yab + Yba + Ybb)
         return np.real(by_volt["frequency"]), 1.0 / share - 1.0
 
-    def noise(self, output: str, pin: str, sweep: str) -> tuple[float, dict[str, float]]:
+    def noise(self, output: str, pin: str, sweep: str) -> tuple[float, dict[str, float], float]:
         """Return the rms noise of an output over a band, in all and of every element that makes any.
 
         Elements are named by their instance path: ``xboard.xsum1.r31``. A pin must be named as the input that
-        ngspice refers the noise to; it makes none.
+        ngspice refers the noise to; it makes none. The last item is the gain from there at the lowest
+        frequency, as `.noise` sees it: not the true one if a device does not take part in this analysis.
         """
         self._run(f"noise v({output}) {self._source[pin]} {sweep} 1")
+        out, referred = (
+            float(self.simulator.vector(f"noise1.{name}_spectrum")[0]) for name in ("onoise", "inoise")
+        )
         total = float(self.simulator.vector("onoise_total")[0])
         prefix = "onoise_total_"
         found = {
@@ -114,9 +118,11 @@ class Bench:
         }
         # an element's parts (r1_thermal, q1_ic) are listed beside their sum (r1)
         elements = [n for n in found if not any(n[:k] in found for k, c in enumerate(n) if c == "_")]
-        return total, {
-            n.partition(".")[2] or n: float(self.simulator.vector(prefix + n)[0]) for n in sorted(elements)
-        }
+        return (
+            total,
+            {n.partition(".")[2] or n: float(self.simulator.vector(prefix + n)[0]) for n in sorted(elements)},
+            out / referred if referred > 0.0 else 0.0,
+        )
 
     def _excited(self, source: str, sweep: str, names: tuple[str, ...]) -> dict[str, Complex]:
         self.simulator.command(f"alter @{source}[acmag] = 1")

@@ -15,6 +15,7 @@ from cosim.circuits.port import DesignConstants
 BAND_HZ = (0.1, 1e5)
 """Where `.noise` is integrated: beyond what a finger or a motor follows, on both sides."""
 _TOP = 5
+_NO_GAIN, _SAME_GAIN = 1e-6, 0.01
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,8 @@ class Noise:
     gains : in words
     current_a, torque_n_m, force_n : rms over `BAND_HZ`; of the motor, at its joint, at the reach `r_tip`
     top : largest contributors
+    complete : whether `.noise` sees the gain that `.ac` sees. ngspice leaves XSPICE devices, which POLY
+        sources become, out of this analysis; what stands before them is then missing.
     """
 
     joint: int
@@ -42,6 +45,7 @@ class Noise:
     torque_n_m: float
     force_n: float
     top: tuple[Contributor, ...]
+    complete: bool
 
 
 @dataclass(frozen=True)
@@ -77,9 +81,12 @@ def measure_noise(bench: Bench, constants: DesignConstants) -> list[Noise]:
     for gains, held in states.items():
         bench.hold(held)
         for i in range(1, bench.joints + 1):
-            total, parts = bench.noise(f"imot{i}", f"pot{i}", f"dec 10 {BAND_HZ[0]:g} {BAND_HZ[1]:g}")
-            torque = total * per_ampere
-            found.append(Noise(i, gains, total, torque, torque / constants.r_tip, _top(bench, parts, total)))
+            low, high = BAND_HZ
+            total, parts, gain = bench.noise(f"imot{i}", f"pot{i}", f"dec 10 {low:g} {high:g}")
+            true = abs(bench.response(f"pot{i}", f"lin 1 {low!r} {low!r}")[f"imot{i}"][0])
+            torque, top = total * per_ampere, _top(bench, parts, total)
+            complete = bool(true < _NO_GAIN or abs(gain / true - 1.0) < _SAME_GAIN)
+            found.append(Noise(i, gains, total, torque, torque / constants.r_tip, top, complete))
     return found
 
 
@@ -93,7 +100,8 @@ def _top(bench: Bench, elements: dict[str, float], total: float) -> tuple[Contri
         power[label] = power.get(label, 0.0) + rms * rms
     if total == 0.0:
         return ()
-    largest = sorted(power.items(), key=lambda item: -item[1])[:_TOP]
+    # rounded, so that equal joints keep the order of their names
+    largest = sorted(power.items(), key=lambda item: (-round(item[1] / total**2, 6), item[0]))[:_TOP]
     return tuple(Contributor(label, 100.0 * p / total**2) for label, p in largest)
 
 

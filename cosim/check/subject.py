@@ -92,6 +92,8 @@ def _of_scene(target: str, variant: Variant, level: str | None, driver: str | No
     kind = [f"effects.driver={driver}"] if driver else []
     scene = load_scene(target, [*variant.overrides, *_effects(level), *kind])
     plain = load_scene(target, [*variant.overrides, *_effects("ideal"), *kind])
+    # a vendor's model has no ideal level: the board's own share is told with the part it replaces
+    plain = plain.model_copy(update={"device": plain.device.model_copy(update={"parts": {}})})
     board, ideal = (resolve(each, trust=trust).board for each in (scene, plain))
     return Subject(board, ideal, scene.effects.driver.value, scene, variant.label)
 

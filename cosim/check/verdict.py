@@ -48,6 +48,7 @@ def findings(measured: Measured, coupling: Coupling | None) -> list[Finding]:
         *_headroom(measured),
         *_loops(measured),
         *_delay(measured),
+        *_noise(measured),
         *_coupling(coupling),
     ]
 
@@ -164,6 +165,15 @@ def _delay(measured: Measured) -> Iterable[Finding]:
                 f"joint {brake.joint}: at k_fs the spring's delay eats {brake.eta:.3g} times the back-EMF's "
                 "viscosity; friction or the hand must supply the rest",
             )
+
+
+def _noise(measured: Measured) -> Iterable[Finding]:
+    if not all(noise.complete for noise in measured.noise):
+        yield _warning(
+            "noise",
+            "ngspice's .noise does not pass through some of these parts (POLY sources become XSPICE devices, "
+            "which take no part in it): the circuit's noise is told too small",
+        )
 
 
 def _coupling(coupling: Coupling | None) -> Iterable[Finding]:
