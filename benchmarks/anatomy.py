@@ -103,9 +103,11 @@ class Setting:
 
 
 SETTINGS = (
-    Setting("as shipped", {}),
+    Setting(f"as shipped (first step behind a jump {setup.FIRST_STEP_SHARE:g} of the longest)", {}),
     Setting("charge tolerance 1e-14 C (ngspice's own) instead of 1e-9", {"charge_c": 1e-14}),
-    Setting("first step behind a jump 1/1000 of the longest instead of 1/100", {}, 1e-3),
+    Setting(
+        "first step behind a jump 1/100 of the longest (within a ramp never above a third of it)", {}, 1e-2
+    ),
     Setting("first step behind a jump 1/10 of the longest", {}, 1e-1),
     Setting("trapezoidal rule instead of Gear's", {"method": "trap"}),
     Setting("longest step 1 ms instead of 2 ms", {"max_step_s": 1e-3}),
