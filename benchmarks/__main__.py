@@ -42,10 +42,10 @@ def main() -> int:
             for found in measure(args.repetitions):
                 figures.append(found)
                 print(show(found), flush=True)
-    if not args.names or "anatomy" in args.names:
-        print(anatomy(), flush=True)
     if figures:
         write(args.out, figures)
+    if not args.names or "anatomy" in args.names:
+        print(anatomy(), flush=True)
     return 0 if all(found.met for found in figures) else 1
 
 
