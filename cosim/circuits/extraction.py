@@ -7,38 +7,40 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
-from cosim.circuits.fit import FitError, Modes, fit
+from cosim.circuits import cache, certificate
+from cosim.circuits.blocks import Block, fit_block
+from cosim.circuits.fit import Modes
 from cosim.circuits.ideal import DC_SWEEP, ideal
-from cosim.circuits.linear import LinearCircuit
+from cosim.circuits.linear import LinearCircuit, channel_names
 from cosim.circuits.measure import Paths, Session
-from cosim.errors import InputError, Problem
+from cosim.circuits.statics import ControlPath, control_path, current_limits, offsets
+from cosim.errors import CosimError, InputError, Problem
 from cosim.ngspice.deck import Deck
 
 __all__ = ["extract", "linear"]
 
 Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 Report = Callable[[dict[str, Any]], None]
 
-#: A decade more than 0.1 Hz to 100 MHz at each end, for the poles just outside.
+#: Two decades more than 0.1 Hz to 100 MHz below and one above, for the poles just outside.
 SWEEP = "dec 20 1m 1g"
-#: A path below this share of the strongest one to the same output is rounding.
-_ROUNDING = 1e-13
+#: Band for what is stated of the control path where no band is given [Hz].
+_USUAL_BAND_HZ = 1e3
 
 
 def extract(payload: dict[str, Any], report: Report) -> LinearCircuit:
-    """Extract a circuit model; runs in ngspice's child process.
+    """Extract a circuit model, or take it from the cache; runs in ngspice's child process.
 
     Parameters
     ----------
     payload
         'board': Deck; 'model': 'ideal' or 'linear'; 'band_hz': band in which the reduced model must be good
-        [Hz]; 'tolerance': its largest error there, relative to the maximum of each path (0: unreduced)
+        [Hz]; 'tolerance': its largest error there, relative to the maximum of each path (0: unreduced);
+        'offsets': whether the currents at zero input are wanted (no); 'cache': whether to use it (yes)
     report
-        called with the stage that was reached
+        called with the stage that was reached, and with a note where a cached file was of no use
 
     Raises
     ------
@@ -46,25 +48,118 @@ def extract(payload: dict[str, Any], report: Report) -> LinearCircuit:
         For a board that has no such model: unstable, no limit as frequency goes to zero, nonlinear gains.
     """
     board: Deck = payload["board"]
+    asked = cache.Asked(
+        board.text,
+        payload["model"],
+        float(payload.get("band_hz", 0.0)),
+        float(payload.get("tolerance", 0.0)),
+        bool(payload.get("offsets", False)),
+    )
+    kept = payload.get("cache", True)
+    if kept:
+        known, note = cache.load(asked)
+        if note:
+            report({"note": note})
+        if known is not None:
+            return known
     report({"stage": "load"})
     session = Session(board)
     report({"stage": "measure"})
-    if payload["model"] == "ideal":
-        return ideal(session.measure(DC_SWEEP), str(board.path))
-    return linear(session.measure(SWEEP), str(board.path))
+    file = str(board.path)
+    circuit = _ideal(session, asked, file) if asked.model == "ideal" else _linear(session, asked, file)
+    if kept:
+        cache.store(asked, circuit)
+    return circuit
 
 
-def linear(paths: Paths, file: str) -> LinearCircuit:
-    """Return the unreduced state space of measured paths.
+def _ideal(session: Session, asked: cache.Asked, file: str) -> LinearCircuit:
+    low = session.measure(DC_SWEEP)
+    circuit = ideal(low, file)
+    promise: dict[str, Any] = {"model": "ideal", "order": 0}
+    if asked.band_hz > 0.0:
+        paths = session.measure(SWEEP)
+        static = (circuit.d_pre, np.pad(circuit.e_pre, ((0, 0), (0, circuit.joints))), circuit.d_post)
+        try:
+            pre, post = networks(paths, file)
+            promise["footnote_1"] = certificate.footnote(pre, post, asked.band_hz, static)
+            promise["delay_s"] = certificate.delays(pre, post)
+        except CosimError as reason:  # gains have a meaning of their own, but then nobody vouches for them
+            promise["footnote_1"] = {"sentence": f"nothing is certified: {reason}"}
+    return _finished(session, asked, circuit, low, promise)
+
+
+def _linear(session: Session, asked: cache.Asked, file: str) -> LinearCircuit:
+    paths = session.measure(SWEEP)
+    pre, post = networks(paths, file)
+    full = linear(paths, pre.joined(), post.joined())
+    circuit, bounds = full, None
+    promise: dict[str, Any] = {}
+    if asked.band_hz > 0.0:
+        promise["footnote_1"] = certificate.footnote(pre, post, asked.band_hz)
+        if asked.tolerance > 0.0:
+            omega = 2.0 * np.pi * asked.band_hz
+            # each side gets half, and both together stay below the whole: a + b (1 + a) <= t
+            half = np.sqrt(1.0 + asked.tolerance) - 1.0
+            (small, before), (rest, after) = pre.reduced(omega, half), post.reduced(omega, half)
+            circuit, bounds = linear(paths, small.joined(), rest.joined()), (before, after)
+    promise |= certificate.linear_certificate(
+        circuit, full.order, bounds, asked.band_hz, asked.tolerance, paths
+    )
+    promise["fit_error"] = float(max(part.error.max(initial=0.0) for part in (*pre.parts, *post.parts)))
+    promise["delay_s"] = certificate.delays(pre, post)
+    return _finished(session, asked, circuit, paths, promise)
+
+
+def _finished(
+    session: Session, asked: cache.Asked, circuit: LinearCircuit, paths: Paths, promise: dict[str, Any]
+) -> LinearCircuit:
+    """Add what does not depend on frequency."""
+    control = control_path(session, asked.band_hz or _USUAL_BAND_HZ)
+    if asked.model == "linear":
+        _check_control(control, str(session.board.path))
+    limit = current_limits(session)
+    return replace(
+        circuit,
+        limit=limit,
+        offset=offsets(session) if asked.offsets else circuit.offset,
+        certificate=promise | certificate.statics(paths, control, limit),
+    )
+
+
+def _check_control(control: ControlPath, file: str) -> None:
+    n = int(np.sqrt(len(control.nonlinearity) // 2))
+    problems = [
+        Problem(
+            f"no `linear` model: the gain is off proportionality to its control voltage by "
+            f"{100.0 * off:.3g} % of full scale, more than {100.0 * certificate.WORST_NONLINEARITY:g} %; "
+            "use `spice`",
+            file=file,
+            key=pin,
+        )
+        for pin, off in zip(channel_names(n), control.nonlinearity, strict=True)
+        if off > certificate.WORST_NONLINEARITY
+    ]
+    if problems:
+        raise InputError(problems)
+
+
+def networks(paths: Paths, file: str) -> tuple[Block, Block]:
+    """Fit what stands before and after the multipliers.
 
     Raises
     ------
     InputError
         For an unstable board, or one whose responses no rational function fits.
     """
+    return (
+        fit_block(paths.s, paths.x, "before the multipliers", file),
+        fit_block(paths.s, paths.post, "after the multipliers", file),
+    )
+
+
+def linear(paths: Paths, pre: Modes, post: Modes) -> LinearCircuit:
+    """Put both networks together, without limits."""
     m, n = len(paths.gain), paths.post.shape[1]
-    pre = fit_block(paths.s, paths.x, "before the multipliers", file)
-    post = fit_block(paths.s, paths.post, "after the multipliers", file)
     return LinearCircuit(
         joints=n,
         model="linear",
@@ -80,71 +175,4 @@ def linear(paths: Paths, file: str) -> LinearCircuit:
         d_post=post.d,
         offset=np.zeros(n),
         limit=np.tile([-np.inf, np.inf], (n, 1)),
-        certificate={
-            "model": "linear",
-            "order": len(pre.a) + len(post.a),
-            "fit_error": float(max(pre.error.max(), post.error.max())),
-        },
     )
-
-
-def fit_block(s: Complex, h: Complex, where: str, file: str) -> Modes:
-    """Fit the paths [F, outputs, inputs] of a block, each group that shares no signal with the others apart.
-
-    Raises
-    ------
-    InputError
-        For a pole in the right half plane, or responses that no rational function fits.
-    """
-    peak = np.abs(h).max(axis=0)
-    linked = peak > _ROUNDING * peak.max(axis=1, keepdims=True)
-    d, error = np.zeros(peak.shape), np.zeros(peak.shape)
-    parts: list[Modes] = []
-    for rows, columns in groups(linked):
-        place = np.ix_(rows, columns)
-        try:
-            part = fit(s, np.where(linked[place], h[:, rows][:, :, columns], 0.0))
-        except FitError as reason:
-            raise InputError(_problem(reason, where, file)) from reason
-        d[place], error[place] = part.d, part.error
-        b, c = np.zeros((len(part.a), peak.shape[1])), np.zeros((peak.shape[0], len(part.a)))
-        b[:, columns], c[rows] = part.b, part.c
-        parts.append(replace(part, b=b, c=c))
-    return Modes(
-        scipy.linalg.block_diag(np.zeros((0, 0)), *[part.a for part in parts]),
-        np.concatenate([np.zeros((0, peak.shape[1])), *[part.b for part in parts]]),
-        np.concatenate([np.zeros((peak.shape[0], 0)), *[part.c for part in parts]], axis=1),
-        d,
-        np.concatenate([np.empty(0, complex), *[part.poles for part in parts]]),
-        tuple(size for part in parts for size in part.blocks),
-        error,
-    )
-
-
-def groups(linked: NDArray[np.bool_]) -> list[tuple[list[int], list[int]]]:
-    """Split a table of which input reaches which output into parts that share neither."""
-    found: list[tuple[list[int], list[int]]] = []
-    left = set(np.flatnonzero(linked.any(axis=1)).tolist())
-    while left:
-        rows, columns = {min(left)}, set[int]()
-        size = 0
-        while size != len(rows) + len(columns):
-            size = len(rows) + len(columns)
-            columns |= set(np.flatnonzero(linked[sorted(rows)].any(axis=0)).tolist())
-            rows |= set(np.flatnonzero(linked[:, sorted(columns)].any(axis=1)).tolist())
-        left -= rows
-        found.append((sorted(rows), sorted(columns)))
-    return found
-
-
-def _problem(reason: FitError, where: str, file: str) -> Problem:
-    if reason.poles is None:
-        return Problem(f"no `linear` model of the paths {where}: {reason}; use `spice`", file=file)
-    worst = reason.poles[np.argmax(reason.poles.real)]
-    shown = f"{worst.real:.4g} {worst.imag:+.4g}j" if worst.imag else f"{worst.real:.4g}"
-    hz = abs(worst) / (2.0 * np.pi)
-    return Problem(
-        f"the board is unstable: {where} there is a pole at {shown} rad/s ({hz:.4g} Hz), it grows by e every "
-        f"{1.0 / worst.real:.3g} s" if worst.real > 0.0 else f"a pole lies on the imaginary axis, at {hz:.4g} Hz",
-        file=file,
-    )  # fmt: skip

@@ -10,6 +10,7 @@ a pole that no path needs (a Froissart doublet) shows by its small share and goe
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -24,20 +25,22 @@ Complex = NDArray[np.complex128]
 
 #: AAA goes on to this error relative to each path's maximum; rounding in `.ac` is at 1e-16 to 1e-14.
 _FINE = 1e-13
-#: A fit worse than this is none.
-_GOOD = 1e-10
+#: A fit worse than this is none: 1e-9 is promised, also between the points.
+_GOOD = 3e-10
 #: A pole whose share of every path stays below this is spurious.
 _SPURIOUS = 1e-12
 #: Poles nearer to each other than this (relative) share a chain instead of having residues of their own.
-_NEAR = 0.1
+_NEAR = 0.01
 #: Paths weaker than this share of the strongest path to the same output are fitted to that share's measure.
 _WEAK = 1e-6
-#: Error that a smaller number of copies of a chain may make, relative to each path's maximum.
-_RANK = 1e-11
+#: Error that fewer copies of a chain may make before C and D are found again, the boldest first.
+_RANK = (1e-7, 1e-9, 1e-12)
 _MOST_PAIRS = 40
 #: Poles this much faster than the fastest point measured are part of the feedthrough.
 _BEYOND = 1e4
-_NEWTON = 5
+_ABERTH = 30
+#: Solutions of each AAA step, and how many may pass without progress once the fit is good.
+_REWEIGHT, _PATIENCE = 2, 6
 
 
 class FitError(Exception):
@@ -106,11 +109,31 @@ def fit(s: Complex, h: Complex) -> Modes:
     chains = _chains(poles)
     basis = _basis(s, chains)
     weights = _least_squares(basis, f).reshape(-1, rows, columns)
-    modes = _realise(chains, weights, np.abs(basis).max(axis=0), scale)
-    error = np.abs(rational(s, modes.a, modes.b, modes.c, modes.d) - h).max(axis=0) / scale
-    if error.max(initial=0.0) > _GOOD:
-        raise FitError(f"order {len(modes.a)} leaves an error of {error.max():.1e} of the path's maximum")
-    return replace(modes, error=error)
+    for rank in _RANK:
+        modes = _realise(chains, weights, np.abs(basis).max(axis=0), scale, rank)
+        modes = _polished(s, h / scale, modes, scale)
+        if modes.error.max(initial=0.0) <= _GOOD:
+            break
+    worst = float(modes.error.max(initial=0.0))
+    if worst > _GOOD:
+        raise FitError(f"order {len(modes.a)} leaves an error of {worst:.1e} of the path's maximum")
+    return modes
+
+
+def _polished(s: Complex, f: Complex, modes: Modes, scale: Array) -> Modes:
+    """Find C and D again for the A and B of `modes`; residues of near poles are right only together."""
+    rows, columns = scale.shape
+    left = s[:, None, None] * np.eye(len(modes.a)) - modes.a
+    states = np.linalg.solve(left, np.broadcast_to(modes.b.astype(complex), (len(s), *modes.b.shape)))
+    through = np.broadcast_to(np.eye(columns, dtype=complex), (len(s), columns, columns))
+    known = np.concatenate([states, through], axis=1).transpose(0, 2, 1)
+    c, d = np.zeros((rows, len(modes.a))), np.zeros((rows, columns))
+    for row in range(rows):
+        here = (known / scale[row, :, None]).reshape(-1, known.shape[2]).astype(complex)
+        found = _least_squares(here, f[:, row].reshape(-1, 1))[:, 0]
+        c[row], d[row] = found[: len(modes.a)], found[len(modes.a) :]
+    fitted = rational(s, modes.a, modes.b, c, d) / scale
+    return replace(modes, c=c, d=d, error=np.abs(fitted - f).max(axis=0))
 
 
 def _distinct(f: Complex) -> list[int]:
@@ -223,69 +246,94 @@ def _least_squares(basis: Complex, f: Complex) -> Array:
     return out
 
 
-def _realise(chains: list[list[complex]], weights: Array, peaks: Array, scale: Array) -> Modes:
+def _realise(chains: list[list[complex]], weights: Array, peaks: Array, scale: Array, rank: float) -> Modes:
     """Make the smallest state space of each chain: as many copies as its weights have rank.
 
     `weights` [1 + states, outputs, inputs] belong to paths divided by `scale`; `peaks` are the largest
     values of the basis functions.
     """
     parts: list[tuple[Array, Array, Array]] = []
+    poles: list[complex] = []
     at = 1
     for chain in chains:
         a, b = _blocks(chain)
-        size = len(a)
-        share = weights[at : at + size]
-        height = peaks[at : at + size, None, None]
-        parts.append(_copies(a, b, share, height, scale))
-        at += size
-    order = sum(len(a) for a, _, _ in parts)
-    inputs, outputs = weights.shape[2], weights.shape[1]
+        states = slice(at, at + len(a))
+        if len(chain) == 1 and chain[0].imag > _NEAR * abs(chain[0]):
+            part = _oscillators(chain[0], weights[states], scale, rank)
+        else:
+            part = _copies(a, b, weights[states], peaks[states, None, None], scale, rank)
+        if len(part[0]):
+            parts.append(part)
+            poles += chain
+        at += len(a)
+    outputs, inputs = scale.shape
     return Modes(
-        scipy.linalg.block_diag(*[a for a, _, _ in parts]) if order else np.zeros((0, 0)),
+        scipy.linalg.block_diag(np.zeros((0, 0)), *[a for a, _, _ in parts]),
         np.concatenate([np.zeros((0, inputs)), *[b for _, b, _ in parts]]),
         np.concatenate([np.zeros((outputs, 0)), *[c for _, _, c in parts]], axis=1),
         weights[0] * scale,
-        np.array([pole for chain in chains for pole in chain], complex),
+        np.array(poles, complex),
         tuple(len(a) for a, _, _ in parts),
         np.zeros((outputs, inputs)),
     )
 
 
-def _copies(a: Array, b: Array, weights: Array, peaks: Array, scale: Array) -> tuple[Array, Array, Array]:
+def _copies(
+    a: Array, b: Array, weights: Array, peaks: Array, scale: Array, rank: float
+) -> tuple[Array, Array, Array]:
     """Return A, B, C of one chain: a copy for each direction of its inputs, or of its outputs if fewer."""
     size, outputs, inputs = weights.shape
-    by_input = _directions(weights, scale, peaks)
-    by_output = _directions(weights.transpose(0, 2, 1), scale.T, peaks)
-    true = weights * scale
-    if len(by_input) <= len(by_output):
-        copies = len(by_input)
-        c = np.einsum("koi,ri->ork", true, by_input).reshape(outputs, copies * size)
-        return np.kron(np.eye(copies), a), np.kron(by_input, b[:, None]), c
-    copies = len(by_output)
-    back = np.einsum("koi,ro->rki", true, by_output).reshape(copies * size, inputs)
-    return np.kron(np.eye(copies), a.T), back, np.kron(by_output.T, b[None, :])
+    from_inputs, kept = _directions(weights, scale, peaks, rank)
+    to_outputs, turned = _directions(weights.transpose(0, 2, 1), scale.T, peaks, rank)
+    if len(from_inputs) <= len(to_outputs):
+        copies = len(from_inputs)
+        c = kept.transpose(1, 2, 0).reshape(outputs, copies * size)
+        return np.kron(np.eye(copies), a), np.asarray(np.kron(from_inputs, b[:, None]), float), c
+    copies = len(to_outputs)
+    back = turned.transpose(2, 0, 1).reshape(copies * size, inputs)
+    return np.kron(np.eye(copies), a.T), back, np.asarray(np.kron(to_outputs.T, b[None, :]), float)
 
 
-def _directions(weights: Array, scale: Array, peaks: Array) -> Array:
-    """Return as few orthonormal rows as span the last axis of `weights * scale` to the fit's own error."""
+def _oscillators(pole: complex, weights: Array, scale: Array, rank: float) -> tuple[Array, Array, Array]:
+    """Return A, B, C of one pair of conjugate poles: the rank of its complex residue counts."""
+    rate = abs(pole)
+    residue = (weights[:1] * rate**2 + weights[1:] * rate * pole) / (2j * pole.imag)
+    into, out = _directions(residue, scale, np.array(1.0 / abs(pole.real)), rank)
+    turn = np.array([[pole.real, -pole.imag], [pole.imag, pole.real]])
+    b = np.stack([into.real, into.imag], axis=1).reshape(-1, scale.shape[1])
+    c = 2.0 * np.stack([out[0].real, -out[0].imag], axis=2).reshape(scale.shape[0], -1)
+    return np.kron(np.eye(len(into)), turn), b, c
+
+
+def _directions(weights: Any, scale: Array, peaks: Array, missed: float) -> tuple[Any, Any]:
+    """Return as few rows as span the last axis of `weights * scale` but for `missed`, relative to each path.
+
+    With them, the coefficients [size, outputs, rows], by least squares in the measure of each path: a weak
+    path has to follow the direction that the strong ones show.
+    """
     true = weights * scale
     rows = true / scale.max(axis=1, keepdims=True)  # outputs count alike, whatever their units
-    _, _, span = np.linalg.svd(rows.reshape(-1, rows.shape[2]), full_matrices=False)
-    for rank in range(len(span)):
-        missed = true - true @ span[:rank].T @ span[:rank]
-        if np.abs(missed / scale * peaks).max(initial=0.0) <= _RANK:
-            return np.asarray(span[:rank])
-    return np.asarray(span)
+    _, _, every = np.linalg.svd(rows.reshape(-1, rows.shape[2]), full_matrices=False)
+    for rank in range(len(every) + 1):
+        left = every[:rank] / scale[:, None, :]
+        kept = np.einsum("koi,oir->kor", weights, np.linalg.pinv(left))
+        rest = np.abs(np.einsum("kor,ori->koi", kept, left) - weights) * peaks
+        if rest.max(initial=0.0) <= missed:
+            break
+    return every[:rank], kept
 
 
 def _aaa(s: Complex, f: Complex) -> Complex:
     """Return the poles of the AAA fit of all columns of `f`, one of each conjugate pair.
 
-    Every support point jw brings -jw with it and the conjugate weight, so 2 real unknowns.
+    Every support point jw brings -jw with it and the conjugate weight, so 2 real unknowns. Over ten decades
+    of frequency the linearised error, the true one times the denominator, sees nothing of the fast poles:
+    so each step is solved again with its rows divided by the denominator just found.
     """
     support: list[int] = []
     fitted = np.broadcast_to(f.real.mean(axis=0), f.shape).astype(complex)
     best, found, stale = np.inf, (s[:0], s[:0]), 0
+    size = np.ones(len(s))
     for _ in range(min(_MOST_PAIRS, len(s) // 4)):
         wrong = np.abs(f - fitted).max(axis=1)
         wrong[support] = 0.0
@@ -297,20 +345,33 @@ def _aaa(s: Complex, f: Complex) -> Complex:
         low = (f[rest][:, None] - value) * near[:, :, None]
         high = (f[rest][:, None] - value.conj()) * far[:, :, None]
         loewner = np.concatenate([low + high, 1j * (low - high)], axis=1).transpose(0, 2, 1)
-        loewner = loewner.reshape(-1, 2 * len(support))
-        upper = np.linalg.qr(np.concatenate([loewner.real, loewner.imag]), mode="r")
-        last = np.linalg.svd(upper)[2][-1]
-        weight = last[: len(support)] + 1j * last[len(support) :]
-        above = near @ (weight[:, None] * value) + far @ (weight[:, None] * value).conj()
-        fitted = f.copy()
-        fitted[rest] = above / (near @ weight + far @ weight.conj())[:, None]
-        error = float(np.abs(f - fitted).max())
-        stale = 0 if error < 0.1 * best else stale + 1
-        if error < best:
-            best, found = error, (at, weight)
-        if best < _FINE or (best < _GOOD and stale > 2):
+        for _ in range(_REWEIGHT):
+            weight = _null_vector(loewner / size[rest, None, None])
+            below = near @ weight + far @ weight.conj()
+            above = near @ (weight[:, None] * value) + far @ (weight[:, None] * value).conj()
+            fitted = f.copy()
+            fitted[rest] = above / below[:, None]
+            error = float(np.abs(f - fitted).max())
+            size[rest] = np.abs(below)
+            stale = 0 if error < 0.1 * best else stale + 1
+            if error < best:
+                best, found = error, (at, weight)
+        if best < _FINE or (best < _GOOD and stale > _PATIENCE):
             break
     return _zeros(*found)
+
+
+def _null_vector(rows: NDArray[Any]) -> Complex:
+    """Return the complex weights whose real and imaginary parts come nearest to the null space of `rows`."""
+    flat = rows.reshape(-1, rows.shape[2])
+    upper = np.linalg.qr(np.concatenate([flat.real, flat.imag]), mode="r")
+    norm = np.linalg.norm(upper, axis=0)
+    norm[norm == 0.0] = 1.0
+    last = np.linalg.svd(upper / norm)[2][-1] / norm
+    half = len(last) // 2
+    both = last[:half] + 1j * last[half:]
+    out: Complex = both / np.abs(both).max()
+    return out
 
 
 def _zeros(at: Complex, weight: Complex) -> Complex:
@@ -329,13 +390,26 @@ def _zeros(at: Complex, weight: Complex) -> Complex:
         found = scipy.linalg.eigvals(a, b)
     found = found[np.isfinite(found)]
     found = found[np.abs(found) < _BEYOND * np.abs(at).max()]
-    real = np.abs(found.imag) <= 1e-14 * np.abs(found)
-    found = np.where(real, found.real, found)
-    for _ in range(_NEWTON):
-        near, far = 1.0 / (found[:, None] - at), 1.0 / (found[:, None] + at)
-        step = (near @ weight + far @ weight.conj()) / (near**2 @ weight + far**2 @ weight.conj())
-        # a step in the wrong by rounding must not tear a double zero apart
-        found = found + np.where(np.abs(step) < 1e-3 * np.abs(found), step, 0.0)
-    found = np.where(real, found.real, found)
-    out: Complex = found[real | (found.imag > 0.0)]
-    return out
+    real = found.imag == 0.0  # exactly, as the matrices are real
+    return _refined(found[real], found[found.imag > 0.0], at, weight)
+
+
+def _refined(real: Complex, pairs: Complex, at: Complex, weight: Complex) -> Complex:
+    """Improve all zeros at once (Aberth): eigenvalues are good to rounding of the largest only."""
+    places = np.concatenate([at, at.conj()])
+    strength = np.concatenate([weight, weight.conj()])
+    for _ in range(_ABERTH):
+        every = np.concatenate([real, pairs, pairs.conj()])
+        terms = 1.0 / (every[:, None] - places)
+        value, slope = terms @ strength, -(terms**2) @ strength
+        apart = every[:, None] - every
+        np.fill_diagonal(apart, np.inf)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            step = 1.0 / (slope / value + terms.sum(axis=1) - (1.0 / apart).sum(axis=1))
+        step = np.where(np.isfinite(step), step, 0.0)
+        step[: len(real)].imag = 0.0
+        real, pairs = np.split((every - step)[: len(real) + len(pairs)], [len(real)])
+        pairs = np.where(pairs.imag < 0.0, pairs.conj(), pairs)
+        if (np.abs(step) <= 4e-16 * np.abs(every)).all():
+            break
+    return np.concatenate([real, pairs])

@@ -94,7 +94,7 @@ class LinearCircuit:
     @property
     def order(self) -> int:
         """Number of states."""
-        return self.a_pre.shape[0] + self.a_post.shape[0]
+        return len(self.a_pre) + len(self.a_post)
 
     @property
     def poles(self) -> Complex:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +63,8 @@ class Paths:
         [F, n, 2 n]: pot, u -> imot with every gain pin at `v_fs`, measured as a whole.
     lumped
         Whether the multipliers have no probes.
+    v_fs
+        Full scale of the gain pins [V].
     """
 
     hz: Array
@@ -70,11 +73,13 @@ class Paths:
     post: Complex
     total: Complex
     lumped: bool
+    v_fs: float
 
     @property
     def s(self) -> Complex:
         """The frequencies as s = jw [rad/s]."""
-        return 2j * np.pi * self.hz
+        out: Complex = 2j * np.pi * self.hz.astype(complex)
+        return out
 
 
 class Session:
@@ -122,9 +127,24 @@ class Session:
         self.multipliers = self._find_multipliers()
 
     def hold(self, pins: dict[str, float]) -> None:
-        """Set the DC voltage of some pins [V]."""
+        """Set the DC voltage of some pins or probes [V]."""
         for pin, volts in pins.items():
-            self.simulator.command(f"alter {self._source[pin]} dc = {volts!r}")
+            self.simulator.command(f"alter {self._source.get(pin, pin)} dc = {volts!r}")
+
+    def operating_point(self, nodes: list[str]) -> Array:
+        """Return DC voltages [V]."""
+        self.simulator.command("op")
+        found = np.array([float(self.simulator.vector(node)[0]) for node in nodes])
+        self.simulator.command("destroy")
+        return found
+
+    def sweep(self, pin: str, reach: float, steps: int, node: str) -> Array:
+        """Return the DC voltage of `node` [steps + 1] while `pin` goes from -`reach` to `reach` [V]."""
+        step = 2.0 * reach / steps
+        self.simulator.command(f"dc {self._source[pin]} {-reach!r} {reach!r} {step!r}")
+        found = np.asarray(self.simulator.vector(node), float)
+        self.simulator.command("destroy")
+        return found
 
     def respond(self, source: str, sweep: str, nodes: list[str]) -> Complex:
         """Drive a pin or a probe with 1 V and return the response of `nodes`; shape [F, len(nodes)]."""
@@ -134,7 +154,7 @@ class Session:
         try:
             run(f"ac {sweep}")
             size = len(self.simulator.vector("frequency"))
-            found = np.zeros((size, len(nodes)), complex)
+            found: Complex = np.zeros((size, len(nodes)), np.complex128)
             for k, node in enumerate(nodes):
                 if node != "0":
                     found[:, k] = self.simulator.vector(node)
@@ -163,9 +183,9 @@ class Session:
         direct = [self.respond(pin, sweep, self._outputs) for pin in self.commands]
         post = np.concatenate([share / (gain * self.v_fs), np.stack(direct, axis=2)], axis=2)
         self.hold(dict.fromkeys(self.channels, 0.0))
-        return Paths(self.hz, sides[:, :m], gain, post, sides[:, m : m + n], False)
+        return Paths(self.hz, sides[:, :m], gain, post, sides[:, m : m + n], False, self.v_fs)
 
-    def _gain(self, part: Multiplier, share: Complex) -> float:
+    def _gain(self, part: Multiplier, share: NDArray[Any]) -> float:
         """Return w per X and volt at the gain pin; `share` is X -> imot at full scale and low frequency."""
         if part.z is None or part.z_node is None:
             return 1.0 / self.v_fs
@@ -175,8 +195,6 @@ class Session:
 
     def _lumped(self, sweep: str) -> Paths:
         n, m = self.joints, len(self.channels)
-        size = None
-        x = post = np.empty(0)
         none = [self.respond(pin, sweep, self._outputs) for pin in self.signals]
         size = len(self.hz)
         x = np.zeros((size, m, 2 * n), complex)
@@ -193,7 +211,7 @@ class Session:
         self.hold(dict.fromkeys(self.channels, self.v_fs))
         total = np.stack([self.respond(pin, sweep, self._outputs) for pin in self.signals], axis=2)
         self.hold(dict.fromkeys(self.channels, 0.0))
-        return Paths(self.hz, x, np.full(m, 1.0 / self.v_fs), post, total, True)
+        return Paths(self.hz, x, np.full(m, 1.0 / self.v_fs), post, total, True, self.v_fs)
 
     def _find_multipliers(self) -> list[Multiplier]:
         """Find which probes belong to which gain pin, by what moves when a pin is driven."""
@@ -229,6 +247,6 @@ class Session:
         return [found[pin] for pin in self.channels] if len(found) == len(self.channels) else []
 
     def _behind(self, probe: Probe) -> str:
-        """Return the end of a probe that follows when it is driven; the other one is held by what drives it."""
+        """Return the end of a probe that follows when it is driven; what stands before holds the other."""
         moved = np.abs(self.respond(probe.source, f"lin 1 {LOW_HZ[1]} {LOW_HZ[1]}", list(probe.nodes))[0])
         return probe.nodes[int(np.argmax(moved))]

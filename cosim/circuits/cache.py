@@ -1,0 +1,97 @@
+"""Extracted models on disk, by the content of the deck they came from.
+
+The name of a file is the hash of all that the model depends on, so nothing is ever out of date; files are
+written whole or not at all, and one that cannot be read is as good as none.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import json
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cosim.circuits.linear import LinearCircuit
+
+__all__ = ["Asked", "folder", "load", "store"]
+
+#: To be raised with every change of the algorithm that changes a model.
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class Asked:
+    """All that a model depends on.
+
+    Attributes
+    ----------
+    text
+        The flat deck.
+    model, band_hz, tolerance, offsets
+        As `extract` takes them.
+    """
+
+    text: str
+    model: str
+    band_hz: float
+    tolerance: float
+    offsets: bool = False
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of everything."""
+        rest = f"{VERSION} {self.model} {self.band_hz!r} {self.tolerance!r} {self.offsets}\n"
+        return hashlib.sha256((rest + self.text).encode()).hexdigest()
+
+
+def folder() -> Path:
+    """Return the cache's folder, which need not exist."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "cosim" / "circuits"
+
+
+def load(asked: Asked) -> tuple[LinearCircuit | None, str]:
+    """Return the model, if it is there, and a word on a file that was of no use."""
+    path = folder() / f"{asked.digest}.npz"
+    try:
+        raw = path.read_bytes()
+    except OSError:
+        return None, ""
+    try:
+        with np.load(io.BytesIO(raw), allow_pickle=False) as stored:
+            about = json.loads(str(stored["about"]))
+            if about["digest"] != asked.digest:
+                raise ValueError("it belongs to another board")
+            arrays = {name: stored[name] for name in stored.files if name != "about"}
+        return LinearCircuit(about["joints"], about["model"], **arrays, certificate=about["certificate"]), ""
+    except Exception as error:  # whatever is wrong with it, the board itself is at hand
+        return None, f"ignored the damaged cache file {path}: {error}"
+
+
+def store(asked: Asked, circuit: LinearCircuit) -> None:
+    """Keep a model; where nothing can be written, nothing is kept."""
+    about = {
+        "digest": asked.digest,
+        "joints": circuit.joints,
+        "model": circuit.model,
+        "certificate": circuit.certificate,
+    }
+    packed = io.BytesIO()
+    np.savez(packed, about=np.array(json.dumps(about)), **circuit.arrays())  # type: ignore[arg-type]
+    with contextlib.suppress(OSError):
+        folder().mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=folder(), suffix=".part")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(packed.getbuffer())
+            os.replace(name, folder() / f"{asked.digest}.npz")
+        except BaseException:
+            with contextlib.suppress(OSError):
+                os.unlink(name)
+            raise

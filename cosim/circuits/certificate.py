@@ -1,0 +1,149 @@
+"""What an extracted model promises, in numbers and sentences."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.circuits.blocks import Block, derivatives
+from cosim.circuits.linear import LinearCircuit, channel_names
+from cosim.circuits.measure import Paths
+from cosim.circuits.reduce import Bound
+from cosim.circuits.statics import ControlPath
+
+__all__ = ["WORST_NONLINEARITY", "delays", "footnote", "linear_certificate", "statics"]
+
+Array = NDArray[np.float64]
+
+#: Deviation of a gain from proportionality, as a share of full scale, at which `linear` is refused.
+WORST_NONLINEARITY = 0.02
+
+
+def footnote(
+    pre: Block, post: Block, band_hz: float, static: tuple[Array, Array, Array] | None = None
+) -> dict[str, Any]:
+    """Certify the paper's footnote 1: how far the circuit is from its DC gains anywhere in the band.
+
+    A damper is compared with s times its slope. A path through a multiplier may be off by what stands
+    before it and what stands after it together. Errors are relative to the maximum of each path in the band.
+
+    Parameters
+    ----------
+    static
+        DC gains and slopes before, DC gains after the multipliers; the fit's own by default.
+    """
+    omega = 2.0 * np.pi * band_hz
+    m, n = pre.shape[0], post.shape[0]
+    if static is None:
+        before = derivatives(pre.joined(), 2)
+        damper = (np.arange(m) >= m // 2)[:, None]
+        static = (
+            np.where(damper, 0.0, before[0]),
+            np.where(damper, before[1], 0.0),
+            derivatives(post.joined(), 1)[0],
+        )
+    first = pre.static_error(omega, static[0], static[1]).upper.max(axis=1)
+    second = post.static_error(omega, static[2], np.zeros(post.shape)).upper.max(axis=0)
+    through = first + second[:m] * (1.0 + first)
+    each = {
+        "spring": float(through[: m // 2].max()),
+        "damper": float(through[m // 2 :].max()),
+        "command": float(second[m : m + n].max()),
+        "back_emf": float(second[m + n :].max()),
+    }
+    worst = max(each, key=lambda name: each[name])
+    others = ", ".join(f"{name.replace('_', '-')} {_percent(value)}" for name, value in each.items())
+    return {
+        "band_hz": band_hz,
+        "error": each,
+        "sentence": f"up to {band_hz:.6g} Hz the circuit differs from its DC gains (dampers: from H(jw)/(jw) "
+        f"as w -> 0) by at most {_percent(each[worst])} of the path's maximum ({others})",
+    }
+
+
+def linear_certificate(circuit: LinearCircuit, full: int, bounds: tuple[Bound, Bound] | None, band_hz: float,
+                       tolerance: float, paths: Paths) -> dict[str, Any]:  # fmt: skip
+    """State order, poles and errors of a `linear` model; `full` is the order before reduction."""
+    found: dict[str, Any] = {
+        "model": "linear",
+        "order": circuit.order,
+        "full_order": full,
+        "poles_rad_per_s": sorted(
+            ([float(p.real), float(p.imag)] for p in circuit.poles), key=lambda p: -p[0]
+        ),
+        "reduced": bounds is not None,
+    }
+    if bounds is not None:
+        first, second = (bound.worst for bound in bounds)
+        found |= {
+            "band_hz": band_hz,
+            "tolerance": tolerance,
+            "error_before": first,
+            "error_after": second,
+            "error": first + second * (1.0 + first),
+            "measured_error": _measured(circuit, paths, band_hz),
+            "sentence": f"up to {band_hz:.6g} Hz the model of order {circuit.order} differs from the circuit "
+            f"(order {full}) by at most {_percent(first + second * (1.0 + first))} of the path's maximum",
+        }
+    return found
+
+
+def _measured(circuit: LinearCircuit, paths: Paths, band_hz: float) -> float:
+    """Return the largest error of pot, u -> imot at full scale against what ngspice gave inside the band."""
+    inside = paths.hz <= band_hz
+    n = circuit.joints
+    volts = np.full(len(paths.gain), paths.v_fs)
+    mine = circuit.response(paths.s[inside], volts)[:, :, : 2 * n]
+    scale = np.abs(paths.total[inside]).max(axis=0)
+    scale = np.maximum(scale, 1e-4 * scale.max(axis=1, keepdims=True))
+    return float((np.abs(mine - paths.total[inside]) / np.where(scale > 0.0, scale, 1.0)).max())
+
+
+def statics(paths: Paths, control: ControlPath, limit: Array) -> dict[str, Any]:
+    """State what does not depend on frequency, and what a gain step does."""
+    m = len(paths.gain)
+    channels = channel_names(limit.shape[0])
+    through = paths.post[:, :, :m] @ ((paths.gain * paths.v_fs)[:, None] * paths.x)
+    size = np.abs(paths.total).max()
+    found: dict[str, Any] = {
+        "control_nonlinearity": float(control.nonlinearity.max()),
+        "control_nonlinearity_worst": channels[int(np.argmax(control.nonlinearity))],
+        "not_through_multipliers": float(np.abs(through - paths.total).max() / size) if size else 0.0,
+        "current_limited": bool(np.isfinite(limit).any()),
+        "probes": not paths.lumped,
+    }
+    if control.delay_s is not None and control.error is not None:
+        found["control_delay_s"] = float(np.abs(control.delay_s).max())
+        found["control_error"] = control.error
+        found["gain_step"] = (
+            "a gain step passes through what stands after the multipliers only; in the band its own path "
+            f"differs from that of X by at most {_percent(control.error)}"
+        )
+    return found
+
+
+def delays(pre: Block, post: Block) -> dict[str, Any]:
+    """Return how late each kind of path is at low frequency [s], the largest of its channels."""
+    before, after = derivatives(pre.joined(), 3), derivatives(post.joined(), 2)
+    m, n = pre.shape[0], post.shape[0]
+
+    def late(first: Array, zeroth: Array) -> Array:
+        strong = np.abs(zeroth) > 1e-6 * np.abs(zeroth).max(initial=0.0)
+        out: Array = np.where(strong, -first / np.where(strong, zeroth, 1.0), 0.0)
+        return out
+
+    post_late = late(after[1], after[0])
+    spring = late(before[1], before[0])[: m // 2]
+    damper = late(before[2], before[1])[m // 2 :, :n]
+    return {
+        "spring_before": float(spring.max()),
+        "damper_before": float(damper.max()),
+        "after": float(post_late[:, :m].max()),
+        "command": float(post_late[:, m : m + n].max()),
+    }
+
+
+def _percent(value: float) -> str:
+    return f"{100.0 * value:.3g} %"

@@ -1,0 +1,125 @@
+"""What a board does besides its small-signal paths: current limit, control voltage, offset."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.circuits.measure import LOW_HZ, Multiplier, Session
+
+__all__ = ["ControlPath", "control_path", "current_limits", "offsets"]
+
+Array = NDArray[np.float64]
+
+#: Command voltages go this many times the converters' range: far enough for any driver that clamps.
+_BEYOND = 5.0
+_STEPS = 40
+#: Slope at the end of the sweep, relative to that at rest, below which the current no longer rises.
+_FLAT = 0.01
+#: Control voltages at which the gain is compared with its value at full scale.
+SHARES = (-1.0, -0.5, -0.1, 0.0, 0.1, 0.5, 1.0)
+
+
+@dataclass(frozen=True)
+class ControlPath:
+    """What the gain pins do besides multiplying.
+
+    Attributes
+    ----------
+    nonlinearity
+        [m], largest difference between gain and control voltage's share of full scale, as a share of the
+        gain at full scale.
+    delay_s
+        [m], how much later than X the control voltage acts; ``None`` for a board without probes.
+    error
+        Largest difference between control path and X path in the band, relative; ``None`` without probes.
+    """
+
+    nonlinearity: Array
+    delay_s: Array | None
+    error: float | None
+
+
+def current_limits(session: Session) -> Array:
+    """Return the lowest and highest current of each motor at standstill [n, 2] A, infinite where none shows.
+
+    From a `.dc` sweep of its command: the current where it has stopped rising.
+    """
+    reach = _BEYOND * session.simulator.constant("dac_v")
+    out = np.tile([-np.inf, np.inf], (session.joints, 1))
+    for i in range(session.joints):
+        current = session.sweep(f"cmd{i + 1}", reach, _STEPS, f"imot{i + 1}")
+        slope = np.diff(current)
+        rest = np.abs(slope[_STEPS // 2])
+        ends = [current[k] for k in (0, -1) if abs(slope[k]) < _FLAT * rest]
+        for end in ends:
+            out[i, int(end > current[_STEPS // 2])] = end
+    return out
+
+
+def offsets(session: Session) -> Array:
+    """Return the motor currents with every pin at zero [n] A."""
+    return session.operating_point([f"imot{i + 1}" for i in range(session.joints)])
+
+
+def control_path(session: Session, band_hz: float) -> ControlPath:
+    """Compare the gains at several control voltages, and the control path with that of X over the band."""
+    if not session.multipliers:
+        return ControlPath(_lumped_nonlinearity(session), None, None)
+    once = f"lin 1 {LOW_HZ[0]} {LOW_HZ[0]}"
+    gains = []
+    for share in SHARES:
+        session.hold(dict.fromkeys(session.channels, share * session.v_fs))
+        gains.append([_strongest(session, part, once) for part in session.multipliers])
+    session.hold(dict.fromkeys(session.channels, 0.0))
+    table = np.array(gains)
+    nonlinearity = np.abs(table / table[-1] - np.array(SHARES)[:, None]).max(axis=0)
+    delay, error = _dynamics(session, band_hz)
+    return ControlPath(nonlinearity, delay, error)
+
+
+def _strongest(session: Session, part: Multiplier, sweep: str) -> float:
+    """Return the current of the channel's own motor per volt at X."""
+    outputs = [f"imot{int(part.channel[3])}", part.x_node]
+    response = session.respond(part.x, sweep, outputs)[0]
+    return float(np.real(response[0] / response[1]))
+
+
+def _lumped_nonlinearity(session: Session) -> Array:
+    """Return the same from pot -> imot as a whole, at the frequency where each path is strongest."""
+    n, worst = session.joints, []
+    for pin in session.channels:
+        i, j = int(pin[3]), int(pin[4])
+        found = []
+        for share in SHARES:
+            session.hold({pin: share * session.v_fs})
+            found.append(session.respond(f"pot{j}", "dec 2 0.1 10k", [f"imot{i}"])[:, 0])
+        session.hold({pin: 0.0})
+        table = np.array(found) - found[SHARES.index(0.0)]
+        strongest = int(np.argmax(np.abs(table[-1])))
+        ratio = table[:, strongest] / table[-1, strongest]
+        worst.append(np.abs(ratio - np.array(SHARES)).max())
+    assert len(worst) == 2 * n * n
+    return np.array(worst)
+
+
+def _dynamics(session: Session, band_hz: float) -> tuple[Array, float]:
+    """Return how much later than X the control voltage acts [m] s, and the largest difference in the band."""
+    sweep = f"dec 4 {band_hz / 100.0!r} {band_hz!r}"
+    delays, worst = [], 0.0
+    session.hold({part.x: 1.0 for part in session.multipliers})
+    for part in session.multipliers:
+        output = f"imot{int(part.channel[3])}"
+        by_control = session.respond(part.channel, sweep, [output])[:, 0]
+        session.hold({part.channel: session.v_fs})
+        by_x = session.respond(part.x, sweep, [output, part.x_node])
+        session.hold({part.channel: 0.0})
+        ratio = by_control / (by_x[:, 0] / by_x[:, 1])
+        ratio = ratio / ratio[0].real
+        omega = 2.0 * np.pi * session.hz
+        delays.append(-float(ratio[0].imag) / omega[0])
+        worst = max(worst, float(np.abs(ratio - 1.0).max()))
+    session.hold({part.x: 0.0 for part in session.multipliers})
+    return np.array(delays), worst
