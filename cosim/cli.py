@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from typing import Any, TextIO
 
 from cosim import __version__
-from cosim.commands import check, effects, export, new, plan, report, run
+from cosim.commands import check, compare, effects, export, new, plan, report, run
 from cosim.errors import CosimError
 
 EXIT_FAILURE = 1
@@ -27,6 +27,7 @@ COMMANDS = (
     run.COMMAND,
     report.COMMAND,
     effects.COMMAND,
+    compare.COMMAND,
     export.COMMAND,
     new.COMMAND,
 )

@@ -92,9 +92,10 @@ def table(ledger: "EffectsLedger", measure: str) -> str:
     """Return the ledger of one measure, the largest effect first."""
     row = ledger.full[measure]
     unit = str(row["unit"])
+    first, last = ledger.null[measure]["value"], row["value"]
     lines = [
-        f"{measure} [{unit}]: {ledger.null[measure]['value']:.5g} with no effect ({1e3 * ledger.null_s:.3g} ms), "
-        f"{row['value']:.5g} with all ({1e3 * ledger.full_s:.3g} ms); {ledger.runs} runs",
+        f"{measure} [{unit}]: {first:.5g} with no effect ({1e3 * ledger.null_s:.3g} ms), "
+        f"{last:.5g} with all ({1e3 * ledger.full_s:.3g} ms); {ledger.runs} runs",
         "",
         f"{'effect':14} {'value':14} {'alone':>12} {'cost [ms]':>10} {'on top of all':>14} {'cost [ms]':>10}",
     ]
