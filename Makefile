@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 OUT ?= out/demo
 
-.PHONY: demo test slow bench lint setup clean
+.PHONY: demo test slow bench gallery lint setup clean
 
 demo: setup
 	$(BIN)/cosim run scenes/slope.toml --out $(OUT)
@@ -18,6 +18,18 @@ slow: setup
 
 bench: setup
 	$(BIN)/python -m benchmarks
+
+# The published pictures: the paper's three methods on the slope, from the scenes as they stand.
+gallery: setup
+	for method in combined discrete joint_pd; do \
+	  $(BIN)/cosim run scenes/slope_$$method.toml --out out/gallery/$$method || exit 1; done
+	$(BIN)/cosim report out/gallery/combined out/gallery/discrete out/gallery/joint_pd --out out/gallery/report
+	$(BIN)/cosim effects scenes/slope.toml --out out/gallery/effects
+	mkdir -p reports/gallery
+	cp out/gallery/report/figures/compare.png reports/gallery/methods.png
+	cp out/gallery/report/figures/zoom.png reports/gallery/between_samples.png
+	cp out/gallery/report/figures/path.png reports/gallery/path.png
+	cp out/gallery/effects/effects.png reports/gallery/effects.png
 
 lint: setup
 	$(BIN)/ruff check .

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import math
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -60,6 +59,7 @@ class Recorder:
         self.memory, self.simulator, self.report = memory, simulator, report
         self.folder, self.deck, self.person = folder, deck, person
         self.failure: BaseException | None = None
+        self.running = False
         self.rows: BinaryIO = open(folder / ROWS, "wb")
         self.samples: BinaryIO = open(folder / SAMPLES, "wb")
         self.bytes = 0
@@ -88,7 +88,8 @@ class Recorder:
     def fail(self, error: BaseException) -> None:
         """Keep what went wrong in a callback and stop ngspice at its next point."""
         self.failure = self.failure or error
-        self.simulator.stop()
+        if self.running:
+            self.simulator.stop()
 
     def _write(self, file: BinaryIO, buffer: np.ndarray[Any, Any], used: str) -> None:
         state = self.memory.state[0]
@@ -201,6 +202,8 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
 
     state["breakpoint_address"] = simulator.set_breakpoint_address()
     lockstep.begin(state)
+    if recorder.failure is not None:
+        raise recorder.failure
     lockstep.fill(state, 0.0)
     n = circuit.joints
     state["b_emf"][:n, :n] = back_emf_viscosity(simulator, circuit, state)
@@ -213,7 +216,7 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         data_stays=True,
     )
     wall, cpu = time.perf_counter(), time.process_time()
-    moving = True
+    moving = recorder.running = True
     try:
         simulator.command(
             f"tran {scene.solver.max_step_s!r} {scene.duration_s!r} 0 {scene.solver.max_step_s!r}"
