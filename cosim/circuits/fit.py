@@ -1,10 +1,8 @@
 """Rational fit of frequency responses that share their poles, and its real, stable state space.
 
-AAA (Nakatsukasa, Sete and Trefethen, SIAM J. Sci. Comput. 40, A1494, 2018) on all paths of a block at once
-(Lietaert, Meerbergen, Perez and Vandereycken, IMA J. Numer. Anal. 42, 1087, 2022), with support points in
-conjugate pairs, so that everything is real: the poles are common to the paths by construction and each is
-found where it shows best. The poles alone are taken from it. Residues come from linear least squares, where
-a pole that no path needs (a Froissart doublet) shows by its small share and goes.
+AAA finds the poles (`cosim.circuits.aaa`); residues come from linear least squares, where a pole that no path
+needs shows and goes. Poles near to each other form a chain instead of having residues of their own, which would be
+large and cancel. A pole has as many states as its residue has rank.
 """
 
 from __future__ import annotations
@@ -16,6 +14,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from cosim.circuits.aaa import poles_of
 from cosim.circuits.linear import rational
 
 __all__ = ["FitError", "Modes", "fit"]
@@ -23,24 +22,18 @@ __all__ = ["FitError", "Modes", "fit"]
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: AAA goes on to this error relative to each path's maximum; rounding in `.ac` is at 1e-16 to 1e-14.
-_FINE = 1e-13
 #: A fit worse than this is none: 1e-9 is promised, also between the points.
 _GOOD = 3e-10
+#: Paths that differ by less are one.
+_EQUAL = 1e-13
 #: A pole whose share of every path stays below this is spurious.
 _SPURIOUS = 1e-12
 #: Poles nearer to each other than this (relative) share a chain instead of having residues of their own.
 _NEAR = 0.01
 #: Paths weaker than this share of the strongest path to the same output are fitted to that share's measure.
 _WEAK = 1e-6
-#: Error that fewer copies of a chain may make before C and D are found again, the boldest first.
+#: Error that fewer copies of a chain may make before C and D are found again; what serves best is kept.
 _RANK = (1e-7, 1e-9, 1e-12)
-_MOST_PAIRS = 40
-#: Poles this much faster than the fastest point measured are part of the feedthrough.
-_BEYOND = 1e4
-_ABERTH = 30
-#: Solutions of each AAA step, and how many may pass without progress once the fit is good.
-_REWEIGHT, _PATIENCE = 2, 6
 
 
 class FitError(Exception):
@@ -109,15 +102,14 @@ def fit(s: Complex, h: Complex) -> Modes:
     chains = _chains(poles)
     basis = _basis(s, chains)
     weights = _least_squares(basis, f).reshape(-1, rows, columns)
-    for rank in _RANK:
-        modes = _realise(chains, weights, np.abs(basis).max(axis=0), scale, rank)
-        modes = _polished(s, h / scale, modes, scale)
-        if modes.error.max(initial=0.0) <= _GOOD:
-            break
-    worst = float(modes.error.max(initial=0.0))
-    if worst > _GOOD:
-        raise FitError(f"order {len(modes.a)} leaves an error of {worst:.1e} of the path's maximum")
-    return modes
+    peaks = np.abs(basis).max(axis=0)
+    found = [_polished(s, h / scale, _realise(chains, weights, peaks, scale, rank), scale) for rank in _RANK]
+    good = [modes for modes in found if modes.error.max(initial=0.0) <= _GOOD]
+    if not good:
+        last = found[-1]
+        worst = float(last.error.max())
+        raise FitError(f"order {len(last.a)} leaves an error of {worst:.1e} of the path's maximum")
+    return min(good, key=lambda modes: (len(modes.a), float(modes.error.max(initial=0.0))))
 
 
 def _polished(s: Complex, f: Complex, modes: Modes, scale: Array) -> Modes:
@@ -140,7 +132,7 @@ def _distinct(f: Complex) -> list[int]:
     """Return the columns that are not equal to an earlier one (equal channels are common, and cost time)."""
     found: list[int] = []
     for k in range(f.shape[1]):
-        if np.abs(f[:, k]).max() > 0.0 and all(np.abs(f[:, k] - f[:, i]).max() > _FINE for i in found):
+        if np.abs(f[:, k]).max() > 0.0 and all(np.abs(f[:, k] - f[:, i]).max() > _EQUAL for i in found):
             found.append(k)
     return found
 
@@ -149,7 +141,7 @@ def _needed(s: Complex, f: Complex) -> Complex:
     """Return the poles that the paths need, one of each conjugate pair."""
     if f.shape[1] == 0:
         return np.empty(0, complex)
-    every = _aaa(s, f)
+    every = poles_of(s, f, good=_GOOD)
     poles = every[every.real < 0.0]
     misfit = _misfit(s, f, poles)
     if len(poles) < len(every) and misfit > _GOOD and misfit > 100.0 * _misfit(s, f, every):
@@ -288,10 +280,12 @@ def _copies(
     if len(from_inputs) <= len(to_outputs):
         copies = len(from_inputs)
         c = kept.transpose(1, 2, 0).reshape(outputs, copies * size)
-        return np.kron(np.eye(copies), a), np.asarray(np.kron(from_inputs, b[:, None]), float), c
+        driven: Array = np.kron(from_inputs, b[:, None])
+        return np.asarray(np.kron(np.eye(copies), a), float), driven, np.asarray(c, float)
     copies = len(to_outputs)
     back = turned.transpose(2, 0, 1).reshape(copies * size, inputs)
-    return np.kron(np.eye(copies), a.T), back, np.asarray(np.kron(to_outputs.T, b[None, :]), float)
+    out: Array = np.kron(to_outputs.T, b[None, :])
+    return np.asarray(np.kron(np.eye(copies), a.T), float), np.asarray(back, float), out
 
 
 def _oscillators(pole: complex, weights: Array, scale: Array, rank: float) -> tuple[Array, Array, Array]:
@@ -321,95 +315,3 @@ def _directions(weights: Any, scale: Array, peaks: Array, missed: float) -> tupl
         if rest.max(initial=0.0) <= missed:
             break
     return every[:rank], kept
-
-
-def _aaa(s: Complex, f: Complex) -> Complex:
-    """Return the poles of the AAA fit of all columns of `f`, one of each conjugate pair.
-
-    Every support point jw brings -jw with it and the conjugate weight, so 2 real unknowns. Over ten decades
-    of frequency the linearised error, the true one times the denominator, sees nothing of the fast poles:
-    so each step is solved again with its rows divided by the denominator just found.
-    """
-    support: list[int] = []
-    fitted = np.broadcast_to(f.real.mean(axis=0), f.shape).astype(complex)
-    best, found, stale = np.inf, (s[:0], s[:0]), 0
-    size = np.ones(len(s))
-    for _ in range(min(_MOST_PAIRS, len(s) // 4)):
-        wrong = np.abs(f - fitted).max(axis=1)
-        wrong[support] = 0.0
-        support.append(int(np.argmax(wrong)))
-        rest = np.ones(len(s), bool)
-        rest[support] = False
-        at, value = s[support], f[support]
-        near, far = 1.0 / (s[rest, None] - at), 1.0 / (s[rest, None] + at)
-        low = (f[rest][:, None] - value) * near[:, :, None]
-        high = (f[rest][:, None] - value.conj()) * far[:, :, None]
-        loewner = np.concatenate([low + high, 1j * (low - high)], axis=1).transpose(0, 2, 1)
-        for _ in range(_REWEIGHT):
-            weight = _null_vector(loewner / size[rest, None, None])
-            below = near @ weight + far @ weight.conj()
-            above = near @ (weight[:, None] * value) + far @ (weight[:, None] * value).conj()
-            fitted = f.copy()
-            fitted[rest] = above / below[:, None]
-            error = float(np.abs(f - fitted).max())
-            size[rest] = np.abs(below)
-            stale = 0 if error < 0.1 * best else stale + 1
-            if error < best:
-                best, found = error, (at, weight)
-        if best < _FINE or (best < _GOOD and stale > _PATIENCE):
-            break
-    return _zeros(*found)
-
-
-def _null_vector(rows: NDArray[Any]) -> Complex:
-    """Return the complex weights whose real and imaginary parts come nearest to the null space of `rows`."""
-    flat = rows.reshape(-1, rows.shape[2])
-    upper = np.linalg.qr(np.concatenate([flat.real, flat.imag]), mode="r")
-    norm = np.linalg.norm(upper, axis=0)
-    norm[norm == 0.0] = 1.0
-    last = np.linalg.svd(upper / norm)[2][-1] / norm
-    half = len(last) // 2
-    both = last[:half] + 1j * last[half:]
-    out: Complex = both / np.abs(both).max()
-    return out
-
-
-def _zeros(at: Complex, weight: Complex) -> Complex:
-    """Return the zeros of sum(weight/(s - at) + conj(weight)/(s + at)), one of each conjugate pair."""
-    pairs = len(at)
-    a, b = np.zeros((2 * pairs + 1, 2 * pairs + 1)), np.eye(2 * pairs + 1)
-    b[0, 0] = 0.0
-    for k in range(pairs):
-        i = 1 + 2 * k
-        # each row divided by its frequency: they range over ten decades
-        a[i, 0], a[i, i + 1], a[i + 1, i] = 1.0 / at[k].imag, -1.0, 1.0
-        b[i, i] = b[i + 1, i + 1] = 1.0 / at[k].imag
-        a[0, i], a[0, i + 1] = 2.0 * weight[k].real, -2.0 * weight[k].imag
-    # one zero more than there are is infinite, and comes out so or very large
-    with np.errstate(divide="ignore", invalid="ignore"):
-        found = scipy.linalg.eigvals(a, b)
-    found = found[np.isfinite(found)]
-    found = found[np.abs(found) < _BEYOND * np.abs(at).max()]
-    real = found.imag == 0.0  # exactly, as the matrices are real
-    return _refined(found[real], found[found.imag > 0.0], at, weight)
-
-
-def _refined(real: Complex, pairs: Complex, at: Complex, weight: Complex) -> Complex:
-    """Improve all zeros at once (Aberth): eigenvalues are good to rounding of the largest only."""
-    places = np.concatenate([at, at.conj()])
-    strength = np.concatenate([weight, weight.conj()])
-    for _ in range(_ABERTH):
-        every = np.concatenate([real, pairs, pairs.conj()])
-        terms = 1.0 / (every[:, None] - places)
-        value, slope = terms @ strength, -(terms**2) @ strength
-        apart = every[:, None] - every
-        np.fill_diagonal(apart, np.inf)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            step = 1.0 / (slope / value + terms.sum(axis=1) - (1.0 / apart).sum(axis=1))
-        step = np.where(np.isfinite(step), step, 0.0)
-        step[: len(real)].imag = 0.0
-        real, pairs = np.split((every - step)[: len(real) + len(pairs)], [len(real)])
-        pairs = np.where(pairs.imag < 0.0, pairs.conj(), pairs)
-        if (np.abs(step) <= 4e-16 * np.abs(every)).all():
-            break
-    return np.concatenate([real, pairs])

@@ -22,11 +22,12 @@ def channel_names(joints: int) -> list[str]:
 
 def rational(s: ArrayLike, a: Array, b: Array, c: Array, d: Array) -> Complex:
     """Return C (sI - A)^-1 B + D at the points `s`; shape [len(s), outputs, inputs]."""
-    points = np.atleast_1d(np.asarray(s, complex))
-    if a.shape[0] == 0:
-        return np.broadcast_to(d.astype(complex), (len(points), *d.shape)).copy()
-    left = points[:, None, None] * np.eye(a.shape[0]) - a
-    out: Complex = c @ np.linalg.solve(left, np.broadcast_to(b.astype(complex), (len(points), *b.shape))) + d
+    points: Complex = np.atleast_1d(np.asarray(s, np.complex128))
+    out: Complex = np.zeros((len(points), *d.shape), np.complex128)
+    out += d
+    if len(a):
+        left = points[:, None, None] * np.eye(len(a)) - a
+        out += c @ np.linalg.solve(left, np.broadcast_to(b.astype(complex), (len(points), *b.shape)))
     return out
 
 

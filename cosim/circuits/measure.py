@@ -179,17 +179,18 @@ class Session:
         share = np.linalg.solve(probed[:, :m].transpose(0, 2, 1), probed[:, m:].transpose(0, 2, 1)).transpose(
             0, 2, 1
         )
-        gain = np.array([self._gain(part, share[0, :, c]) for c, part in enumerate(self.multipliers)])
+        hz = self.hz
+        gain = np.array([self._gain(part, share[0, :, c], hz[0]) for c, part in enumerate(self.multipliers)])
         direct = [self.respond(pin, sweep, self._outputs) for pin in self.commands]
         post = np.concatenate([share / (gain * self.v_fs), np.stack(direct, axis=2)], axis=2)
         self.hold(dict.fromkeys(self.channels, 0.0))
-        return Paths(self.hz, sides[:, :m], gain, post, sides[:, m : m + n], False, self.v_fs)
+        return Paths(hz, sides[:, :m], gain, post, sides[:, m : m + n], False, self.v_fs)
 
-    def _gain(self, part: Multiplier, share: NDArray[Any]) -> float:
-        """Return w per X and volt at the gain pin; `share` is X -> imot at full scale and low frequency."""
+    def _gain(self, part: Multiplier, share: NDArray[Any], hz: float) -> float:
+        """Return w per X and volt at the gain pin; `share` is X -> imot at full scale and the frequency `hz`."""
         if part.z is None or part.z_node is None:
             return 1.0 / self.v_fs
-        response = self.respond(part.z, f"lin 1 {LOW_HZ[0]} {LOW_HZ[0]}", [*self._outputs, part.z_node])[0]
+        response = self.respond(part.z, f"lin 1 {float(hz)!r} {float(hz)!r}", [*self._outputs, part.z_node])[0]
         strongest = int(np.argmax(np.abs(response[:-1])))
         return float(np.real(share[strongest] * response[-1] / (response[strongest] * self.v_fs)))
 
