@@ -1,7 +1,6 @@
 """The effects ledger as a picture: what an effect changes against what it costs."""
 
 import csv
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -65,16 +64,11 @@ def draw(ledger: "EffectsLedger", measure: str) -> "Figure":
     size.annotate("1 %", (scale * 0.01, 1.0), xycoords=("data", "axes fraction"), ha="center", va="bottom")
     size.set_xlabel(f"change of {measure.replace('_', ' ')}" + (f" [{unit}]" if unit else ""))
     _bars(cost, labels, [1e3 * r.on_s for r in rows], [1e3 * r.off_s for r in rows])
-    cost.set_xscale("symlog", linthresh=_linear_part(ledger))
-    cost.set_xlabel("cost [ms]")
+    # linear: what is lost in the noise of the machine's clock shall look small
+    cost.set_xlabel("cost, processor time [ms]")
     cost.axvline(0.0, color="0.4", linewidth=1)
     size.legend(loc="lower right")
     return drawing
-
-
-def _linear_part(ledger: "EffectsLedger") -> float:
-    # below a tenth of the cheapest run, times are noise: shown linearly
-    return 10.0 ** math.floor(math.log10(max(100 * ledger.null_s, 1e-3)))
 
 
 def _bars(axes: "Axes", labels: list[str], alone: list[float], among: list[float]) -> None:

@@ -22,8 +22,8 @@ from mech.records import NMAX
 
 #: Names of the works, in the order of `works`' columns.
 WORKS = ("motors", "operator", "viscous", "coulomb", "stops")
-#: A ledger closes when its residual is below this share of the energy turned over: a hundred times what the
-#: shipped scenes leave at their default steps (2e-8 to 8e-7), and far below any loss that a designer looks for.
+#: A ledger closes when its residual is below this share of the energy turned over: ten times what the shipped
+#: scenes leave at their default steps (2e-8 to 1.2e-6), and far below any loss that a designer looks for.
 CLOSURE = 1e-5
 #: Gauss-Legendre of three points on [0, 1]: exact for torque (2) times speed (3) of degree five.
 _NODES = (0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15))
