@@ -1,5 +1,6 @@
 """Output folders that appear whole or not at all."""
 
+import errno
 import os
 import shutil
 import tempfile
@@ -9,6 +10,9 @@ from pathlib import Path
 from typing import Self
 
 from cosim.errors import InputError, Problem, fail
+
+_TURNS = 20
+"""How often a place is tried that other processes write to as well."""
 
 
 @contextmanager
@@ -69,20 +73,29 @@ class Staging:
                 )
 
     def publish(self) -> None:
-        """Give the folder its final name, in place of an earlier result."""
-        self._refuse_foreign()
-        with disk_errors(self.target):
-            if not self.target.exists():
-                self.path.rename(self.target)
-                return
-            # A folder that is not empty cannot be renamed over: the old one steps aside first.
-            old = Path(tempfile.mkdtemp(prefix=f".{self.target.name}.", dir=self.target.parent))
+        """Give the folder its final name, in place of an earlier result.
+
+        Another process that publishes to the same place at the same moment may come in between: then this
+        one tries again, and the last one stays.
+        """
+        for turn in range(_TURNS):
+            self._refuse_foreign()
+            with disk_errors(self.target):
+                try:
+                    self.path.rename(self.target)  # replaces an empty folder, too
+                    return
+                except OSError as error:
+                    if error.errno not in (errno.ENOTEMPTY, errno.EEXIST) or turn == _TURNS - 1:
+                        raise
+                self._step_aside()
+
+    def _step_aside(self) -> None:
+        """Remove the earlier result by way of a new name: a folder that is not empty is not renamed over."""
+        old = Path(tempfile.mkdtemp(prefix=f".{self.target.name}.", dir=self.target.parent))
+        try:
             self.target.rename(old)
-            try:
-                self.path.rename(self.target)
-            except OSError:
-                old.rename(self.target)
-                raise
+        except FileNotFoundError:  # another process was quicker
+            pass
         shutil.rmtree(old, ignore_errors=True)
 
     def discard(self) -> None:

@@ -59,7 +59,7 @@ class Recorder:
         self.memory, self.simulator, self.report = memory, simulator, report
         self.folder, self.deck, self.person = folder, deck, person
         self.failure: BaseException | None = None
-        self.running = False
+        self.running = True  # only a running analysis can be stopped; another would stop at once later
         self.rows: BinaryIO = open(folder / ROWS, "wb")
         self.samples: BinaryIO = open(folder / SAMPLES, "wb")
         self.bytes = 0
@@ -185,6 +185,7 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     recorder = Recorder(
         memory, simulator, Path(payload["folder"]), report, deck=str(board.path), person=person
     )
+    recorder.running = False
     if scene.computer.law is not None:
         where = scene.computer.law
         law = UserLaw(load_law(where, scene.file), state, recorder.fail, where)

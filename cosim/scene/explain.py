@@ -124,7 +124,7 @@ def _message(kind: str, error: Mapping[str, Any], field: Field | None, value: ob
     if kind in ("string_too_short", "too_short"):
         return "must not be empty"
     if kind == "too_long":
-        return "has too many values"
+        return f"has more than {error['ctx']['max_length']} values"
     if field is not None and (kind.endswith(("_type", "_from_float", "_instance_of"))):
         written = field.unit and isinstance(value, str)
         return f"must be {field.noun}" + (f": write the bare number, in {field.unit}" if written else "")
