@@ -16,7 +16,7 @@ import platform
 import shutil
 import sys
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import cosim
-from cosim.errors import CosimError, fail
+from cosim.errors import CosimError, InputError, fail
 from cosim.rawfile import Signals, read_raw
 from cosim.scene import Scene, scene_from_dict
 from cosim.staging import Staging, disk_errors
@@ -145,8 +145,13 @@ class Run:
             fail(f"cannot be read: {error}", file=str(place / RECORD))
         if not isinstance(record, dict) or record.get("format") != _FORMAT_VERSION:
             fail("was written by another version of cosim", file=str(place / RECORD))
+        try:
+            scene = scene_from_dict(record["scene"])
+        except InputError as error:  # written when a scene had other keys
+            told = [replace(problem, file=str(place / RECORD)) for problem in error.problems]
+            raise InputError(told) from error
         return Run(
-            scene=scene_from_dict(record["scene"]),
+            scene=scene,
             signals=read_raw(place / RAW),
             samples=read_csv(place / SAMPLES),
             plan=record["plan"],
