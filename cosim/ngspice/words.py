@@ -149,8 +149,8 @@ def _find(words: Sequence[str], rows: Sequence[str]) -> int | None:
             return next((i for i, row in enumerate(rows) if i and used.search(row)), None)
     normal = [" ".join(row.lower().split()) for row in rows]
     for word in words:
-        _, found, expression = word.lower().partition("expression err:")
-        if found:
+        _, quotes, expression = word.lower().partition("expression err:")
+        if quotes:
             return next((i for i, row in enumerate(normal) if i and f"{{{expression.strip()}" in row), None)
     for word in words:
         quoted = " ".join(word.partition("error: unknown subckt:")[2].split() or word.lower().split()).lower()
