@@ -25,6 +25,8 @@ WORKS = ("motors", "operator", "viscous", "coulomb", "stops")
 #: A ledger closes when its residual is below this share of the energy turned over: ten times what the shipped
 #: scenes leave at their default steps (2e-8 to 1.2e-6), and far below any loss that a designer looks for.
 CLOSURE = 1e-5
+#: Energies below this [J] (1 mN over 10 mm) are not held to a share of themselves.
+_LEAST_J = 1e-5
 #: Gauss-Legendre of three points on [0, 1]: exact for torque (2) times speed (3) of degree five.
 _NODES = (0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15))
 #: Below this ratio of det(J J^T) to its squared trace the arm counts as stretched.
@@ -132,7 +134,7 @@ def summary(
     """
     held = energies.sum(axis=1)
     residual = float(held[-1] - held[0] - totals.sum())
-    scale = max(float(np.abs(totals).sum()), float(np.abs(held).max()), 1e-12)
+    scale = max(float(np.abs(totals).sum()), float(np.abs(held).max()), _LEAST_J)
     return {
         "start_j": float(held[0]),
         "end_j": float(held[-1]),
