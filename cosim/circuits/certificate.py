@@ -121,6 +121,13 @@ def statics(paths: Paths, control: ControlPath, limit: Array) -> dict[str, Any]:
             "a gain step passes through what stands after the multipliers only; in the band its own path "
             f"differs from that of X by at most {_percent(control.error)}"
         )
+    else:
+        late = _group_delay(paths)
+        found["gain_step_delay_s"] = late
+        found["gain_step"] = (
+            "the multipliers have no probes, so all of the path's dynamics stand before them: a gain step acts at once, "
+            f"in the circuit up to {late:.3g} s later"
+        )
     return found
 
 
@@ -143,6 +150,16 @@ def delays(pre: Block, post: Block) -> dict[str, Any]:
         "after": float(post_late[:, :m].max()),
         "command": float(post_late[:, m : m + n].max()),
     }
+
+
+def _group_delay(paths: Paths) -> float:
+    """Return the delay of the slowest path of a lumped board at the lowest frequency [s]."""
+    first = paths.x[0]
+    strong = np.abs(first.real) > 1e-3 * np.abs(first.real).max(initial=0.0)
+    late = np.where(strong, -first.imag / np.where(strong, first.real, 1.0), 0.0) / (
+        2.0 * np.pi * paths.hz[0]
+    )
+    return float(late.max(initial=0.0))
 
 
 def _percent(value: float) -> str:

@@ -34,6 +34,7 @@ _NEAR = 0.01
 _WEAK = 1e-6
 #: Error that fewer copies of a chain may make before C and D are found again; what serves best is kept.
 _RANK = (1e-7, 1e-9, 1e-12)
+_MOVES = 6
 
 
 class FitError(Exception):
@@ -148,13 +149,47 @@ def _needed(s: Complex, f: Complex) -> Complex:
         share = _shares(s, f, every)
         wrong = (every.real >= 0.0) & (share > _GOOD)
         raise FitError("a pole lies in the right half plane", every[wrong])
+    poles, misfit = _relocated(s, f, poles)
     limit = max(_SPURIOUS, 3.0 * misfit)
     while len(poles):
         rest = np.delete(poles, int(np.argmin(_shares(s, f, poles))))
         if _misfit(s, f, rest) > limit:
             break
         poles = rest
-    return poles
+    return _relocated(s, f, poles)[0]
+
+
+def _relocated(s: Complex, f: Complex, poles: Complex) -> tuple[Complex, float]:
+    """Improve the poles together, and return them with their misfit.
+
+    AAA leaves each of q equal poles wrong by the q-th root of rounding. Vector fitting (Gustavsen and Semlyen, IEEE
+    Trans. Power Delivery 14, 1052, 1999) on chains finds the polynomial that they are the zeros of: f (1 + w x) =
+    d + r x with the states x of the chains has the zeros of 1 + w x, eigenvalues of A - b w, as better poles.
+    """
+    best, misfit = poles, _misfit(s, f, poles)
+    for _ in range(_MOVES):
+        chains = _chains(best)
+        basis = _basis(s, chains)
+        size = basis.shape[1]
+        rows, right = [], []
+        for path in f.T:
+            known = np.concatenate([basis, -path[:, None] * basis[:, 1:], path[:, None]], axis=1)
+            upper = np.linalg.qr(np.concatenate([known.real, known.imag]), mode="r")
+            rows.append(upper[size:, size:-1])
+            right.append(upper[size:, -1])
+        shift = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=1e-12)[0]
+        moved: list[complex] = []
+        at = 0
+        for chain in chains:
+            a, b = _blocks(chain)
+            zeros = np.linalg.eigvals(a - b[:, None] * shift[at : at + len(a)])
+            moved += zeros[zeros.imag >= 0.0].tolist()
+            at += len(a)
+        trial = np.array(moved, complex)
+        if not (trial.real < 0.0).all() or (now := _misfit(s, f, trial)) >= misfit:
+            break
+        best, misfit = trial, now
+    return best, misfit
 
 
 def _misfit(s: Complex, f: Complex, poles: Complex) -> float:

@@ -1,0 +1,125 @@
+"""Small boards for the tests of extraction, and what ngspice says of them without it."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.circuits.linear import LinearCircuit
+from cosim.ngspice.child import Child, call, start_early
+from cosim.ngspice.deck import Deck, load_deck
+from cosim.ngspice.simulator import Simulator
+
+NETLISTS = Path(__file__).parents[1] / "netlists"
+
+_HEAD = """* board of one joint, every stage a formula
+.param v_fs=10
+.param dac_v=10
+.csparam v_fs={v_fs}
+.csparam dac_v={dac_v}
+.subckt mul x y w
+vpx x xi 0
+vpy y yi 0
+vpz zi 0 0
+Bw w 0 V=v(xi)*v(yi)/10+v(zi)
+.ends mul
+"""
+_PINS = ".subckt board pot1 vel1 u1 ksp11 ksd11 cmd1 imot1 vcc vee\n"
+#: Spring: X = u - pot. Damper: X of a differentiator with a corner at 1000 rad/s. Output: the sum, 1 A/V.
+SPRING = "Ex x 0 u1 pot1 1"
+DAMPER = "Cy pot1 ya 1u\nRy ya 0 1k\nEy y 0 0 ya 1"
+MULTIPLIERS = "xs x ksp11 ws mul\nxd y ksd11 wd mul"
+SUM = "Bi imot1 0 V=v(ws)+v(wd)+v(cmd1)-0.01*v(vel1)"
+
+
+def board(folder: Path, *, spring: str = SPRING, damper: str = DAMPER, multipliers: str = MULTIPLIERS,
+          output: str = SUM, top: str = "", overrides: Mapping[str, str] | None = None) -> Deck:  # fmt: skip
+    """A board of one joint from the lines of its stages."""
+    path = folder / "board.cir"
+    path.write_text(
+        _HEAD + top + "\n" + _PINS + "\n".join([spring, damper, multipliers, output, ".ends board"]) + "\n"
+    )
+    return load_deck(path, overrides=overrides)
+
+
+def shipped(joints: int, level: str, driver: str = "voltage", **more: Any) -> Deck:
+    """One of the boards that come with the program, all parts at one level."""
+    return load_deck(
+        NETLISTS / f"board{joints}.cir",
+        levels={
+            "opamp": level,
+            "vca": level,
+            "driver": driver,
+            "driver_level": level,
+            "motor": "emf" if level == "ideal" else "full",
+            "potentiometer": "full" if level == "full" else "ideal",
+        },
+        **more,
+    )
+
+
+_child: list[Child] = []
+
+
+def in_child(target: str, payload: Mapping[str, Any], on_progress: Callable[..., None] | None = None) -> Any:
+    """Call a function in a process that all tests share; a failed call ends it."""
+    if not _child:
+        _child.append(start_early("cosim.circuits.extraction"))
+    try:
+        return call(target, dict(payload), child=_child[0], time_limit_s=120.0, on_progress=on_progress)
+    except Exception:
+        _child.clear()
+        raise
+
+
+def extract(deck: Deck, model: str = "linear", **more: Any) -> LinearCircuit:
+    """Extract without the cache, unreduced unless asked for."""
+    payload = {"board": deck, "model": model, "band_hz": 0.0, "tolerance": 0.0, "cache": False} | more
+    circuit = in_child("cosim.circuits.extraction:extract", payload)
+    assert isinstance(circuit, LinearCircuit)
+    return circuit
+
+
+def whole_board(payload: dict[str, Any], report: Any) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
+    """In a child: imot_i of the whole board in one `.ac`, a pin driven, the others at given voltages.
+
+    The deck is written out here; nothing of the extraction is used.
+    """
+    deck: Deck = payload["board"]
+    volts: dict[str, float] = payload["volts"]
+    driven: str = payload["driven"]
+    lines = ["whole board", *deck.text.splitlines()[1:], f"Xboard {' '.join(deck.pins)} {deck.board}"]
+    supplies = {"vcc": 15.0, "vee": -15.0}
+    for pin in deck.pins:
+        if not pin.startswith("imot"):
+            held = supplies.get(pin, volts.get(pin, 0.0))
+            lines.append(f"V_{pin} {pin} 0 dc {held!r} ac {int(pin == driven)}")
+    simulator = Simulator()
+    simulator.load("\n".join([*lines, ".end"]) + "\n", lines=deck.lines)
+    simulator.command("ac " + payload.get("sweep", "dec 31 0.1 100meg"))
+    outputs = [np.asarray(simulator.vector(f"imot{i + 1}"), complex) for i in range(deck.joints)]
+    return np.real(simulator.vector("frequency")), np.stack(outputs, axis=1)
+
+
+def step_response(payload: dict[str, Any], report: Any) -> NDArray[np.float64]:
+    """In a child: time and imot1 [points, 2] of a transient in which pins follow the given source lines."""
+    deck: Deck = payload["board"]
+    sources: dict[str, str] = payload["sources"]
+    lines = ["step", *deck.text.splitlines()[1:], f"Xboard {' '.join(deck.pins)} {deck.board}"]
+    supplies = {"vcc": "15", "vee": "-15"}
+    for pin in deck.pins:
+        if not pin.startswith("imot"):
+            lines.append(f"V_{pin} {pin} 0 {supplies.get(pin, sources.get(pin, '0'))}")
+    lines += [
+        ".options reltol=1e-7 abstol=1e-15 vntol=1e-12 chgtol=1e-20 method=gear",
+        ".save v(imot1)",
+        ".end",
+    ]
+    simulator = Simulator()
+    simulator.load("\n".join(lines) + "\n", lines=deck.lines)
+    simulator.command(payload["tran"])
+    return np.stack(
+        [np.asarray(simulator.vector("time"), float), np.asarray(simulator.vector("imot1"), float)], axis=1
+    )
