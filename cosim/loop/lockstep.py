@@ -24,7 +24,7 @@ _SAMPLE_LOST, _RAN_AWAY = Fault.SAMPLE_LOST, Fault.RAN_AWAY
 #: A predicted angle this wrong [rad] after one step is no prediction: the coupling has diverged.
 _DIVERGENCE_RAD = 0.5
 #: No joint of a haptic device turns this fast [rad/s], ten times the fastest start that a scene may state.
-_RUNAWAY_RAD_PER_S = 1e5
+RUNAWAY_RAD_PER_S = 1e5
 #: The next step aims at this share of the tolerance, and grows at most this much.
 _SAFETY, _GROWTH = 0.8, 4.0
 _NEVER = 1e300
@@ -184,6 +184,8 @@ def _next_event(s: Record) -> float:
 @njit(cache=True, error_model="numpy")
 def announce(s: Record, now: float) -> None:
     """Tell ngspice where the DACs will jump next, so that it starts afresh there (order one)."""
+    if s.breakpoint_address == 0:  # our own loop knows
+        return
     if s.tick <= s.last_tick:
         call_with_time(s.breakpoint_address, s.tick * s.c.period)
     change = s.queue_time[(s.queue_in - 1) % QUEUE]
@@ -308,7 +310,7 @@ def advance(s: Record, t: float) -> None:
     if not s.defect < _DIVERGENCE_RAD:
         s.fault = _DIVERGED
     for j in range(s.n):
-        if abs(s.v[j]) > _RUNAWAY_RAD_PER_S:
+        if abs(s.v[j]) > RUNAWAY_RAD_PER_S:
             s.fault = _RAN_AWAY
     s.defect_max = max(s.defect_max, s.defect)
     s.defect_sum += s.defect
@@ -318,6 +320,31 @@ def advance(s: Record, t: float) -> None:
     s.h_couple = h * grow
     if s.speeds > 0:
         bound_by_pole(s)
+
+
+@njit(cache=True, error_model="numpy")
+def write_row(s: Record, t: float, row: Any) -> int:
+    """Write the accepted point into `row`, in the order of `setup.columns`; return where the nodes begin."""
+    n = s.n
+    row[0] = t
+    row[1] = s.used
+    row[2], row[3], row[4], row[5] = s.w.r[0], s.w.r[1], s.w.f_op[0], s.w.f_op[1]
+    at = 6
+    for j in range(n):
+        row[at] = s.q[j]
+        row[at + n] = s.v[j]
+        row[at + 2 * n] = s.a[j]
+        row[at + 3 * n] = s.tau[j] / s.torque_per_amp
+        row[at + 4 * n] = s.w.tau_visc[j]
+        row[at + 5 * n] = s.w.tau_coul[j]
+        row[at + 6 * n] = s.w.tau_stop[j]
+        row[at + 7 * n] = s.out[j]
+        at += 1
+    at += 7 * n
+    for i in range(s.dacs):
+        row[at] = s.out[s.dac_first + i]
+        at += 1
+    return int(at)
 
 
 @cfunc(_i4(types.CPointer(_i8), _i4, _i4, types.CPointer(_record)), cache=True)
@@ -345,25 +372,7 @@ def accepted(data: Any, count: int, ident: int, user: Any) -> int:
     if s.points - s.points_before > s.most_points:
         s.fault = _COLLAPSED
     row = carray(doubles_at(s.rows + 8 * s.columns * s.rows_used), (s.columns,))
-    n = s.n
-    row[0] = t
-    row[1] = s.used
-    row[2], row[3], row[4], row[5] = s.w.r[0], s.w.r[1], s.w.f_op[0], s.w.f_op[1]
-    at = 6
-    for j in range(n):
-        row[at] = s.q[j]
-        row[at + n] = s.v[j]
-        row[at + 2 * n] = s.a[j]
-        row[at + 3 * n] = s.tau[j] / s.torque_per_amp
-        row[at + 4 * n] = s.w.tau_visc[j]
-        row[at + 5 * n] = s.w.tau_coul[j]
-        row[at + 6 * n] = s.w.tau_stop[j]
-        row[at + 7 * n] = s.out[j]
-        at += 1
-    at += 7 * n
-    for i in range(s.dacs):
-        row[at] = s.out[s.dac_first + i]
-        at += 1
+    at = write_row(s, t, row)
     for i in range(s.nodes):
         value = vector_value(vectors, s.node_index[i])
         if abs(value) > s.node_peak[i]:

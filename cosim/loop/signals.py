@@ -40,8 +40,13 @@ class Layout:
     linkage: np.void
 
 
-def write_signals(rows_file: Path, raw_file: Path, layout: Layout, title: str) -> dict[str, Any]:
+def write_signals(
+    rows_file: Path, raw_file: Path, layout: Layout, title: str, work_j: NDArray[np.float64] | None = None
+) -> dict[str, Any]:
     """Write every signal to `raw_file` and return the energy ledger.
+
+    `work_j` [5] is the work of each worker where the integrator has kept account itself; without it, it is
+    integrated from the rows with the lockstep's own rules.
 
     Derived here: powers of the motors, the operator, friction and stops [W], kinetic, gravity and
     commanded-spring energy [J], and the motors' force at the fingertip [N].
@@ -66,9 +71,10 @@ def write_signals(rows_file: Path, raw_file: Path, layout: Layout, title: str) -
             torques_and_energy(
                 layout.linkage, nobody, n, torque_per_amp, rows, first, torques, energies, push
             )
-            done = np.zeros((len(rows), len(WORKS)))
-            works(n, rows, first, torques, done)
-            totals += done[max(back, 1) :].sum(axis=0)
+            if work_j is None:
+                done = np.zeros((len(rows), len(WORKS)))
+                works(n, rows, first, torques, done)
+                totals += done[max(back, 1) :].sum(axis=0)
             speeds = rows[:, first + n : first + 2 * n]
             power = np.einsum("kij,kj->ki", torques, speeds)
             stored = _spring_energy(rows, layout)
@@ -76,7 +82,7 @@ def write_signals(rows_file: Path, raw_file: Path, layout: Layout, title: str) -
             raw.append(derived[back:])
             held.append(energies[back:])
             spring.append(stored[back:])
-    return summary(np.concatenate(held), totals, np.concatenate(spring))
+    return summary(np.concatenate(held), totals if work_j is None else work_j, np.concatenate(spring))
 
 
 def _spring_energy(rows: NDArray[np.float64], layout: Layout) -> NDArray[np.float64]:

@@ -6,7 +6,7 @@ import ctypes
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,7 @@ _FAULTS = {
     Fault.SAMPLE_LOST: "a sample of the computer was overtaken before its DACs changed",
     Fault.RAN_AWAY: "the device ran away: a joint turns faster than 1e5 rad/s; check gains and "
     "component values",
+    Fault.STOPPED: "stopped",
 }
 #: Frequency of the low-frequency limit of the back-EMF's viscosity: far below L/R, far above leakage.
 _LOW_HZ = 0.1
@@ -43,13 +44,23 @@ ROWS, SAMPLES = "rows.f64", "samples.f64"
 Report = Callable[[dict[str, Any]], None]
 
 
+class Owner(Protocol):
+    """Whoever owns time, as a `Recorder` knows it."""
+
+    def truncate_vectors(self) -> bool:
+        """Forget what has been handed over; whether that was possible."""
+
+    def stop(self) -> None:
+        """End the run at its next point."""
+
+
 class Recorder:
     """Streams rows and samples to files, and turns faults of compiled code into exceptions."""
 
     def __init__(
         self,
         memory: Memory,
-        simulator: Simulator,
+        simulator: Owner,
         folder: Path,
         report: Report,
         *,

@@ -135,3 +135,4 @@ class Fault:
     STEP_COLLAPSED = 3
     SAMPLE_LOST = 4
     RAN_AWAY = 5
+    STOPPED = 6

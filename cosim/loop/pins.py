@@ -1,0 +1,44 @@
+"""Voltages at the pins of the board between events: DACs, and the noise of the potentiometers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import carray, njit
+
+from cosim.loop.native import doubles_at
+
+Record = Any
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def volts(s: Record, channel: int, t: float) -> float:
+    """Voltage of a DAC channel [V] at `t`."""
+    if s.ramping == 0:
+        return float(s.dac_to[channel])
+    group = 0 if s.n <= channel < s.n + 2 * s.n * s.n else 1
+    part = min(max((t - s.dac_start[group]) / s.settle, 0.0), 1.0)
+    return float(s.dac_from[channel] + part * (s.dac_to[channel] - s.dac_from[channel]))
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def grid_noise(s: Record, t: float, joint: int) -> float:
+    """Noise of a potentiometer [rad] that is linear between the ticks of its grid."""
+    if s.noise == 0:
+        return 0.0
+    table = carray(doubles_at(s.noise), (s.noise_rows * s.n,))
+    x = t / s.noise_dt - s.noise_tick
+    at = s.noise_tick * s.n + joint
+    return float(table[at] + x * (table[at + s.n] - table[at]))
+
+
+@njit(cache=True, error_model="numpy")
+def position_noise(s: Record, q: float, joint: int) -> float:
+    """Noise of a potentiometer [rad] that belongs to its angle."""
+    if s.position_noise == 0:
+        return 0.0
+    table = carray(doubles_at(s.position_noise), (s.position_points * s.n,))
+    x = min(max((q - s.position_lo) / s.position_step, 0.0), s.position_points - 1.000001)
+    i = int(x)
+    at = i * s.n + joint
+    return float(table[at] + (x - i) * (table[at + s.n] - table[at]))

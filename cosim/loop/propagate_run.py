@@ -1,0 +1,220 @@
+"""A run of the `ideal` or `linear` circuit model in our own time loop."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.circuits.extraction import extract
+from cosim.circuits.linear import LinearCircuit
+from cosim.circuits.port import DesignConstants
+from cosim.circuits.spice import Tolerances, lockstep_deck
+from cosim.errors import InputError, Problem
+from cosim.loop import lockstep, propagation
+from cosim.loop.collocation import Bench, bench
+from cosim.loop.driven import channels, drive
+from cosim.loop.layout import plan
+from cosim.loop.maps import Plan
+from cosim.loop.pins import volts
+from cosim.loop.setup import Memory, columns, pack, sample_columns
+from cosim.loop.signals import Layout, write_signals
+from cosim.loop.simulate import ROWS, Recorder, Report, read_constants, statistics
+from cosim.loop.state import Fault
+from cosim.loop.userlaw import UserLaw, load_law
+from cosim.ngspice.deck import Deck
+from cosim.ngspice.simulator import Simulator
+from cosim.results import RAW
+from cosim.scene import PythonOperator, Scene
+
+#: First step behind a jump of the DACs, as a share of the period, when rows are recorded.
+FIRST_ROW_SHARE = 2.0**-11
+
+
+class _Clock:
+    """What a `Recorder` asks of whoever owns time."""
+
+    def __init__(self, state: np.void) -> None:
+        self.state = state
+
+    def truncate_vectors(self) -> bool:
+        """Return True: rows are all that is kept."""
+        return True
+
+    def stop(self) -> None:
+        """End the loop at its next step."""
+        if not self.state["fault"]:
+            self.state["fault"] = Fault.STOPPED
+
+
+@dataclass
+class Propagation:
+    """A packed run: `run()` takes it to its end.
+
+    Attributes
+    ----------
+    memory : the record shared with the lockstep, its rows and samples
+    circuit : what is simulated
+    plan : maps of the circuit
+    bench : states of the circuit and scratch memory
+    first_s : longest step behind a jump; 0 for none
+    """
+
+    memory: Memory
+    circuit: LinearCircuit
+    plan: Plan
+    bench: Bench
+    first_s: float
+
+    def run(self) -> None:
+        """Integrate to the end of the scene, or to a fault (`memory.state['fault']`).
+
+        The first sample is computed, the circuit put at its operating point, and the start written as a row.
+        """
+        state = self.memory.state[0]
+        lockstep.begin(state)
+        self.bench.states[:] = rest(self.circuit, state)
+        propagation.run(state, self.plan, self.bench, self.first_s)
+
+
+def prepare(
+    scene: Scene,
+    constants: DesignConstants,
+    circuit: LinearCircuit,
+    *,
+    record: bool,
+    row_capacity: int = 2048,
+    sample_capacity: int = 256,
+) -> Propagation:
+    """Pack a scene at time 0, its first sample not yet computed.
+
+    Parameters
+    ----------
+    record
+        Whether rows are written: then steps are at most `solver.max_step_s`, and short behind a jump.
+        Without, only the tolerance decides.
+    """
+    n = scene.joints
+    driving = drive(scene)
+    memory = pack(scene, constants, driving, (), (), row_capacity, sample_capacity)
+    state = memory.state[0]
+    state["rows_capacity"] = row_capacity if record else 0
+    if not record:
+        state["h_max"] = scene.computer.period_s
+    names = channels(n)
+    driven = [names.index(name) - n for name in driving.channels if name.startswith("ks")]
+    maps = plan(
+        circuit, driven,
+        gear=constants.gear,
+        commands=any(name.startswith("cmd") for name in driving.channels),
+        speeds=driving.speeds,
+        bent=bool(state["position_noise"]),
+    )  # fmt: skip
+    state["speeds"] = 0  # the pins vel are no part of a row
+    desk = bench(maps, np.zeros(maps.before + maps.after))
+    first = FIRST_ROW_SHARE * scene.computer.period_s if record else 0.0
+    return Propagation(memory, circuit, maps, desk, first)
+
+
+def rest(circuit: LinearCircuit, state: np.void) -> NDArray[np.float64]:
+    """States of the circuit at its operating point with the pins as they are at the accepted point."""
+    n, m = circuit.joints, len(circuit.gain)
+    volt = [volts(state, channel, 0.0) for channel in range(2 * n + m)]
+    state["q_trial"] = state["q"]
+    angles = [state["q"][j] + lockstep.noise_at(state, 0.0, j) for j in range(n)]
+    pins = np.array([*angles, *volt[:n]])
+    z = _still(circuit.a_pre, circuit.b_pre @ pins, "a_pre")
+    x = circuit.c_pre @ z + circuit.d_pre @ pins
+    gains = circuit.gain * np.array(volt[n : n + m])
+    after = np.concatenate([gains * x, volt[n + m :], state["gear"] * state["v"][:n]])
+    return np.concatenate([z, _still(circuit.a_post, circuit.b_post @ after, "a_post")])
+
+
+def _still(a: NDArray[np.float64], drive: NDArray[np.float64], name: str) -> NDArray[np.float64]:
+    """Solve 0 = a z + drive."""
+    if not len(a):
+        return np.zeros(0)
+    scale = np.abs(a).max(axis=1)
+    scaled = a / np.where(scale > 0, scale, 1.0)[:, None]
+    try:
+        z = np.asarray(np.linalg.solve(scaled, -drive / np.where(scale > 0, scale, 1.0)), np.float64)
+    except np.linalg.LinAlgError:
+        z = np.full(len(a), math.nan)
+    if not np.isfinite(z).all():
+        raise InputError(Problem("the circuit has a pole at zero: it has no operating point", key=name))
+    return z
+
+
+def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
+    """Run one scene on the `ideal` or `linear` model.
+
+    Parameters
+    ----------
+    payload
+        As `cosim.loop.simulate.simulate`; and 'model': 'ideal' or 'linear', with 'band_hz' and 'tolerance' of
+        the extraction. In its place 'circuit', a `LinearCircuit`; 'constants' when they are known already.
+    report
+        called with the simulated time and the points so far
+
+    Returns
+    -------
+    dict
+        As `cosim.loop.simulate.simulate`; 'peaks' and 'swings' are empty, and 'circuit' is what was simulated
+    """
+    scene: Scene = payload["scene"]
+    board: Deck = payload["board"]
+    if payload["recorded"]:
+        raise InputError(
+            Problem(
+                "nodes inside the board exist in the model spice only",
+                file=str(board.path),
+                key="record.nodes",
+                value=", ".join(payload["recorded"]),
+            )
+        )
+    circuit: LinearCircuit | None = payload.get("circuit")
+    if circuit is None:
+        asked: dict[str, Any] = {
+            key: payload[key] for key in ("board", "model", "band_hz", "tolerance") if key in payload
+        }
+        circuit = extract(asked, report)
+    version = ""
+    constants: DesignConstants | None = payload.get("constants")
+    if constants is None:
+        simulator = Simulator()
+        tolerances: Tolerances = payload["tolerances"]
+        deck = lockstep_deck(board, drive(scene), tolerances, ())
+        simulator.load(deck, lines=board.lines, name=str(board.path))
+        constants, version = read_constants(simulator, str(board.path)), str(simulator.version)
+    folder = Path(payload["folder"])
+    packed = prepare(scene, constants, circuit, record=True)
+    state = packed.memory.state[0]
+    person = scene.operator.file if isinstance(scene.operator, PythonOperator) else "operator"
+    recorder = Recorder(packed.memory, _Clock(state), folder, report, deck=str(board.path), person=person)
+    if scene.computer.law is not None:
+        law = UserLaw(load_law(scene.computer.law, scene.file), state, recorder.fail, scene.computer.law)
+        state["law_address"] = law.address
+    wall, cpu = time.perf_counter(), time.process_time()
+    try:
+        packed.run()
+    finally:
+        wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+        recorder.close()
+    layout = Layout(tuple(columns(packed.memory.drive, ())), packed.memory.drive, constants, state["p"])
+    ledger = write_signals(folder / ROWS, folder / RAW, layout, scene.title, packed.bench.total)
+    (folder / ROWS).unlink()
+    return {
+        "ledger": ledger,
+        "sample_columns": sample_columns(circuit.joints),
+        "constants": constants,
+        "stats": statistics(packed.memory, wall, cpu),
+        "peaks": {},
+        "swings": {},
+        "ngspice": version,
+        "circuit": circuit,
+    }

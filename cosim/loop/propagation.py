@@ -1,0 +1,211 @@
+"""Our own time loop: the same events as in lockstep with ngspice, around a `LinearCircuit`.
+
+Between two events (samples, DACs, noise grid, knots of the operator) time is counted in binary fractions of
+the interval, so that a handful of step lengths serves a whole run and every event is met exactly. A step is
+the largest fraction that lies on the grid and whose error, known from the step before, is within the
+tolerance.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from numba import carray, njit
+
+from cosim.loop.collocation import accept, attempt, guess, present
+from cosim.loop.lockstep import RUNAWAY_RAD_PER_S, evaluate, noise_at, process_events, write_row
+from cosim.loop.maps import slot_of
+from cosim.loop.native import call_plain, doubles_at
+from cosim.loop.pins import volts
+from cosim.loop.state import Fault
+
+Record = Any
+
+_COLLAPSED, _NOT_FINITE, _RAN_AWAY = Fault.STEP_COLLAPSED, Fault.NOT_FINITE, Fault.RAN_AWAY
+#: The shortest step is the interval over 2^_LEVELS.
+_LEVELS = 40
+#: The next step aims at this share of the tolerance and grows at most so much; the error is of fifth order.
+_SAFETY, _GROWTH, _ORDER = 0.5, 8.0, 5.0
+#: From this share of the driver's limit on, steps are at most 1/64 of the period and are checked ...
+_WATCHED, _WATCH_STEPS = 0.7, 64.0
+#: ... and the instants at which a motor reaches or leaves its limit are found to 2^-_LOCATED of an interval.
+_LOCATED = 18
+#: Steps over a ramp of the gains, each with the gain of its middle: the torque's impulse is wrong by at most
+#: (change of gain) x (change of input) x settling time / (12 x _RAMP^2).
+_RAMP = 2
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def show(s: Record) -> None:
+    """Fill the pins' voltages that a row shows."""
+    for j in range(s.n):
+        s.q_trial[j] = s.q[j]
+        s.out[j] = s.q[j]
+        if s.noise != 0 or s.position_noise != 0:
+            s.out[j] += noise_at(s, s.t, j)
+    for i in range(s.dacs):
+        s.out[s.dac_first + i] = volts(s, s.dac_channel[i], s.t)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def record(s: Record) -> None:
+    """Write the accepted point as a row, when rows are wanted."""
+    s.points += 1
+    if s.rows_capacity == 0:
+        return
+    show(s)
+    write_row(s, s.t, carray(doubles_at(s.rows + 8 * s.columns * s.rows_used), (s.columns,)))
+    s.rows_used += 1
+    if s.rows_used == s.rows_capacity:
+        call_plain(s.drain_address)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _gains_ramp(s: Record) -> bool:
+    if s.ramping == 0:
+        return False
+    for i in range(s.dacs):
+        channel = s.dac_channel[i]
+        if s.n <= channel < s.n + 2 * s.n * s.n and s.dac_from[channel] != s.dac_to[channel]:
+            return True
+    return False
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _near(k: Any, joint: int, current: float) -> bool:
+    low, high = k.limit[joint, 0], k.limit[joint, 1]
+    return not (_WATCHED * low < current < _WATCHED * high)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _side(k: Any, joint: int, current: float) -> float:
+    if current >= k.limit[joint, 1]:
+        return 1.0
+    if current <= k.limit[joint, 0]:
+        return -1.0
+    return 0.0
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _watched(s: Record, k: Any, b: Any) -> bool:
+    """Whether a motor comes near its limit within the step on trial."""
+    for j in range(s.n):
+        if _near(k, j, b.current[j]) or _near(k, j, b.results[3 * s.n + j]):
+            return True
+        for i in range(3):
+            if _near(k, j, b.results[3 * j + i]):
+                return True
+    return False
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _crosses(s: Record, k: Any, b: Any) -> bool:
+    """Whether a motor reaches or leaves its limit within the step on trial."""
+    for j in range(s.n):
+        if _side(k, j, b.results[3 * s.n + j]) != b.clamp[j]:
+            return True
+        for i in range(3):
+            if b.clamp[j] == 0.0 and _side(k, j, b.results[3 * j + i]) != 0.0:
+                return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def _right_hand(s: Record, k: Any, b: Any) -> None:
+    """Find currents and accelerations at the accepted point as they are just behind its events."""
+    present(s, k, b)
+    for j in range(s.n):
+        b.clamp[j] = _side(k, j, b.current[j])
+        current = min(max(b.current[j], k.limit[j, 0]), k.limit[j, 1])
+        s.tau[j] = s.torque_per_amp * current
+    evaluate(s, s.t, s.q, s.v, s.a)
+
+
+@njit(cache=True, error_model="numpy")
+def run(s: Record, k: Any, b: Any, first: float) -> None:
+    """Write the start as a row and integrate to `s.t_end`, or until a fault.
+
+    Parameters
+    ----------
+    first
+        Longest step [s] behind a jump of the DACs, for rows that show it; 0 for none.
+    """
+    _right_hand(s, k, b)
+    s.history = 0
+    record(s)
+    t0, length, position = s.t, s.t_event - s.t, 0
+    whole = 1 << _LEVELS
+    wish = s.h_max
+    watch = False
+    while s.fault == 0:
+        if s.t_event <= s.t + s.delta_min:
+            if s.t >= s.t_end - s.delta_min:
+                return
+            if process_events(s, s.t):
+                s.history = 0
+                if first > 0.0:
+                    wish = min(wish, first)
+            if watch:
+                _right_hand(s, k, b)
+                s.history = 0
+            t0, length, position = s.t, s.t_event - s.t, 0
+        longest = min(wish, s.h_max)
+        if watch:
+            longest = min(longest, s.c.period / _WATCH_STEPS)
+        if _gains_ramp(s):
+            longest = min(longest, s.settle / _RAMP)
+        level = 0
+        while position & ((whole >> level) - 1) != 0 or math.ldexp(length, -level) > longest * (1 + 1e-9):
+            level += 1
+        guess(s, b, math.ldexp(length, -level))
+        while True:
+            if level > _LEVELS - 2:
+                s.fault = _COLLAPSED
+                break
+            h = math.ldexp(length, -level)
+            error = attempt(s, k, b, slot_of(k, h), s.t, h, s.tol)
+            if not error <= s.tol:
+                s.rejected += 1
+                level += 2 if error > 1e3 * s.tol else 1
+                wish = math.ldexp(length, -level)
+                guess(s, b, wish)
+                continue
+            if not watch and _watched(s, k, b):
+                watch = True
+                _right_hand(s, k, b)
+                while math.ldexp(length, -level) > s.c.period / _WATCH_STEPS:
+                    level += 1
+                s.history = 0
+                guess(s, b, math.ldexp(length, -level))
+                continue
+            if watch and level < _LOCATED and _crosses(s, k, b):
+                level += 1
+                guess(s, b, math.ldexp(length, -level))
+                continue
+            break
+        if s.fault != 0:
+            break
+        position += whole >> level
+        accept(s, k, b, s.t_event if position == whole else t0 + math.ldexp(length * position, -_LEVELS), h)
+        s.defect = error
+        s.defect_max = max(s.defect_max, error)
+        s.defect_sum += error
+        share = error / (_SAFETY * s.tol)
+        grow = _GROWTH if share * _GROWTH**_ORDER < 1.0 else share ** (-1.0 / _ORDER)
+        # a step that an event cut short says nothing against the longer ones before it
+        wish = h * grow if grow < 1.0 else max(wish, h * grow)
+        for j in range(s.n):
+            if not abs(s.v[j]) < RUNAWAY_RAD_PER_S:
+                s.fault = _RAN_AWAY if abs(s.v[j]) < math.inf else _NOT_FINITE
+        if watch:
+            watch = _watched(s, k, b)
+            turned = False
+            for j in range(s.n):
+                side = _side(k, j, b.current[j])
+                turned = turned or side != b.clamp[j]
+                b.clamp[j] = side
+            if turned:
+                s.history = 0
+        record(s)
+    call_plain(s.drain_address)
