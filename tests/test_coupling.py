@@ -375,13 +375,13 @@ def test_without_the_bound_the_same_rotor_goes_wrong(tmp_path: Path) -> None:
 
     speed, _ = unbounded(1e-7)
     assert speed[-1] > 20.0 * 1e-4  # the test above refuses 1e-9
-    with pytest.raises(SimulationError, match="diverged|ran away"):
+    with pytest.raises(SimulationError, match=r"diverged|ran away"):
         unbounded(1e-10)
 
 
 def test_divergence_is_an_error(tmp_path: Path) -> None:
     # A sampled spring far beyond its stability border grows 50 times a sample: no prediction survives that.
-    with pytest.raises(SimulationError, match="diverged|ran away") as caught:
+    with pytest.raises(SimulationError, match=r"diverged|ran away") as caught:
         with_law(tmp_path, 1e8, "Held", slider(duration_s=2.0, device={"start": {"q_rad": [0.001]}}))
     assert caught.value.time_s is not None
     assert caught.value.exit_code == 1

@@ -431,10 +431,12 @@ def test_constants_of_a_deck_behind_an_analysis() -> None:
 
 
 def test_a_data_callback_that_stays_is_not_exchanged() -> None:
-    """Every exchange initialises ngspice again, which loads its code models again: later points get slower."""
+    """Every exchange initialises ngspice again, and its code models with it: later points get slower."""
     calls = []
 
-    @ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int, ctypes.c_int, ctypes.POINTER(ctypes.c_int64))
+    word = ctypes.POINTER(ctypes.c_int64)
+
+    @ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int, ctypes.c_int, word)
     def data(values: Any, count: int, ident: int, user: Any) -> int:
         calls.append(user[0])
         return 0
@@ -446,7 +448,8 @@ def test_a_data_callback_that_stays_is_not_exchanged() -> None:
         simulator.load(RC)
         simulator.attach(source=lambda name, time: 1.0)
         simulator.command("tran 1u 10u")
-        simulator.attach(data=address, source=lambda name, time: 1.0, user=memory.ctypes.data, data_stays=True)
+        user = memory.ctypes.data
+        simulator.attach(data=address, source=lambda name, time: 1.0, user=user, data_stays=True)
         simulator.command("tran 1u 10u")
     inside = [value for value in calls if value == 7]
     outside = [value for value in calls if value == 0]

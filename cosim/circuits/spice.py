@@ -78,8 +78,8 @@ def saved(drive: Drive, nodes: tuple[str, ...]) -> list[str]:
 def testbench(board: Deck, drive: Drive, sources: dict[str, str]) -> list[str]:
     """Supplies, the board as `xboard` and a source at each pin.
 
-    `sources` maps a driven pin to what follows its nodes on the source's line (`dc 1`, `external`, `pwl(...)`);
-    one that is not in it is left to the caller. Pins that the scene does not drive are held at 0 V.
+    `sources` maps a driven pin to what follows its nodes on the source's line (`dc 1`, `external`,
+    `pwl(...)`); one that is not in it is left to the caller. Pins that the scene does not drive are at 0 V.
     """
     lines = [
         f"Vcc vcc 0 {SUPPLY_V}",
