@@ -123,3 +123,37 @@ def step_response(payload: dict[str, Any], report: Any) -> NDArray[np.float64]:
     return np.stack(
         [np.asarray(simulator.vector("time"), float), np.asarray(simulator.vector("imot1"), float)], axis=1
     )
+
+
+#: Values of the shipped board that random boards change, by driver.
+_VALUES = {
+    "r_diff_in": 10e3, "r_diff_fb": 169e3, "c_der_in": 1e-6, "r_der_fb": 100e3, "r_der_in": 1.58e3,
+    "c_der_fb": 1e-9, "r_sum_fb": 10e3, "r_sum_spring": 24.3e3, "r_sum_damper": 6.19e3, "r_sum_cmd": 20e3,
+    "motor_r": 5.0, "motor_l": 1.5e-3,
+}  # fmt: skip
+_DRIVERS = {
+    "voltage": {"r_drv_in": 10e3, "r_drv_fb": 20e3},
+    "current": {"r_drv_in": 13.7e3, "r_drv_fb": 2.8e3, "r_sense": 0.511, "rc_drv": 124e3, "cc_drv": 2.2e-9},
+}
+
+
+def random_board(seed: int) -> Deck:
+    """Board of one joint: resistors, capacitors times 10^U(-1, 1), bandwidths 1e4 to 1e8 Hz."""
+    rng = np.random.default_rng(seed)
+    driver = ("voltage", "current")[seed % 2]
+    values = {name: repr(v * 10 ** rng.uniform(-1, 1)) for name, v in (_VALUES | _DRIVERS[driver]).items()}
+    for name in ("tl072_gbw", "opa548_gbw", "ad633_bw"):
+        values[name] = repr(10 ** rng.uniform(4, 8))
+    return shipped(1, ("gbw", "gbw", "full")[seed % 3], driver, overrides=values)
+
+
+def networks_and_truth(payload: dict[str, Any], report: Any) -> list[Any]:
+    """In a child: networks fitted to the usual sweep, and all paths at other frequencies, for each board."""
+    from cosim.circuits.extraction import SWEEP, networks
+    from cosim.circuits.measure import Session
+
+    found = []
+    for deck in payload["boards"]:
+        session = Session(deck)
+        found.append((networks(session.measure(SWEEP), str(deck.path)), session.measure("dec 31 0.1 100meg")))
+    return found

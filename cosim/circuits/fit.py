@@ -24,6 +24,8 @@ Complex = NDArray[np.complex128]
 
 #: A fit worse than this is none: 1e-9 is promised, also between the points.
 _GOOD = 3e-10
+#: A pole in the right half plane is believed when the fit with it is at least as good as this.
+_CERTAIN = 1e-5
 #: Paths that differ by less are one.
 _EQUAL = 1e-13
 #: A pole whose share of every path stays below this is spurious.
@@ -145,7 +147,7 @@ def _needed(s: Complex, f: Complex) -> Complex:
     every = poles_of(s, f, good=_GOOD)
     poles = every[every.real < 0.0]
     misfit = _misfit(s, f, poles)
-    if len(poles) < len(every) and misfit > _GOOD and misfit > 100.0 * _misfit(s, f, every):
+    if len(poles) < len(every) and misfit > _GOOD and _misfit(s, f, every) < min(1e-2 * misfit, _CERTAIN):
         share = _shares(s, f, every)
         wrong = (every.real >= 0.0) & (share > _GOOD)
         raise FitError("a pole lies in the right half plane", every[wrong])
@@ -162,8 +164,8 @@ def _needed(s: Complex, f: Complex) -> Complex:
 def _relocated(s: Complex, f: Complex, poles: Complex) -> tuple[Complex, float]:
     """Improve the poles together, and return them with their misfit.
 
-    AAA leaves each of q equal poles wrong by the q-th root of rounding. Vector fitting (Gustavsen and Semlyen, IEEE
-    Trans. Power Delivery 14, 1052, 1999) on chains finds the polynomial that they are the zeros of: f (1 + w x) =
+    AAA leaves each of q equal poles wrong by the q-th root of rounding. Vector fitting (Gustavsen and Semlyen,
+    IEEE Trans. Power Delivery 14, 1052, 1999) on chains finds the polynomial that they are the zeros of: f (1 + w x) =
     d + r x with the states x of the chains has the zeros of 1 + w x, eigenvalues of A - b w, as better poles.
     """
     best, misfit = poles, _misfit(s, f, poles)

@@ -190,7 +190,9 @@ class Session:
         """Return w per X and volt at the gain pin; `share` is X -> imot at full scale and the frequency `hz`."""
         if part.z is None or part.z_node is None:
             return 1.0 / self.v_fs
-        response = self.respond(part.z, f"lin 1 {float(hz)!r} {float(hz)!r}", [*self._outputs, part.z_node])[0]
+        response = self.respond(part.z, f"lin 1 {float(hz)!r} {float(hz)!r}", [*self._outputs, part.z_node])[
+            0
+        ]
         strongest = int(np.argmax(np.abs(response[:-1])))
         return float(np.real(share[strongest] * response[-1] / (response[strongest] * self.v_fs)))
 

@@ -1,0 +1,179 @@
+"""Rational fits and reduced models: bounds that hold, on synthetic networks and on random boards."""
+
+import numpy as np
+import pytest
+from extraction_boards import in_child, random_board
+
+from cosim.circuits.blocks import derivatives
+from cosim.circuits.fit import FitError, Modes, fit
+from cosim.circuits.linear import rational
+from cosim.circuits.reduce import error_bound, path_scale, reduce
+
+SWEEP = 2j * np.pi * np.geomspace(1e-3, 1e9, 241)
+BETWEEN = 2j * np.pi * np.geomspace(0.1, 1e8, 997)
+#: Stated for the unreduced model, relative to each path's maximum.
+STATED = 1e-9
+
+
+def sum_of_poles(s, poles, residues, d):
+    """Textbook partial fractions; complex poles with their conjugates."""
+    out = np.zeros((len(s), *d.shape), complex) + d
+    for pole, residue in zip(poles, residues, strict=True):
+        out += residue * abs(pole) / (s - pole)[:, None, None]
+        if pole.imag:
+            out += residue.conj() * abs(pole) / (s - pole.conjugate())[:, None, None]
+    return out
+
+
+def synthetic(seed):
+    """Random network: poles from 0.1 to 1e9 rad/s, residues of rank one, with and without feedthrough."""
+    rng = np.random.default_rng(seed)
+    count, outputs, inputs = rng.integers(1, 9), rng.integers(1, 4), rng.integers(1, 4)
+    size = 10 ** rng.uniform(-1, 9, count)
+    angle = np.pi - np.arccos(10 ** rng.uniform(-1.5, -0.05, count))
+    poles = np.where(rng.uniform(size=count) < 0.3, size * np.exp(1j * angle), -size + 0j)
+    residues = [
+        np.outer(rng.normal(size=outputs), rng.normal(size=inputs))
+        * (np.exp(1j * rng.uniform(0, 6)) if pole.imag else 1.0)
+        for pole in poles
+    ]
+    d = rng.normal(size=(outputs, inputs)) * (rng.uniform() < 0.5)
+    return poles, residues, d
+
+
+def modes(seed):
+    """The same as a state space."""
+    poles, residues, d = synthetic(seed)
+    return fit(SWEEP, sum_of_poles(SWEEP, poles, residues, d))
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_fit_recovers_order_and_response(seed):
+    poles, residues, d = synthetic(seed)
+    rng = np.random.default_rng(seed)
+    clean = sum_of_poles(SWEEP, poles, residues, d)
+    noisy = clean * (1 + 1e-15 * rng.normal(size=clean.shape))  # as `.ac` is
+    found = fit(SWEEP, noisy)
+    truth = sum_of_poles(BETWEEN, poles, residues, d)
+    miss = np.abs(rational(BETWEEN, found.a, found.b, found.c, found.d) - truth).max(axis=0)
+    assert (miss < STATED * np.abs(truth).max(axis=0)).all()
+    assert len(found.a) <= sum(2 if pole.imag else 1 for pole in poles)
+    assert (np.linalg.eigvals(found.a).real < 0).all()
+
+
+def test_noise_makes_no_poles():
+    rng = np.random.default_rng(0)
+    truth = sum_of_poles(SWEEP, [-1e3 + 0j], [np.ones((1, 1))], np.zeros((1, 1)))
+    found = fit(SWEEP, truth * (1 + 1e-13 * rng.normal(size=truth.shape)))
+    assert found.poles == pytest.approx([-1e3], rel=1e-9)
+
+
+def test_unstable_pole_is_told():
+    h = sum_of_poles(SWEEP, [-1e3 + 0j, 50 + 0j], [np.ones((1, 1)), 0.1 * np.ones((1, 1))], np.zeros((1, 1)))
+    with pytest.raises(FitError) as caught:
+        fit(SWEEP, h)
+    assert caught.value.poles == pytest.approx([50.0], rel=1e-9)
+
+
+def test_pure_differentiator_has_no_state_space():
+    with pytest.raises(FitError):
+        fit(SWEEP, 1e-3 * SWEEP[:, None, None])
+
+
+def test_delay_line_is_not_rational():
+    with pytest.raises(FitError, match="order"):
+        fit(SWEEP, np.exp(-SWEEP * 1e-5)[:, None, None])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_bound_is_never_violated(seed):
+    full = modes(seed)
+    rng = np.random.default_rng(1000 + seed)
+    omega, tolerance = 2 * np.pi * 10 ** rng.uniform(0, 5), 10 ** rng.uniform(-6, -1)
+    small, bound = reduce(full, omega, tolerance)
+    check(full, small, bound, omega, tolerance)
+
+
+def check(full, small, bound, omega, tolerance):
+    """Dense sweep that knows nothing of how the bound was found."""
+    w = np.concatenate([np.linspace(0, omega, 4000), np.geomspace(1e-7 * omega, omega, 4000)])
+    near = [
+        abs(p.imag) for p in full.poles if abs(p.imag) < omega
+    ]  # resonances, where a sweep may step over the peak
+    w = 1j * np.concatenate([w, *[p * (1 + np.linspace(-0.1, 0.1, 201)) for p in near]])
+    w = w[np.abs(w) <= omega]
+    scale = path_scale(full, omega)
+    miss = np.abs(
+        rational(w, full.a, full.b, full.c, full.d) - rational(w, small.a, small.b, small.c, small.d)
+    )
+    rounding = 1e-12
+    assert (miss.max(axis=0) / scale <= bound.upper + rounding).all()
+    assert (bound.lower <= bound.upper + rounding).all()
+    if len(small.a) < len(full.a):
+        assert bound.worst <= tolerance
+    assert (np.linalg.eigvals(small.a).real < 0).all() if len(small.a) else True
+    at_rest = derivatives(full, 1)[0] - derivatives(small, 1)[0]
+    assert (np.abs(at_rest) <= 1e-9 * scale).all(), "the DC gain is kept"
+
+
+def network(a, b, c, d, poles):
+    """One block with one input and one output."""
+    shape = (1, len(a)) if len(a) else ()
+    column, row = np.reshape(b, (len(a), 1)).astype(float), np.reshape(c, (1, len(a))).astype(float)
+    size = shape[1:] if shape else ()
+    return Modes(np.reshape(a, (len(a), len(a))).astype(float), column, row, np.array([[float(d)]]),
+                 np.array(poles, complex), size, np.zeros((1, 1)))  # fmt: skip
+
+
+def test_bound_is_tight():
+    # one pole at 1e4 replaced by its DC gain: |jw/(jw + p)| is largest at the end of the band
+    bound = error_bound(
+        network([[-1e4]], [1e4], [1], 0, [-1e4]), network([], [], [], 1, []), 1e3, np.ones((1, 1))
+    )
+    exact = 0.1 / np.hypot(1.0, 0.1)
+    assert exact <= bound.worst <= 1.03 * exact
+
+
+def test_bound_sees_a_peak_between_coarse_points():
+    # Q = 1e5 in the middle of the band: no sweep of a few hundred points finds it
+    p = -0.005 + 1e3j
+    peak = network([[p.real, p.imag], [-p.imag, p.real]], [1e-4, 0], [1, 0], 0, [p])
+    bound = error_bound(peak, network([], [], [], 0, []), 5e3, np.ones((1, 1)))
+    height = 1e-4 / (2 * 0.005)
+    assert height * (1 - 1e-6) <= bound.worst <= 1.03 * height
+
+
+def test_tighter_tolerance_never_lowers_the_order():
+    full = modes(3)
+    orders = [len(reduce(full, 1e4, t)[0].a) for t in (1e-1, 1e-2, 1e-3, 1e-5, 1e-8)]
+    assert orders == sorted(orders)
+
+
+def check_boards(seeds):
+    """Fit, then reduce to a random band and tolerance, each against its own dense sweep."""
+    for seed, ((pre, post), truth) in zip(
+        seeds,
+        in_child("extraction_boards:networks_and_truth", {"boards": [random_board(seed) for seed in seeds]}),
+        strict=True,
+    ):
+        rng = np.random.default_rng(seed)
+        omega, tolerance = 2 * np.pi * 10 ** rng.uniform(1, 4), 10 ** rng.uniform(-5, -1)
+        for block, h in ((pre, truth.x), (post, truth.post)):
+            whole = block.joined()
+            miss = np.abs(rational(truth.s, whole.a, whole.b, whole.c, whole.d) - h).max(axis=0)
+            peak = np.abs(h).max(axis=0)
+            # below 1e-6 of the strongest path to an output, rounding in ngspice is more than 1e-9 of a path
+            assert (miss <= STATED * np.maximum(peak, 1e-6 * peak.max(axis=1, keepdims=True))).all(), seed
+            for part in block.parts:
+                small, bound = reduce(part, omega, tolerance)
+                check(part, small, bound, omega, tolerance)
+
+
+def test_random_boards():
+    check_boards(range(20))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("start", range(20, 220, 20))
+def test_many_random_boards(start):
+    check_boards(range(start, start + 20))
