@@ -125,8 +125,8 @@ def statics(paths: Paths, control: ControlPath, limit: Array) -> dict[str, Any]:
         late = _group_delay(paths)
         found["gain_step_delay_s"] = late
         found["gain_step"] = (
-            "the multipliers have no probes, so all of the path's dynamics stand before them: a gain step acts at once, "
-            f"in the circuit up to {late:.3g} s later"
+            "the multipliers have no probes, so all of the path's dynamics stand before them: a gain step "
+            f"acts at once, in the circuit up to {late:.3g} s later"
         )
     return found
 

@@ -1,8 +1,8 @@
 """Rational fit of frequency responses that share their poles, and its real, stable state space.
 
 AAA finds the poles (`cosim.circuits.aaa`); residues come from linear least squares, where a pole that no path
-needs shows and goes. Poles near to each other form a chain instead of having residues of their own, which would be
-large and cancel. A pole has as many states as its residue has rank.
+needs shows and goes. Poles near to each other form a chain instead of having residues of their own, which
+would be large and cancel. A pole has as many states as its residue has rank.
 """
 
 from __future__ import annotations
@@ -36,6 +36,8 @@ _NEAR = 0.01
 _WEAK = 1e-6
 #: Error that fewer copies of a chain may make before C and D are found again; what serves best is kept.
 _RANK = (1e-7, 1e-9, 1e-12)
+#: Error that leaves nothing to be gained.
+_EXCELLENT = 1e-12
 _MOVES = 6
 
 
@@ -106,7 +108,11 @@ def fit(s: Complex, h: Complex) -> Modes:
     basis = _basis(s, chains)
     weights = _least_squares(basis, f).reshape(-1, rows, columns)
     peaks = np.abs(basis).max(axis=0)
-    found = [_polished(s, h / scale, _realise(chains, weights, peaks, scale, rank), scale) for rank in _RANK]
+    found: list[Modes] = []
+    for rank in _RANK:
+        found.append(_polished(s, h / scale, _realise(chains, weights, peaks, scale, rank), scale))
+        if found[-1].error.max(initial=0.0) <= _EXCELLENT:
+            break
     good = [modes for modes in found if modes.error.max(initial=0.0) <= _GOOD]
     if not good:
         last = found[-1]
@@ -164,19 +170,21 @@ def _needed(s: Complex, f: Complex) -> Complex:
 def _relocated(s: Complex, f: Complex, poles: Complex) -> tuple[Complex, float]:
     """Improve the poles together, and return them with their misfit.
 
-    AAA leaves each of q equal poles wrong by the q-th root of rounding. Vector fitting (Gustavsen and Semlyen,
-    IEEE Trans. Power Delivery 14, 1052, 1999) on chains finds the polynomial that they are the zeros of: f (1 + w x) =
-    d + r x with the states x of the chains has the zeros of 1 + w x, eigenvalues of A - b w, as better poles.
+    AAA leaves each of q equal poles wrong by the q-th root of rounding. Vector fitting (Gustavsen and
+    Semlyen, IEEE Trans. Power Delivery 14, 1052, 1999) on chains finds the polynomial that they are the zeros
+    of: f (1 + w x) = d + r x, with the states x of the chains, has better poles in the zeros of 1 + w x, the
+    eigenvalues of A - b w.
     """
     best, misfit = poles, _misfit(s, f, poles)
     for _ in range(_MOVES):
         chains = _chains(best)
         basis = _basis(s, chains)
         size = basis.shape[1]
-        rows, right = [], []
+        rows: list[Array] = []
+        right: list[Array] = []
         for path in f.T:
             known = np.concatenate([basis, -path[:, None] * basis[:, 1:], path[:, None]], axis=1)
-            upper = np.linalg.qr(np.concatenate([known.real, known.imag]), mode="r")
+            upper = np.asarray(np.linalg.qr(np.concatenate([known.real, known.imag]), mode="r"), float)
             rows.append(upper[size:, size:-1])
             right.append(upper[size:, -1])
         shift = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=1e-12)[0]

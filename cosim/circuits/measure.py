@@ -187,7 +187,7 @@ class Session:
         return Paths(hz, sides[:, :m], gain, post, sides[:, m : m + n], False, self.v_fs)
 
     def _gain(self, part: Multiplier, share: NDArray[Any], hz: float) -> float:
-        """Return w per X and volt at the gain pin; `share` is X -> imot at full scale and the frequency `hz`."""
+        """Return w per X and volt at the gain pin; `share` is X -> imot at full scale and `hz`."""
         if part.z is None or part.z_node is None:
             return 1.0 / self.v_fs
         response = self.respond(part.z, f"lin 1 {float(hz)!r} {float(hz)!r}", [*self._outputs, part.z_node])[

@@ -141,6 +141,8 @@ def _projector(modes: Modes, omega: float, scale: Array) -> Callable[[int], Mode
     )
     x, y = (np.concatenate([z.real, z.imag], axis=2) for z in (reached, seen))
     x, y = (z.transpose(1, 0, 2).reshape(order, -1) for z in (x, y))
+    # only the spans count: many samples shrink to as many columns as there are states
+    x, y = (np.asarray(np.linalg.qr(z.T, mode="r"), float).T for z in (x, y))
     u, strength, v = np.linalg.svd(y.T @ x, full_matrices=False)
 
     def project(size: int) -> Modes | None:
