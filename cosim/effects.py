@@ -10,7 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.scene import Scene
+from cosim.errors import InputError, Problem
+from cosim.scene import CircuitModelName, Scene
 
 
 @dataclass(frozen=True)
@@ -23,8 +24,9 @@ class Effect:
     null : its null form, as the scene spells it
     on : what it can be instead, the usual value first
     home : where it lives ('netlist', 'linkage', 'computer', 'potentiometer')
-    models : circuit models that can carry it
+    models : circuit models that can carry it below its level `full`, where it has levels
     cost : what it adds where it is in force, in words
+    at_full : circuit models that can carry its level `full`
     size : a-priori size, as a function of the scene, in words with a number and its source
     """
 
@@ -35,11 +37,18 @@ class Effect:
     models: frozenset[str]
     cost: str
     size: Callable[[Scene], str]
+    at_full: frozenset[str] = frozenset({"spice"})
 
     def value(self, scene: Scene) -> Any:
         """Return the setting of the scene: a word or a truth value."""
         value = getattr(scene.effects, self.name)
         return getattr(value, "value", value)
+
+    def carriers(self, scene: Scene) -> frozenset[str]:
+        """Return the circuit models that can carry the scene's setting."""
+        if not self.is_in_force(scene):
+            return _ALL
+        return self.at_full if self.value(scene) == "full" else self.models
 
     def is_in_force(self, scene: Scene) -> bool:
         """Whether the scene asks for more than the null form."""
@@ -139,9 +148,10 @@ EFFECTS = (
         "ideal",
         ("full", "emf"),
         "netlist",
-        _DYNAMIC,
+        _ALL,
         "back-EMF couples speeds; full adds one state a motor",
         _motor,
+        at_full=_DYNAMIC,
     ),
     Effect("potentiometer", "ideal", ("full",), "netlist", _ALL, "track and wiper resistance", _pot),
     Effect(
@@ -178,10 +188,53 @@ def _row(effect: Effect, scene: Scene) -> dict[str, Any]:
         "name": effect.name,
         "value": effect.value(scene),
         "home": effect.home,
-        "models": sorted(effect.models),
+        "models": sorted(effect.carriers(scene)),
         "cost": effect.cost,
         "size": effect.size(scene),
     }
+
+
+def circuit_model(scene: Scene) -> str:
+    """Return the circuit model that the scene forces, or the cheapest that carries its effects.
+
+    Nodes inside the board exist in `spice` only.
+
+    Raises
+    ------
+    InputError
+        When the forced model cannot carry an effect in force, or a node to be recorded; all at once.
+    """
+    forced = scene.solver.model
+    file = str(scene.file) if scene.file else None
+    if forced is CircuitModelName.AUTO:
+        for model in ("ideal", "linear"):
+            if not scene.record.nodes and all(model in effect.carriers(scene) for effect in EFFECTS):
+                return model
+        return "spice"
+    problems = [
+        Problem(
+            f"the model {forced.value} cannot carry this effect",
+            file=file,
+            key=f"effects.{effect.name}",
+            value=effect.value(scene),
+            allowed=f"{effect.null}, or the model {' or '.join(sorted(effect.carriers(scene)))}",
+        )
+        for effect in EFFECTS
+        if forced.value not in effect.carriers(scene)
+    ]
+    if forced is not CircuitModelName.SPICE and scene.record.nodes:
+        nodes = ", ".join(scene.record.nodes)
+        problems.append(
+            Problem(
+                "nodes inside the board exist in the model spice only",
+                file=file,
+                key="record.nodes",
+                value=nodes,
+            )
+        )
+    if problems:
+        raise InputError(problems)
+    return forced.value
 
 
 def levels(scene: Scene) -> dict[str, str]:

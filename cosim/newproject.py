@@ -151,6 +151,9 @@ encoder = true
 dac = true
 coriolis = true
 viscous = true
+
+[solver]
+model = "spice"  # the circuit as built; "auto" takes the cheapest model that carries the effects
 """
 
 _README = """\

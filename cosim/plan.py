@@ -17,7 +17,7 @@ from cosim.scene import Method, PartFile, PotNoise, Scene
 #: Points a sampling period costs beyond its longest steps: the restart behind a DAC step (see benchmarks).
 RESTART_POINTS = 18
 #: Microseconds a point: fixed, and per amplifier of the board (measured on one 2-core machine, benchmarks/).
-POINT_US, AMPLIFIER_US = 2.0, 0.8
+POINT_US, AMPLIFIER_US = {"spice": 2.0, "linear": 3.3, "ideal": 2.5}, 0.8
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,9 @@ class Plan:
         noisy = 0.0
         if scene.effects.pot_noise in (PotNoise.WHITE, PotNoise.PEAK_TO_PEAK):
             noisy = scene.duration_s * 2 * scene.device.potentiometer.noise_bandwidth_hz * 3
-        per_point = (POINT_US + AMPLIFIER_US * len(self.board.amplifiers)) * 1e-6
+        per_point = POINT_US[self.model] * 1e-6
+        if self.model == "spice":
+            per_point += AMPLIFIER_US * 1e-6 * len(self.board.amplifiers)
         return {
             "points": round(quiet + noisy),
             "seconds": (quiet + noisy) * per_point,
@@ -142,9 +144,12 @@ def resolve(scene: Scene, *, trust: bool = False) -> Plan:
             )
         )
     _check_path(scene)
+    model = effects.circuit_model(scene)
     solver = scene.solver
     recorded = _recorded(scene)
-    watched = tuple(dict.fromkeys(a.out_node for a in board.amplifiers if a.out_node not in recorded))
+    watched: tuple[str, ...] = ()
+    if model == "spice":
+        watched = tuple(dict.fromkeys(a.out_node for a in board.amplifiers if a.out_node not in recorded))
     if len(recorded) + len(watched) > MOST_NODES:
         raise InputError(
             Problem(
@@ -158,7 +163,7 @@ def resolve(scene: Scene, *, trust: bool = False) -> Plan:
     return Plan(
         scene=scene,
         board=board,
-        model="spice",
+        model=model,
         circuit=drive(scene),
         tolerances=Tolerances(solver.rtol, solver.method.value, solver.charge_tolerance_c),
         recorded=recorded,

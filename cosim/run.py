@@ -24,7 +24,12 @@ from cosim.staging import Staging
 
 __all__ = ["resolve", "run"]
 
-_TARGET = "cosim.loop.simulate"
+#: Who simulates a circuit model, in the child process.
+_TARGETS = {
+    "spice": "cosim.loop.simulate",
+    "linear": "cosim.loop.propagate_run",
+    "ideal": "cosim.loop.propagate_run",
+}
 #: Without a sign of progress for so long [s], the simulation counts as hanging.
 _STALL_S = 60.0
 #: A predicted time so many times the limit is not worth starting.
@@ -70,8 +75,11 @@ def run(
     target = Path(out) if out is not None else Path(tempfile.gettempdir()) / f"cosim-run-{uuid.uuid4().hex}"
     with Staging(target, RECORD) as stage:
         got = call(
-            f"{_TARGET}:simulate",
+            f"{_TARGETS[plan.model]}:simulate",
             {
+                "model": plan.model,
+                "band_hz": scene.solver.band_hz,
+                "tolerance": scene.solver.reduction_tolerance,
                 "scene": scene,
                 "board": plan.board,
                 "recorded": plan.recorded,
@@ -97,7 +105,12 @@ def run(
             scene=scene,
             signals=signals,
             samples=samples,
-            plan={**plan.as_dict(), "constants": vars(constants), "amplifiers": headroom(amplifiers)},
+            plan={
+                **plan.as_dict(),
+                "constants": vars(constants),
+                "amplifiers": headroom(amplifiers),
+                "certificate": got["circuit"].certificate if "circuit" in got else {},
+            },
             events=_events(samples),
             measures=chosen(measures, scene),
             ledger=ledger,

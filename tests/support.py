@@ -93,9 +93,9 @@ def merge(base: Mapping[str, Any], top: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def scene_of(folder: Path, tables: Mapping[str, Any], *overrides: str) -> Scene:
-    """A scene that went through a file, as a user's does."""
+    """A scene that went through a file, as a user's does; on ngspice where the tables say nothing else."""
     file = folder / "scene.toml"
-    file.write_text(toml(tables))
+    file.write_text(toml(merge({"solver": {"model": "spice"}}, tables)))
     return load_scene(file, overrides)
 
 

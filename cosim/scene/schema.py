@@ -135,6 +135,8 @@ class CircuitModelName(StrEnum):
     """Circuit model asked for; `auto` lets the effects in force choose."""
 
     AUTO = "auto"
+    IDEAL = "ideal"
+    LINEAR = "linear"
     SPICE = "spice"
 
 
@@ -376,6 +378,9 @@ class Effects(Table):
 class Solver(Table):
     """``[solver]``: circuit model and tolerances; `time_limit_s` is on the wall clock.
 
+    The model `linear` keeps as many of the circuit's poles as it needs to stay within
+    `reduction_tolerance` of each path's maximum up to `band_hz`.
+
     Transients of capacitors whose charge stays below `charge_tolerance_c` do not shorten ngspice's step: by
     default the op-amps' internal poles (microseconds) are stepped over by the L-stable method. 1e-14 is
     ngspice's own default and resolves them, at about a fifth more points with the shipped parts.
@@ -386,6 +391,8 @@ class Solver(Table):
     max_step_s: Step = 2e-3
     method: Annotated[Integration, _Word] = Integration.GEAR
     coupling_tolerance_rad: Annotated[float, Field(ge=1e-14, le=0.1), Unit("rad")] = 1e-7
+    band_hz: Frequency = 1000.0
+    reduction_tolerance: float = Field(default=1e-6, gt=0, le=0.1)
     charge_tolerance_c: Annotated[float, Field(gt=0, le=1e-3), Unit("C")] = 1e-9
     time_limit_s: Annotated[float, Field(gt=0, le=1e6), Unit("s")] = 600.0
 
