@@ -185,9 +185,13 @@ def read_raw(path: str | os.PathLike[str]) -> Signals:
     except (KeyError, ValueError):
         fail("has a damaged header", file=str(file))
     start, shape = end + 1 + len(_BINARY), (points, variables)
-    missing = start + 8 * points * variables - file.stat().st_size
-    if missing > 0 or len(names) != variables:
-        fail(f"was cut short: {max(missing, 0)} bytes are missing", file=str(file))
-    if points == 0:
-        return Signals(file, names, np.empty(shape))
-    return Signals(file, names, np.memmap(file, dtype=np.float64, mode="r", offset=start, shape=shape))
+    try:
+        missing = start + 8 * points * variables - file.stat().st_size
+        if missing > 0 or len(names) != variables:
+            fail(f"was cut short: {max(missing, 0)} bytes are missing", file=str(file))
+        table = np.empty(shape)
+        if points:
+            table = np.memmap(file, dtype=np.float64, mode="r", offset=start, shape=shape)
+    except OSError as error:  # another run has just put its own result in this place
+        fail(f"cannot be read: {error.strerror}", file=str(file))
+    return Signals(file, names, table)

@@ -43,6 +43,9 @@ driver_level = "gbw"
 motor = "full"
 encoder = true
 dac = true
+
+[solver]
+model = "spice"
 """
 
 

@@ -35,7 +35,10 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         # The computer's outputs have to be known first: the scene runs once.
         result = run(plan, Path(folder) / "run", formats=())
         deck = export(plan, result, args.out, kind=args.kind)
-    return {"deck": str(deck), "kind": args.kind}, f"wrote {deck} ({args.kind}); run it with: ngspice -b {deck}"
+    return {
+        "deck": str(deck),
+        "kind": args.kind,
+    }, f"wrote {deck} ({args.kind}); run it with: ngspice -b {deck}"
 
 
 COMMAND = Command("export", "write the scene as one deck for plain ngspice", _arguments, _run)

@@ -111,6 +111,9 @@ def _text(finished: "list[tuple[Variant, Path, Run]]") -> str:
             f"{head}{run.scene.duration_s:g} s simulated in {stats['wall_s']:.3g} s, "
             f"{stats['points']} points, {1e6 * stats['wall_s'] / stats['points']:.3g} us each -> {out}"
         )
+        certificate = run.plan.get("certificate", {})
+        said = certificate.get("sentence") or certificate.get("footnote_1", {}).get("sentence")
+        lines += [f"  model {run.plan['model']}: {said}"] if said else []
         lines += [f"  note: {note}" for note in run.plan["notes"]]
         if not run.ledger["closes"]:
             lines.append(

@@ -199,7 +199,7 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     if scene.computer.law is not None:
         law = UserLaw(load_law(scene.computer.law, scene.file), state, recorder.fail, scene.computer.law)
         state["law_address"] = law.address
-    # a run of no length (and without the user's law) loads the compiled loop: no part of the simulation's time
+    # a run of no length, without the user's law, loads the compiled loop before the clock starts
     warm = prepare(scene, constants, circuit, record=True)
     warm.memory.state[0]["t_end"] = 0.0
     warm.run()
