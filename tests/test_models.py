@@ -77,7 +77,7 @@ def difference(first, second, signal):
 
 @pytest.mark.parametrize("name", ["press.toml", "slope.toml", "slope_joint_pd.toml"])
 def test_linear_agrees_with_ngspice(tmp_path, name):
-    """Both solve the same circuit; ngspice at rtol 1e-6 and 0.5 ms is within 1e-4 of the peak force of its limit."""
+    """Both solve the same circuit; ngspice at rtol 1e-6 is within 1e-4 of the peak force of its limit."""
     tight = ("solver.rtol=1e-6", "solver.max_step_s=5e-4")
     spice = run_scene(tmp_path, name, "solver.model=spice", *SMOOTH, *tight)
     linear = run_scene(tmp_path, name, "solver.model=linear", *SMOOTH)
@@ -92,7 +92,7 @@ def test_linear_agrees_with_ngspice(tmp_path, name):
 
 
 def test_ideal_is_the_circuit_without_dynamics(tmp_path):
-    """With every part ideal ngspice solves the same equations, but for the differentiator, which has no part here."""
+    """With ideal parts ngspice solves the same equations: the differentiator has no part in this scene."""
     null = [f"effects.{name}=ideal" for name in ("opamp", "vca", "driver_level")]
     spice = run_scene(
         tmp_path, "slope.toml", "solver.model=spice", *SMOOTH, *null, "effects.motor=emf", "solver.rtol=1e-6"
