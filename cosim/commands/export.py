@@ -10,12 +10,21 @@ from cosim.commands.command import Command, load_variants, scene_arguments
 def _arguments(parser: argparse.ArgumentParser) -> None:
     scene_arguments(parser)
     parser.add_argument("-o", "--out", metavar="FILE", required=True, help="deck to write")
-    parser.add_argument(
-        "--kind",
-        choices=("monolithic", "replay"),
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument(
+        "--monolithic",
+        dest="kind",
+        action="store_const",
+        const="monolithic",
         default="monolithic",
-        help="monolithic: linkage and hand as B-sources, the computer's outputs as recorded steps; "
-        "replay: every source recorded (default: monolithic)",
+        help="linkage and hand as B-sources, the computer's outputs as recorded steps (default)",
+    )
+    kind.add_argument(
+        "--replay",
+        dest="kind",
+        action="store_const",
+        const="replay",
+        help="every source recorded, no mechanics",
     )
 
 
