@@ -42,3 +42,15 @@ def position_noise(s: Record, q: float, joint: int) -> float:
     i = int(x)
     at = i * s.n + joint
     return float(table[at] + (x - i) * (table[at + s.n] - table[at]))
+
+
+@njit(cache=True, error_model="numpy")
+def pins(s: Record, out: Any) -> None:
+    """Fill `out` with the pins pot, all DAC channels and vel at the accepted point; [4 n + 2 n^2]."""
+    n = s.n
+    dacs = 2 * n + 2 * n * n
+    for j in range(n):
+        out[j] = s.q[j] + grid_noise(s, s.t, j) + position_noise(s, s.q[j], j)
+        out[n + dacs + j] = s.gear * s.v[j]
+    for channel in range(dacs):
+        out[n + channel] = volts(s, channel, s.t)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,9 +20,10 @@ from cosim.errors import InputError, Problem
 from cosim.loop import lockstep, propagation
 from cosim.loop.collocation import Bench, bench
 from cosim.loop.driven import channels, drive
+from cosim.loop.exact import Exact, exact
 from cosim.loop.layout import plan
 from cosim.loop.maps import Plan
-from cosim.loop.pins import volts
+from cosim.loop.pins import pins
 from cosim.loop.setup import Memory, columns, pack, sample_columns
 from cosim.loop.signals import Layout, write_signals
 from cosim.loop.simulate import ROWS, Recorder, Report, read_constants, statistics
@@ -62,6 +64,7 @@ class Propagation:
     circuit : what is simulated
     plan : maps of the circuit
     bench : states of the circuit and scratch memory
+    exact, callback : memory of the exact path, and what makes its matrices; failures : of that
     first_s : longest step behind a jump; 0 for none
     """
 
@@ -69,6 +72,9 @@ class Propagation:
     circuit: LinearCircuit
     plan: Plan
     bench: Bench
+    exact: Exact
+    callback: Callable[[], None]
+    failures: list[Exception]
     first_s: float
 
     def run(self) -> None:
@@ -79,7 +85,9 @@ class Propagation:
         state = self.memory.state[0]
         lockstep.begin(state)
         self.bench.states[:] = rest(self.circuit, state)
-        propagation.run(state, self.plan, self.bench, self.first_s)
+        propagation.run(state, self.plan, self.bench, self.exact, self.first_s)
+        if self.failures:
+            raise self.failures[0]
 
 
 def prepare(
@@ -118,20 +126,21 @@ def prepare(
     state["speeds"] = 0  # the pins vel are no part of a row
     desk = bench(maps, np.zeros(maps.before + maps.after))
     first = FIRST_ROW_SHARE * scene.computer.period_s if record else 0.0
-    return Propagation(memory, circuit, maps, desk, first)
+    failures: list[Exception] = []
+    return Propagation(
+        memory, circuit, maps, desk, *exact(state, circuit, memory.knots, failures), failures, first
+    )
 
 
 def rest(circuit: LinearCircuit, state: np.void) -> NDArray[np.float64]:
     """States of the circuit at its operating point with the pins as they are at the accepted point."""
     n, m = circuit.joints, len(circuit.gain)
-    volt = [volts(state, channel, 0.0) for channel in range(2 * n + m)]
-    state["q_trial"] = state["q"]
-    angles = [state["q"][j] + lockstep.noise_at(state, 0.0, j) for j in range(n)]
-    pins = np.array([*angles, *volt[:n]])
-    z = _still(circuit.a_pre, circuit.b_pre @ pins, "a_pre")
-    x = circuit.c_pre @ z + circuit.d_pre @ pins
-    gains = circuit.gain * np.array(volt[n : n + m])
-    after = np.concatenate([gains * x, volt[n + m :], state["gear"] * state["v"][:n]])
+    level = np.zeros(4 * n + m)
+    pins(state, level)
+    pot_u, gains = level[: 2 * n], circuit.gain * level[2 * n : 2 * n + m]
+    z = _still(circuit.a_pre, circuit.b_pre @ pot_u, "a_pre")
+    x = circuit.c_pre @ z + circuit.d_pre @ pot_u
+    after = np.concatenate([gains * x, level[2 * n + m :]])
     return np.concatenate([z, _still(circuit.a_post, circuit.b_post @ after, "a_post")])
 
 

@@ -14,6 +14,7 @@ from typing import Any
 from numba import carray, njit
 
 from cosim.loop.collocation import accept, attempt, guess, present
+from cosim.loop.exact import land, leap, rests
 from cosim.loop.lockstep import RUNAWAY_RAD_PER_S, evaluate, noise_at, process_events, write_row
 from cosim.loop.maps import slot_of
 from cosim.loop.native import call_plain, doubles_at
@@ -25,6 +26,7 @@ Record = Any
 _COLLAPSED, _NOT_FINITE, _RAN_AWAY = Fault.STEP_COLLAPSED, Fault.NOT_FINITE, Fault.RAN_AWAY
 #: The shortest step is the interval over 2^_LEVELS.
 _LEVELS = 40
+_WHOLE = 1 << _LEVELS
 #: The next step aims at this share of the tolerance and grows at most so much; the error is of fifth order.
 _SAFETY, _GROWTH, _ORDER = 0.5, 8.0, 5.0
 #: From this share of the driver's limit on, steps are at most 1/64 of the period and are checked ...
@@ -122,8 +124,20 @@ def _right_hand(s: Record, k: Any, b: Any) -> None:
     evaluate(s, s.t, s.q, s.v, s.a)
 
 
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _time(s: Record, t0: float, length: float, position: int) -> float:
+    return float(s.t_event) if position == _WHOLE else t0 + length * position / _WHOLE
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _check(s: Record) -> None:
+    for j in range(s.n):
+        if not abs(s.v[j]) < RUNAWAY_RAD_PER_S:
+            s.fault = _RAN_AWAY if abs(s.v[j]) < math.inf else _NOT_FINITE
+
+
 @njit(cache=True, error_model="numpy")
-def run(s: Record, k: Any, b: Any, first: float) -> None:
+def run(s: Record, k: Any, b: Any, x: Any, first: float) -> None:
     """Write the start as a row and integrate to `s.t_end`, or until a fault.
 
     Parameters
@@ -135,7 +149,7 @@ def run(s: Record, k: Any, b: Any, first: float) -> None:
     s.history = 0
     record(s)
     t0, length, position = s.t, s.t_event - s.t, 0
-    whole = 1 << _LEVELS
+    whole = _WHOLE
     wish = s.h_max
     watch = False
     while s.fault == 0:
@@ -158,7 +172,16 @@ def run(s: Record, k: Any, b: Any, first: float) -> None:
         level = 0
         while position & ((whole >> level) - 1) != 0 or math.ldexp(length, -level) > longest * (1 + 1e-9):
             level += 1
-        guess(s, b, math.ldexp(length, -level))
+        h = math.ldexp(length, -level)
+        if not watch and rests(x, s.t + 0.5 * h) and leap(s, k, b, x, s.t, h, s.rows_capacity > 0):
+            if not (_near(k, 0, b.current[0]) or _near(k, 0, b.results[3])):
+                position += whole >> level
+                land(s, k, b, x, _time(s, t0, length, position))
+                wish = max(wish, _GROWTH * h)
+                _check(s)
+                record(s)
+                continue
+        guess(s, b, h)
         while True:
             if level > _LEVELS - 2:
                 s.fault = _COLLAPSED
@@ -187,7 +210,7 @@ def run(s: Record, k: Any, b: Any, first: float) -> None:
         if s.fault != 0:
             break
         position += whole >> level
-        accept(s, k, b, s.t_event if position == whole else t0 + math.ldexp(length * position, -_LEVELS), h)
+        accept(s, k, b, _time(s, t0, length, position), h)
         s.defect = error
         s.defect_max = max(s.defect_max, error)
         s.defect_sum += error
@@ -195,9 +218,7 @@ def run(s: Record, k: Any, b: Any, first: float) -> None:
         grow = _GROWTH if share * _GROWTH**_ORDER < 1.0 else share ** (-1.0 / _ORDER)
         # a step that an event cut short says nothing against the longer ones before it
         wish = h * grow if grow < 1.0 else max(wish, h * grow)
-        for j in range(s.n):
-            if not abs(s.v[j]) < RUNAWAY_RAD_PER_S:
-                s.fault = _RAN_AWAY if abs(s.v[j]) < math.inf else _NOT_FINITE
+        _check(s)
         if watch:
             watch = _watched(s, k, b)
             turned = False
