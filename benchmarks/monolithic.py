@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,6 +31,9 @@ from cosim.plan import Plan
 FEEDS = ("pwl", "filesource", "chunks")
 #: Samples in one list of the feed `chunks`.
 CHUNK = 4
+#: Signal -> node of the deck: motor currents and joint angles, position of the tip and the operator's force.
+ANGLES = {"imot1": "imot1", "imot2": "imot2", "q1": "pot1", "q2": "pot2"}
+TIP = {name: name for name in ("x", "y", "fx", "fy")}
 
 
 @dataclass(frozen=True)
@@ -131,7 +134,14 @@ def _linkage(plan: Plan, constants: DesignConstants) -> list[str]:
     return mechanics(p, op, q, v, constants.gear, constants.kt, plan.circuit.speeds)
 
 
-def deck(plan: Plan, constants: DesignConstants, steps: Steps, feed: str, folder: Path) -> str:
+def deck(
+    plan: Plan,
+    constants: DesignConstants,
+    steps: Steps,
+    feed: str,
+    folder: Path,
+    saved: Mapping[str, str] = ANGLES,
+) -> str:
     """Return the whole deck; `feed` 'none' holds the DACs at their first voltages."""
     undriven = [c for c in channels(plan.scene.joints) if c not in plan.circuit.channels]
     lines = [
@@ -144,15 +154,22 @@ def deck(plan: Plan, constants: DesignConstants, steps: Steps, feed: str, folder
         *_sources(steps, feed, folder),
         *_linkage(plan, constants),
         plan.tolerances.line(),
-        ".save v(imot1) v(imot2) v(pot1) v(pot2)",
+        ".save " + " ".join(f"v({node})" for node in saved.values()),
         ".end",
     ]
     return "\n".join(lines) + "\n"
 
 
-def run(plan: Plan, constants: DesignConstants, steps: Steps, feed: str, folder: Path) -> Outcome:
-    """Run the deck once."""
-    text = deck(plan, constants, steps, feed, folder)
+def run(
+    plan: Plan,
+    constants: DesignConstants,
+    steps: Steps,
+    feed: str,
+    folder: Path,
+    saved: Mapping[str, str] = ANGLES,
+) -> Outcome:
+    """Run the deck once; `saved` says which node is which signal."""
+    text = deck(plan, constants, steps, feed, folder, saved)
     longest, end = plan.scene.solver.max_step_s, plan.scene.duration_s
     command = f"tran {longest!r} {end!r} 0 {longest!r}"
     simulator: Simulator
@@ -160,7 +177,7 @@ def run(plan: Plan, constants: DesignConstants, steps: Steps, feed: str, folder:
         wall, simulator = _in_chunks(text, command, steps)
     else:
         wall, simulator = bare_run(text, command, data=NO_DATA, sync=NO_SYNC)
-    names = {"time": "time", "imot1": "imot1", "imot2": "imot2", "q1": "pot1", "q2": "pot2"}
+    names = {"time": "time", **saved}
     signals: Signals = {name: np.real(simulator.vector(vector)) for name, vector in names.items()}
     return Outcome({"wall_s": wall, "points": len(signals["time"])}, signals, np.empty((0, 0)), ())
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import extraction, models, stiff
 from benchmarks.chains import chain_plan
 from benchmarks.figure import Figure, figure, interleaved
 from benchmarks.rig import CURRENTS, ROOT, SLOPE, Outcome, error, instants, slope
@@ -227,4 +228,10 @@ SUITE: dict[tuple[str, ...], Callable[[int], list[Figure]]] = {
     ("memory_100s_mb",): memory,
     ("help_vs_numpy",): help_time,
     ("warm_run_outside_s",): warm,
+    ("linear_vs_monolithic_slope",): models.linear_slope,
+    ("ideal_vs_monolithic_slope",): models.ideal_slope,
+    ("linear_vs_monolithic_drop",): models.linear_drop,
+    ("linear_vs_stiff_solvers",): stiff.solvers,
+    ("extraction_vs_ac",): extraction.cold,
+    ("extraction_cached_ms",): extraction.cached,
 }

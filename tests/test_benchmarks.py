@@ -24,6 +24,12 @@ STATED = {
     "memory_100s_mb": 500.0,
     "help_vs_numpy": 3.0,
     "warm_run_outside_s": 1.0,
+    "linear_vs_monolithic_slope": 1 / 50,
+    "ideal_vs_monolithic_slope": 1 / 150,
+    "linear_vs_monolithic_drop": 1 / 1000,
+    "linear_vs_stiff_solvers": 1 / 20,
+    "extraction_vs_ac": 20.0,
+    "extraction_cached_ms": 50.0,
 }
 
 
