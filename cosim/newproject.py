@@ -168,10 +168,10 @@ _README = """\
 
 Run a scene and write its report:
 
-    cosim run scenes/{scene} -o out
-    cosim report out
+    cosim run scenes/{scene} -o out/first
+    cosim report out/first
 
 Edit a value in `netlists/blocks/` and run again, or try values without editing:
 
-    cosim run scenes/{scene} --set r_diff_in=9k,10k,11k
+    cosim run scenes/{scene} -o out/tried --set r_diff_in=9k,10k,11k
 """
