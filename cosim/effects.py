@@ -68,7 +68,7 @@ def _vca(scene: Scene) -> str:
 
 
 def _motor(scene: Scene) -> str:
-    return "L/R = 0.3 ms; back-EMF kt^2 gear^2 / R = 0.02 N m s/rad at a joint (parts.md)"
+    return "L/R = 0.3 ms; back-EMF kt^2 gear^2 / R = 0.02 N m s/rad at a joint"
 
 
 def _pot(scene: Scene) -> str:

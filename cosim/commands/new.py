@@ -18,9 +18,8 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.newproject import new_project
 
     files = [str(path) for path in new_project(args.folder, args.joints)]
-    text = "\n".join(
-        [f"{args.folder}: a project with {args.joints} joints", *(f"  {name}" for name in files)]
-    )
+    joints = f"{args.joints} joint{'s' if args.joints > 1 else ''}"
+    text = "\n".join([f"{args.folder}: a project with {joints}", *(f"  {name}" for name in files)])
     return {"folder": os.path.abspath(args.folder), "joints": args.joints, "files": files}, text
 
 
