@@ -117,6 +117,12 @@ def _crosses(s: Record, k: Any, b: Any) -> bool:
 def _right_hand(s: Record, k: Any, b: Any) -> None:
     """Find currents and accelerations at the accepted point as they are just behind its events."""
     present(s, k, b)
+    _limit(s, k, b)
+
+
+@njit(cache=True, error_model="numpy")
+def _limit(s: Record, k: Any, b: Any) -> None:
+    """Clamp the currents at the accepted point, and find the accelerations."""
     for j in range(s.n):
         b.clamp[j] = _side(k, j, b.current[j])
         current = min(max(b.current[j], k.limit[j, 0]), k.limit[j, 1])
@@ -221,12 +227,10 @@ def run(s: Record, k: Any, b: Any, x: Any, first: float) -> None:
         _check(s)
         if watch:
             watch = _watched(s, k, b)
-            turned = False
             for j in range(s.n):
-                side = _side(k, j, b.current[j])
-                turned = turned or side != b.clamp[j]
-                b.clamp[j] = side
-            if turned:
-                s.history = 0
+                if _side(k, j, b.current[j]) != b.clamp[j]:
+                    _limit(s, k, b)
+                    s.history = 0
+                    break
         record(s)
     call_plain(s.drain_address)
