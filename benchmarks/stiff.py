@@ -20,7 +20,7 @@ from scipy.integrate import odeint, solve_ivp
 from scipy.linalg import expm
 
 from benchmarks.figure import Figure, figure, interleaved
-from benchmarks.models import model, packed, profile, scene, signals, wall
+from benchmarks.models import Prepared, model, packed, scene, signals
 from benchmarks.rig import lockstep, retold
 from cosim.circuits.linear import LinearCircuit
 from cosim.loop import lockstep as loop
@@ -261,9 +261,10 @@ def compare(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     def timed(name: str) -> Callable[[], float]:
         return lambda: _seconds(lambda: peers[name](whole, chosen[name][0]))
 
+    own_run = Prepared(plan, constants, circuit, fit[0])
     walls = interleaved(
         payload["repetitions"],
-        lambda: wall(packed(plan, constants, circuit, fit[0])),
+        own_run.seconds,
         *(timed(name) for name in chosen),
     )
     times = dict(zip(chosen, walls[1:], strict=True))
@@ -275,7 +276,7 @@ def compare(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         "best": best,
         "our_tolerance_rad": fit[0],
         "our_errors": {f"{tol:.0e}": off for tol, off in own.items()},
-        "profile": profile(plan, constants, circuit, fit[0]),
+        "profile": own_run.profile(),
         "states": len(whole.z0),
         "fastest_pole_rad_per_s": float(rates.max()),
         "periods": len(whole.a),
@@ -298,6 +299,8 @@ def solvers(repetitions: int) -> list[Figure]:
         got = child.call("benchmarks.stiff:compare", {"repetitions": repetitions})
     ours, peer = got.pop("walls")
     own, theirs = got.pop("errors")
+    got["ratio_from_nothing"] = 1e-3 * got["profile"]["from_nothing_ms"] / statistics.median(peer)
+    got["ratio_of_fastest"] = min(ours) / min(peer)
     details = got | {"ours_ms": 1e3 * statistics.median(ours), "peer_ms": 1e3 * statistics.median(peer)}
     return [
         figure(
