@@ -60,7 +60,19 @@ _DYNAMIC = frozenset({"linear", "spice"})
 
 
 def _opamp(scene: Scene) -> str:
-    return "about 0.1 us a stage at 3 MHz (1/(2π GBW) times noise gain); slew and rails at level full"
+    return "53 ns at 3 MHz times noise gain, 1 us in the difference amplifier; slew and rails at level full"
+
+
+def _driver(scene: Scene) -> str:
+    return "0.16 us at 1 MHz times noise gain; slew, rails and current limit at level full"
+
+
+def _drive(scene: Scene) -> str:
+    return "voltage drive brakes with kt² gear²/R; current drive does not, and has no L/R lag"
+
+
+def _track(scene: Scene) -> str:
+    return "up to 2.6 kΩ of track and wiper before the follower: no load, no error"
 
 
 def _vca(scene: Scene) -> str:
@@ -99,7 +111,7 @@ def _gravity(scene: Scene) -> str:
 
 
 def _coriolis(scene: Scene) -> str:
-    return "m l v^2 / r^2, below 1 mN at 0.1 m/s"
+    return "m l v²/r², a few mN at 0.1 m/s"
 
 
 def _viscous(scene: Scene) -> str:
@@ -141,7 +153,7 @@ EFFECTS = (
         "netlist",
         _DYNAMIC,
         "one state a driver (gbw), two (full)",
-        _opamp,
+        _driver,
     ),
     Effect(
         "motor",
@@ -153,7 +165,8 @@ EFFECTS = (
         _motor,
         at_full=_DYNAMIC,
     ),
-    Effect("potentiometer", "ideal", ("full",), "netlist", _ALL, "track and wiper resistance", _pot),
+    Effect("driver", "voltage", ("current",), "netlist", _ALL, "one state for its compensation", _drive),
+    Effect("potentiometer", "ideal", ("full",), "netlist", _ALL, "track and wiper resistance", _track),
     Effect(
         "pot_noise",
         "none",

@@ -114,7 +114,7 @@ def standard(
             ripple = normal[late] - push
             add(
                 "force_ripple",
-                float(np.sqrt((ripple**2).mean())),
+                float(np.sqrt(time_mean(t[late], ripple**2))),
                 "N",
                 "rms of the normal force about its mean",
             )

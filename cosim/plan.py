@@ -60,6 +60,11 @@ class Plan:
             "noise_seconds": noisy * per_point,
         }
 
+    def _unseen(self) -> list[str]:
+        if self.model == "spice":
+            return []
+        return [f"amplifiers have no outputs in the model {self.model}: headroom needs the model spice"]
+
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready, as `cosim plan` prints it and every result stores it."""
         return {
@@ -73,7 +78,7 @@ class Plan:
             "left_out": effects.left_out(self.scene),
             "mechanical_states": 2 * self.scene.joints,
             "predicted": self.cost(),
-            "notes": list(self.board.notes) + slower_paths(self.scene),
+            "notes": [*self.board.notes, *slower_paths(self.scene), *self._unseen()],
             "tolerances": self.tolerances.line(),
         }
 

@@ -153,7 +153,10 @@ def zoom(view: View) -> Drawn | None:
             "force follow the depth."
         )
     if walled:
-        caption += " The operator feels the motors' force less what inertia, weight and friction take."
+        caption += (
+            " The motors' force includes the braking by their back-EMF while the tip moves; inertia, weight "
+            "and friction make up the difference to what the operator feels."
+        )
     if still:
         caption += f" Constant here: {', '.join(still)}."
     return Drawn(drawing, caption)

@@ -142,11 +142,9 @@ def _stiffness(view: View) -> str:
     rendered, asked = _measure(view, "rendered_stiffness"), view.stiffness
     if rendered is None:
         return ""
-    words = f"In rest the force on the operator over the depth is {quantity(rendered, 'N/m', 4)}"
+    words = f"In the last fifth of the run the motors' force over the depth is {quantity(rendered, 'N/m', 4)}"
     if asked > 0.0:
         words += f" where {quantity(asked, 'N/m', 4)} was asked for ({100 * (rendered / asked - 1.0):+.2g} %)"
-    if view.scene_at("effects", "gravity"):
-        words += "; the wall also carries the weight of the device, which this force leaves out"
     return words + "."
 
 

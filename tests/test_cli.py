@@ -156,3 +156,18 @@ def test_variants_of_a_scene_are_all_checked_first() -> None:
         command.load_variants(parser.parse_args([slope, "--model", "exact"]))
     with pytest.raises(InputError, match=r"computer\.period_s = -1"):
         command.load_variants(parser.parse_args([slope, "--set", "computer.period_s=0.01,-1"]))
+
+
+def test_a_series_and_a_single_result_do_not_replace_each_other(tmp_path: Path) -> None:
+    from cosim.commands.run import _keep_apart
+
+    single, series = tmp_path / "single", tmp_path / "series"
+    for folder in (single, series / "r12=8k", series / "r12=9k"):
+        folder.mkdir(parents=True)
+        (folder / "run.json").write_text("{}")
+    _keep_apart(single, series=False)
+    _keep_apart(series, series=True)
+    with pytest.raises(InputError, match="single run"):
+        _keep_apart(single, series=True)
+    with pytest.raises(InputError, match="r12=8k, r12=9k"):
+        _keep_apart(series, series=False)

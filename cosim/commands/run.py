@@ -1,6 +1,7 @@
 """``cosim run``: simulate a scene, or one for each value of ``--set``."""
 
 import argparse
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -37,6 +38,8 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         found = load_variants(args)
         plans = [(variant, resolve(scene, trust=args.trust)) for variant, scene in found]
         base = Path(args.out) if args.out else Path("out") / Path(args.scene).stem
+        _keep_apart(base, series=len(plans) > 1)
+        _announce_compilation()
         finished: list[tuple[Variant, Path, Run]] = []
         names = folder_names([variant.label for variant, _ in plans])
         for (variant, plan), name in zip(plans, names, strict=True):
@@ -45,6 +48,29 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
                 result = run(plan, out, formats=tuple(args.format), on_progress=show, child=child)
             finished.append((variant, out, result))
     return _json(finished), _text(finished)
+
+
+def _keep_apart(base: Path, *, series: bool) -> None:
+    """Refuse a series inside of a single result and a result in place of a series: one would be lost."""
+    from cosim.errors import fail
+
+    if series and (base / "run.json").is_file():
+        fail("holds the result of a single run; give the series a folder of its own (--out)", file=str(base))
+    inside = sorted(path.parent.name for path in base.glob("*/run.json"))
+    if not series and inside:
+        fail(
+            f"holds the results of a series ({', '.join(inside[:3])}{', ...' if len(inside) > 3 else ''}); "
+            "choose another folder (--out)",
+            file=str(base),
+        )
+
+
+def _announce_compilation() -> None:
+    """Say that the first run of an installation compiles, which looks like a hang otherwise."""
+    from cosim.compiled import cache_folder
+
+    if not Path(cache_folder()).exists():
+        print("compiling for the first run on this machine (about 15 s, once)", file=sys.stderr, flush=True)
 
 
 def folder_name(label: str) -> str:
@@ -68,8 +94,6 @@ def folder_names(labels: list[str]) -> list[str]:
 @contextmanager
 def progress(duration_s: float, title: str) -> "Iterator[Callable[[Mapping[str, Any]], None] | None]":
     """Show a bar on a terminal, nothing elsewhere."""
-    import sys
-
     if not sys.stderr.isatty():
         yield None
         return
@@ -111,9 +135,7 @@ def _text(finished: "list[tuple[Variant, Path, Run]]") -> str:
             f"{head}{run.scene.duration_s:g} s simulated in {stats['wall_s']:.3g} s, "
             f"{stats['points']} points, {1e6 * stats['wall_s'] / stats['points']:.3g} us each -> {out}"
         )
-        certificate = run.plan.get("certificate", {})
-        said = certificate.get("sentence") or certificate.get("footnote_1", {}).get("sentence")
-        lines += [f"  model {run.plan['model']}: {said}"] if said else []
+        lines += _certified(run)
         lines += [f"  note: {note}" for note in run.plan["notes"]]
         if not run.ledger["closes"]:
             lines.append(
@@ -121,6 +143,26 @@ def _text(finished: "list[tuple[Variant, Path, Run]]") -> str:
                 f"(tolerance {run.ledger['tolerance']:g}): shorten solver.max_step_s"
             )
     return "\n".join([*lines, "", measure_table([(v.label, r.measures) for v, _, r in finished])])
+
+
+def _certified(run: "Run") -> list[str]:
+    """Say what the model `ideal` or `linear` leaves out; dampers only where the scene uses them."""
+    certificate = run.plan.get("certificate", {})
+    neglect = certificate.get("footnote_1", {})
+    if "sentence" in certificate:
+        return [f"  model {run.plan['model']}: {certificate['sentence']}"]
+    if "error" not in neglect:
+        return []
+    damped = run.scene.computer.analog_damping_n_s_per_m > 0
+    parts = [
+        f"{path} {100 * share:.3g} %"
+        for path, share in neglect["error"].items()
+        if path != "damper" or damped
+    ]
+    left_out = (
+        f"up to {neglect['band_hz']:g} Hz the dynamics left out are at most {', '.join(parts)} of each path"
+    )
+    return [f"  model {run.plan['model']}: {left_out}"]
 
 
 def measure_table(columns: "list[tuple[str, Mapping[str, Mapping[str, Any]]]]") -> str:
@@ -148,13 +190,17 @@ def measure_table(columns: "list[tuple[str, Mapping[str, Mapping[str, Any]]]]") 
     )
 
 
+#: Changes below this share are the rounding of sums.
+_SAME = 1e-12
+
+
 def _cell(row: "Mapping[str, Any] | None", before: "Mapping[str, Any] | None") -> str:
     if row is None:
         return "-"
     text = f"{row['value']:.4g}"
     if before is None:
         return text
-    if before["value"] == row["value"]:
+    if abs(row["value"] - before["value"]) <= _SAME * abs(before["value"]):
         return f"{text} (same)"
     if before["value"] == 0:
         return text

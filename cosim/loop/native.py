@@ -53,7 +53,27 @@ def _words_at(typing_context: Any, address: Any) -> Any:
     return types.CPointer(types.int64)(numba_types.int64), codegen
 
 
+@intrinsic
+def _borrowed(typing_context: Any, record: Any) -> Any:
+    """Return the same named tuple, its arrays without their reference counts."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        value = args[0]
+        for at, kind in enumerate(signature.return_type.types):
+            if isinstance(kind, numba_types.Array):
+                array = context.make_array(kind)(context, builder, builder.extract_value(value, at))
+                array.meminfo = ir.Constant(array.meminfo.type, None)
+                array.parent = ir.Constant(array.parent.type, None)
+                value = builder.insert_value(value, array._getvalue(), at)
+        return value
+
+    return record(record), codegen
+
+
 # An intrinsic's first parameter is the compiler's own: callers see it without.
+#: Tuples of arrays handed from function to function count references at every call: atomic, and dearer than
+#: a step. Whoever holds the arrays for the whole call can lend them instead.
+borrowed: Any = _borrowed
 call_plain: Any = _call_plain
 call_with_time: Any = _call_with_time
 doubles_at: Any = _doubles_at

@@ -96,6 +96,7 @@ def prepare(
     circuit: LinearCircuit,
     *,
     record: bool,
+    dense: bool = True,
     row_capacity: int = 2048,
     sample_capacity: int = 256,
 ) -> Propagation:
@@ -104,15 +105,17 @@ def prepare(
     Parameters
     ----------
     record
-        Whether rows are written: then steps are at most `solver.max_step_s`, and short behind a jump.
-        Without, only the tolerance decides.
+        Whether rows are written.
+    dense
+        Whether rows show the motion: steps at most `solver.max_step_s`, and short behind a jump. Otherwise
+        the tolerance alone decides, as it does without rows.
     """
     n = scene.joints
     driving = drive(scene)
     memory = pack(scene, constants, driving, (), (), row_capacity, sample_capacity)
     state = memory.state[0]
     state["rows_capacity"] = row_capacity if record else 0
-    if not record:
+    if not (record and dense):
         state["h_max"] = scene.computer.period_s
     names = channels(n)
     driven = [names.index(name) - n for name in driving.channels if name.startswith("ks")]
@@ -125,7 +128,7 @@ def prepare(
     )  # fmt: skip
     state["speeds"] = 0  # the pins vel are no part of a row
     desk = bench(maps, np.zeros(maps.before + maps.after))
-    first = FIRST_ROW_SHARE * scene.computer.period_s if record else 0.0
+    first = FIRST_ROW_SHARE * scene.computer.period_s if record and dense else 0.0
     failures: list[Exception] = []
     return Propagation(
         memory, circuit, maps, desk, *exact(state, circuit, memory.knots, failures), failures, first

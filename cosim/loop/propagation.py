@@ -17,7 +17,7 @@ from cosim.loop.collocation import accept, attempt, guess, present
 from cosim.loop.exact import land, leap, rests
 from cosim.loop.lockstep import RUNAWAY_RAD_PER_S, evaluate, noise_at, process_events, write_row
 from cosim.loop.maps import slot_of
-from cosim.loop.native import call_plain, doubles_at
+from cosim.loop.native import borrowed, call_plain, doubles_at
 from cosim.loop.pins import volts
 from cosim.loop.state import Fault
 
@@ -151,6 +151,11 @@ def run(s: Record, k: Any, b: Any, x: Any, first: float) -> None:
     first
         Longest step [s] behind a jump of the DACs, for rows that show it; 0 for none.
     """
+    _run(s, borrowed(k), borrowed(b), borrowed(x), first)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _run(s: Record, k: Any, b: Any, x: Any, first: float) -> None:
     _right_hand(s, k, b)
     s.history = 0
     record(s)
