@@ -64,7 +64,7 @@ def test_effects_ledger_knows_what_matters(tmp_path, capsys):
     result = json.loads(capsys.readouterr().out)
     assert result["runs"] <= 2 * len(result["rows"]) + 2
     size = {(row["effect"], row["value"]): abs(row["on"]["peak_force"]) for row in result["rows"]}
-    # theory.md, section 4: op-amps are negligible, potentiometer noise and the motor are not
+    # b / sum(tau) of microsecond delays is above 1e5 N/m: op-amps are negligible, potentiometer noise and the motor are not
     assert size["opamp", "gbw"] < 0.01 * size["motor", "full"]
     assert size["opamp", "gbw"] < 0.01 * size["pot_noise", "white"]
     assert size["delay", "True"] == 0.0  # the scene states no delay

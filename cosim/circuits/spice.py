@@ -15,7 +15,7 @@ from cosim.ngspice.deck import Deck, board_pins
 MOST_SOURCES = 100
 #: Nodes that are recorded or watched, at most.
 MOST_NODES = 256
-#: Supplies of every board [V] (design table: vcc, vee are driven by the deck).
+#: Supplies of every board [V]: vcc and vee are driven by the deck.
 SUPPLY_V = 15.0
 
 

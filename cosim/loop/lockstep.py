@@ -280,7 +280,7 @@ def evaluate(s: Record, t: float, q: Any, v: Any, a_out: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def bound_by_pole(s: Record) -> None:
-    """Set the longest stable step of the explicit back-EMF coupling: 0.5 m_eff / b_eff (ngspice-notes 20).
+    """Set the longest stable step of the explicit back-EMF coupling: 0.5 m_eff / b_eff.
 
     The fastest rate is an eigenvalue of M^-1 B with the mass matrix of the present pose; M and B being
     positive, their sum, the trace, bounds it.
