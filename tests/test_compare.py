@@ -64,7 +64,7 @@ def test_effects_ledger_knows_what_matters(tmp_path, capsys):
     result = json.loads(capsys.readouterr().out)
     assert result["runs"] <= 2 * len(result["rows"]) + 2
     size = {(row["effect"], row["value"]): abs(row["on"]["peak_force"]) for row in result["rows"]}
-    # b / sum(tau) of microsecond delays is above 1e5 N/m: op-amps are negligible, potentiometer noise and the motor are not
+    # delays of a microsecond take b / sum(tau), above 1e5 N/m, to matter; noise and the motor matter at once
     assert size["opamp", "gbw"] < 0.01 * size["motor", "full"]
     assert size["opamp", "gbw"] < 0.01 * size["pot_noise", "white"]
     assert size["delay", "True"] == 0.0  # the scene states no delay
