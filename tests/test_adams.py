@@ -1,0 +1,57 @@
+"""The integrator's rules are exact for the accelerations that they interpolate: unit tests of their coefficients."""
+
+import numpy as np
+import pytest
+
+from cosim.loop.adams import correct, predict
+from cosim.loop.state import STATE
+
+Q0, V0, OLD, H = 0.3, -1.2, 0.7e-3, 1.1e-3
+
+
+def moved(acceleration, h):
+    """Angle and speed [rad, rad/s] after `h` s under a polynomial acceleration [rad/s^2]."""
+    speed = acceleration.integ(k=V0)
+    return speed.integ(k=Q0)(h), speed(h)
+
+
+def at(acceleration, history):
+    s = np.zeros(1, STATE)[0]
+    s["n"], s["history"], s["h_old"] = 1, history, OLD
+    s["q"][0], s["v"][0] = Q0, V0
+    s["a"][0], s["a_old"][0] = acceleration(0.0), acceleration(-OLD)
+    return s
+
+
+@pytest.mark.parametrize(("history", "degree"), [(0, 0), (1, 0), (2, 1)])
+def test_predictor_is_exact_to_its_degree(history, degree):
+    acceleration = np.polynomial.Polynomial([40.0, 3e4, -2e7][: degree + 1])
+    q, v = np.zeros(1), np.zeros(1)
+    predict(at(acceleration, history), H, q, v)
+    assert (q[0], v[0]) == pytest.approx(moved(acceleration, H), rel=1e-14)
+
+
+@pytest.mark.parametrize(("history", "degree"), [(0, 0), (1, 1), (2, 2)])
+def test_corrector_is_exact_to_its_degree(history, degree):
+    acceleration = np.polynomial.Polynomial([40.0, 3e4, -2e7][: degree + 1])
+    s = at(acceleration, history)
+    correct(s, H, np.array([acceleration(H)]))
+    assert (s["q"][0], s["v"][0]) == pytest.approx(moved(acceleration, H), rel=1e-14)
+
+
+def test_behind_a_jump_the_corrector_holds_the_new_acceleration():
+    s = at(np.polynomial.Polynomial([40.0]), 0)
+    correct(s, H, np.array([-500.0]))
+    assert (s["q"][0], s["v"][0]) == pytest.approx(moved(np.polynomial.Polynomial([-500.0]), H), rel=1e-14)
+
+
+def test_defect_is_what_the_predictor_got_wrong():
+    acceleration = np.polynomial.Polynomial([40.0, 3e4, -2e7])
+    s = at(acceleration, 2)
+    q, v = np.zeros(1), np.zeros(1)
+    predict(s, H, q, v)
+    s["q_trial"][0], s["v_trial"][0] = q[0], v[0]
+    defect = correct(s, H, np.array([acceleration(H)]))
+    exact = moved(acceleration, H)
+    # as accurate as the difference of two numbers of order one
+    assert defect == pytest.approx(abs(exact[0] - q[0]) + H * abs(exact[1] - v[0]), abs=1e-15)
