@@ -1,4 +1,4 @@
-"""The integrator's rules are exact for the accelerations that they interpolate: unit tests of their coefficients."""
+"""The integrator's rules are exact for the accelerations that they interpolate: their coefficients one by one."""
 
 import numpy as np
 import pytest
