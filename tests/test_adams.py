@@ -1,4 +1,4 @@
-"""The integrator's rules are exact for the accelerations that they interpolate: their coefficients one by one."""
+"""The rules of the integrator are exact for the accelerations that they interpolate: their coefficients."""
 
 import numpy as np
 import pytest
