@@ -1,0 +1,99 @@
+"""Effects: what a scene may switch on, where it lives, and what it costs when it is there.
+
+An effect is asked for, or it is not there. `in_force` and `left_out` are what `cosim plan` prints; the
+levels of the netlist's parts follow from them, nothing else picks a level.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from cosim.effects.circuit import CIRCUIT
+from cosim.effects.computer import COMPUTER
+from cosim.effects.effect import Effect
+from cosim.effects.linkage import LINKAGE
+from cosim.effects.sensing import SENSING
+from cosim.errors import InputError, Problem
+from cosim.scene import CircuitModelName, Scene
+
+__all__ = ["EFFECTS", "Effect", "circuit_model", "in_force", "left_out", "levels"]
+
+#: Every effect, in the order in which a plan lists them.
+EFFECTS: tuple[Effect, ...] = (*CIRCUIT, *SENSING, *COMPUTER, *LINKAGE)
+
+
+def in_force(scene: Scene) -> list[dict[str, Any]]:
+    """List what the scene asks for, JSON-ready: name, value, home, cost, size."""
+    return [_row(effect, scene) for effect in EFFECTS if effect.is_in_force(scene)]
+
+
+def left_out(scene: Scene) -> list[dict[str, Any]]:
+    """List what the scene leaves in its null form, JSON-ready, with its a-priori size."""
+    return [_row(effect, scene) for effect in EFFECTS if not effect.is_in_force(scene)]
+
+
+def _row(effect: Effect, scene: Scene) -> dict[str, Any]:
+    return {
+        "name": effect.name,
+        "value": effect.value(scene),
+        "home": effect.home,
+        "models": sorted(effect.carriers(scene)),
+        "cost": effect.cost,
+        "size": effect.size(scene),
+    }
+
+
+def circuit_model(scene: Scene) -> str:
+    """Return the circuit model that the scene forces, or the cheapest that carries its effects.
+
+    Nodes inside the board exist in `spice` only.
+
+    Raises
+    ------
+    InputError
+        When the forced model cannot carry an effect in force, or a node to be recorded; all at once.
+    """
+    forced = scene.solver.model
+    file = str(scene.file) if scene.file else None
+    if forced is CircuitModelName.AUTO:
+        for model in ("ideal", "linear"):
+            if not scene.record.nodes and all(model in effect.carriers(scene) for effect in EFFECTS):
+                return model
+        return "spice"
+    problems = [
+        Problem(
+            f"the model {forced.value} cannot carry this effect",
+            file=file,
+            key=f"effects.{effect.name}",
+            value=effect.value(scene),
+            allowed=f"{effect.null}, or the model {' or '.join(sorted(effect.carriers(scene)))}",
+        )
+        for effect in EFFECTS
+        if forced.value not in effect.carriers(scene)
+    ]
+    if forced is not CircuitModelName.SPICE and scene.record.nodes:
+        nodes = ", ".join(scene.record.nodes)
+        problems.append(
+            Problem(
+                "nodes inside the board exist in the model spice only",
+                file=file,
+                key="record.nodes",
+                value=nodes,
+            )
+        )
+    if problems:
+        raise InputError(problems)
+    return forced.value
+
+
+def levels(scene: Scene) -> dict[str, str]:
+    """Return the levels of the netlist's parts by role, as `load_deck` takes them."""
+    effects = scene.effects
+    return {
+        "opamp": effects.opamp.value,
+        "vca": effects.vca.value,
+        "driver": effects.driver.value,
+        "driver_level": effects.driver_level.value,
+        "motor": effects.motor.value,
+        "potentiometer": effects.potentiometer.value,
+    }
