@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from cosim import effects
+from cosim.circuits.port import Stated
 from cosim.circuits.spice import MOST_NODES, Drive, Tolerances
+from cosim.circuits.stated import kept
 from cosim.errors import InputError, Problem
 from cosim.loop.driven import drive
 from cosim.measures import check_names
+from cosim.ngspice.child import Child, call
 from cosim.ngspice.deck import Deck, load_deck
 from cosim.ngspice.parts import PartSwap
-from cosim.scene import Method, PartFile, PotNoise, Scene
+from cosim.scene import Method, PartFile, Scene
 
 #: Points a sampling period costs beyond its longest steps: the restart behind a DAC step (see benchmarks).
 RESTART_POINTS = 18
@@ -40,6 +43,28 @@ class Plan:
     tolerances: Tolerances
     recorded: tuple[str, ...]
     watched: tuple[str, ...]
+    _asked: dict[str, Stated] = field(default_factory=dict, repr=False, compare=False)
+
+    def stated(self, child: Child | None = None) -> Stated:
+        """Return what the board states in numbers; ngspice is asked once for a deck, in a child process.
+
+        Raises
+        ------
+        InputError
+            For a board that ngspice does not accept, or that lacks a design constant.
+        """
+        if "stated" not in self._asked:
+            known = kept(self.board)
+            if known is None:
+                known = call(
+                    "cosim.circuits.stated:read",
+                    {"board": self.board},
+                    time_limit_s=self.scene.solver.time_limit_s,
+                    deck=str(self.board.path),
+                    child=child,
+                )
+            self._asked["stated"] = known
+        return self._asked["stated"]
 
     def cost(self) -> dict[str, float]:
         """Predicted points and seconds; noise apart, because it decides."""
@@ -48,8 +73,13 @@ class Plan:
         samples = scene.duration_s / scene.computer.period_s
         quiet = samples * (RESTART_POINTS + scene.computer.period_s / step)
         noisy = 0.0
-        if scene.effects.pot_noise in (PotNoise.WHITE, PotNoise.PEAK_TO_PEAK):
-            noisy = scene.duration_s * 2 * scene.device.potentiometer.noise_bandwidth_hz * 3
+        for effect in effects.EFFECTS:
+            if effect.is_in_force(scene):
+                added = effect.cost(scene, self.stated()).points_per_s * scene.duration_s
+                if effect.name == "pot_noise":
+                    noisy += added
+                else:
+                    quiet += added
         per_point = POINT_US[self.model] * 1e-6
         if self.model == "spice":
             per_point += AMPLIFIER_US * 1e-6 * len(self.board.amplifiers)
@@ -74,8 +104,8 @@ class Plan:
             "deck_digest": self.board.digest,
             "amplifiers": len(self.board.amplifiers),
             "external_sources": self.circuit.sources(),
-            "effects": effects.in_force(self.scene),
-            "left_out": effects.left_out(self.scene),
+            "effects": effects.in_force(self.scene, self.stated()),
+            "left_out": effects.left_out(self.scene, self.stated()),
             "mechanical_states": 2 * self.scene.joints,
             "predicted": self.cost(),
             "notes": [*self.board.notes, *slower_paths(self.scene), *self._unseen()],
@@ -129,6 +159,7 @@ def resolve(scene: Scene, *, trust: bool = False) -> Plan:
         For a board that does not fit the scene, or effects that its model cannot carry.
     """
     check_names(scene)
+    effects.check(scene)
     try:
         board = load_deck(
             scene.device.board,

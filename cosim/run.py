@@ -71,6 +71,7 @@ def run(
     """
     begun = time.perf_counter()
     scene = plan.scene
+    plan.stated(child)
     _check_duration(plan)
     target = Path(out) if out is not None else Path(tempfile.gettempdir()) / f"cosim-run-{uuid.uuid4().hex}"
     with Staging(target, RECORD) as stage:

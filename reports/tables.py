@@ -69,13 +69,8 @@ def _effects(view: View) -> Table:
         for row in view.plan.get(key) or ()
     ]
     if stated:
-        rows = tuple(
-            (
-                plain_name(str(row.get("name", ""))),
-                cell(row.get("value")),
-                state,
-                *_texts(row, "size", "cost"),
-            )
+        rows: tuple[tuple[str, ...], ...] = tuple(
+            (plain_name(str(row.get("name", ""))), cell(row.get("value")), state, *_expected(row))
             for state, row in stated
         )
         head: tuple[str, ...] = ("effect", "setting", "state", "size expected", "cost")
@@ -87,8 +82,13 @@ def _effects(view: View) -> Table:
     return Table("effects", "Effects in force and left out", head, rows, note)
 
 
-def _texts(row: Mapping[str, Any], *names: str) -> tuple[str, ...]:
-    return tuple(str(row.get(name) or "") for name in names)
+def _expected(row: Mapping[str, Any]) -> tuple[str, str]:
+    """Return an effect's a-priori size, or why it cannot apply, and its cost, in words."""
+    size, cost = row.get("size") or {}, row.get("cost") or {}
+    missing = row.get("not_applicable")
+    return (f"not applicable: {missing}" if missing else str(size.get("words", ""))), str(
+        cost.get("text", "")
+    )
 
 
 def _flat(table: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
@@ -136,7 +136,7 @@ def _events(view: View, most: int = 20) -> Table:
         time = event.get("time", event.get("time_s"))
         rest = {k: v for k, v in event.items() if k not in ("time", "time_s", "kind", "text")}
         facts = [" ".join(_split_unit(plain_name(str(k)), v)) for k, v in rest.items()]
-        words = ", ".join([*_texts(event, "text"), *facts]).removeprefix(", ")
+        words = ", ".join([str(event.get("text") or ""), *facts]).removeprefix(", ")
         rows.append(
             (quantity(float(time), "s", 5) if time is not None else "", cell(event.get("kind", "")), words)
         )

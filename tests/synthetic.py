@@ -155,8 +155,12 @@ def slope_run(
                 {"path": "xboard.xdrv1.xop", "part": "opa548", "peak_v": 10.2, "swing_v": 11.3},
                 {"path": "xboard.xdiff1.xop", "part": "tl072", "peak_v": 0.9, "swing_v": 13.5},
             ],
-            "effects": [{"name": "opamp", "value": "full", "size": "0.1 us a stage", "cost": "three states"}],
-            "left_out": [{"name": "gravity", "value": False, "size": "2 N", "cost": "nothing"}],
+            "effects": [
+                {"name": "opamp", "value": "full", "size": {"words": "0.1 us"}, "cost": {"text": "3 states"}}
+            ],
+            "left_out": [
+                {"name": "gravity", "value": False, "size": {"words": "2 N"}, "cost": {"text": "nothing"}}
+            ],
         },
         signals=signals, samples=samples,
         events=({"time_s": 0.2 * duration_s, "kind": "contact", "text": "the computer finds the wall"},),

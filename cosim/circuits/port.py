@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from math import isfinite
 
 from cosim.errors import InputError, Problem
@@ -45,7 +45,7 @@ class DesignConstants:
     @classmethod
     def names(cls) -> list[str]:
         """Names of the constants, as the board's `.csparam` lines spell them."""
-        return [field.name for field in fields(cls)]
+        return [each.name for each in fields(DesignConstants)]
 
     @classmethod
     def read(cls, values: Mapping[str, float | None], file: str) -> DesignConstants:
@@ -71,3 +71,31 @@ class DesignConstants:
         if problems:
             raise InputError(problems)
         return cls(**good)
+
+
+@dataclass(frozen=True)
+class Stated(DesignConstants):
+    """All that a flattened board states in numbers: its design constants, and the data of its parts.
+
+    Parameters
+    ----------
+    numbers : every `.csparam` of the deck by its lower-case name, such as 'tl072_gbw', in the netlist's units
+    parts : role -> names of the parts that play it
+    count : role -> how many amplifiers of that role the board holds
+    """
+
+    numbers: Mapping[str, float] = field(default_factory=dict)
+    parts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    count: Mapping[str, int] = field(default_factory=dict)
+
+    def design(self) -> dict[str, float]:
+        """Return the design constants alone, JSON-ready."""
+        return {name: getattr(self, name) for name in self.names()}
+
+    def of(self, role: str, quantity: str) -> tuple[float, ...]:
+        """Return what the parts of a role state as '<part>_<quantity>'; empty where none does.
+
+        A vendor's model states nothing, so that what depends on it has no a-priori size of its own.
+        """
+        named = (f"{part}_{quantity}" for part in self.parts.get(role, ()))
+        return tuple(self.numbers[name] for name in named if name in self.numbers)

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 from cosim.commands.command import Command, load_variants, scene_arguments
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from cosim.plan import Plan
 
 
@@ -34,11 +36,17 @@ def describe(plan: "Plan") -> str:
             else "; no noise"
         ),
         "  in force:",
-        *(f"    {row['name']:14} {row['value']!s:14} {row['size']}" for row in facts["effects"]),
-        "  left out:",
-        *(f"    {row['name']:14} {row['value']!s:14} {row['size']}" for row in facts["left_out"]),
+        *(_line(row) for row in facts["effects"]),
+        "  left out, the largest first:",
+        *(_line(row) for row in facts["left_out"]),
     ]
     return "\n".join([*lines, *(f"  note: {note}" for note in facts["notes"])])
+
+
+def _line(row: "Mapping[str, Any]") -> str:
+    """Return an effect in a line: what it is set to, and how large it is, or why it cannot apply."""
+    words = f"not applicable: {row['not_applicable']}" if row["not_applicable"] else row["size"]["words"]
+    return f"    {row['name']:14} {row['value']!s:14} {words}"
 
 
 COMMAND = Command("plan", "show what a run would simulate, leave out and cost", scene_arguments, _run)

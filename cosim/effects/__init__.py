@@ -8,39 +8,79 @@ from __future__ import annotations
 
 from typing import Any
 
+from cosim.circuits.port import Stated
 from cosim.effects.circuit import CIRCUIT
 from cosim.effects.computer import COMPUTER
-from cosim.effects.effect import Effect
+from cosim.effects.effect import Cost, Effect, Size
 from cosim.effects.linkage import LINKAGE
 from cosim.effects.sensing import SENSING
 from cosim.errors import InputError, Problem
 from cosim.scene import CircuitModelName, Scene
 
-__all__ = ["EFFECTS", "Effect", "circuit_model", "in_force", "left_out", "levels"]
+__all__ = ["EFFECTS", "Cost", "Effect", "Size", "check", "circuit_model", "in_force", "left_out", "levels"]
 
 #: Every effect, in the order in which a plan lists them.
 EFFECTS: tuple[Effect, ...] = (*CIRCUIT, *SENSING, *COMPUTER, *LINKAGE)
 
 
-def in_force(scene: Scene) -> list[dict[str, Any]]:
-    """List what the scene asks for, JSON-ready: name, value, home, cost, size."""
-    return [_row(effect, scene) for effect in EFFECTS if effect.is_in_force(scene)]
+def in_force(scene: Scene, constants: Stated) -> list[dict[str, Any]]:
+    """List what the scene asks for, JSON-ready, in the order of `EFFECTS`: name, value, home, cost, size."""
+    return [_row(effect, scene, constants) for effect in EFFECTS if effect.is_in_force(scene)]
 
 
-def left_out(scene: Scene) -> list[dict[str, Any]]:
-    """List what the scene leaves in its null form, JSON-ready, with its a-priori size."""
-    return [_row(effect, scene) for effect in EFFECTS if not effect.is_in_force(scene)]
+def left_out(scene: Scene, constants: Stated) -> list[dict[str, Any]]:
+    """List what the scene leaves in its null form, JSON-ready, the largest a-priori size first.
+
+    What cannot apply to the scene comes last, with the reason instead of a force.
+    """
+    rows = [_row(effect, scene, constants) for effect in EFFECTS if not effect.is_in_force(scene)]
+    return sorted(rows, key=lambda row: (bool(row["not_applicable"]), -float(row["size"]["force_n"])))
 
 
-def _row(effect: Effect, scene: Scene) -> dict[str, Any]:
+def _row(effect: Effect, scene: Scene, constants: Stated) -> dict[str, Any]:
+    size, cost = effect.size(scene, constants), effect.cost(scene, constants)
     return {
         "name": effect.name,
         "value": effect.value(scene),
         "home": effect.home,
         "models": sorted(effect.carriers(scene)),
-        "cost": effect.cost,
-        "size": effect.size(scene),
+        "cost": vars(cost),
+        "size": vars(size) | {"words": str(size)},
+        "not_applicable": effect.lacks(scene),
+        "requires": list(effect.requires),
+        "excludes": list(effect.excludes),
     }
+
+
+def check(scene: Scene) -> None:
+    """Refuse effects in force without those that they require, or beside those that they exclude.
+
+    Raises
+    ------
+    InputError
+        With every such effect.
+    """
+    problems = []
+    known = {effect.name: effect for effect in EFFECTS}
+    for effect in EFFECTS:
+        if not effect.is_in_force(scene):
+            continue
+        for names, wanted, words in (
+            (effect.requires, True, "means nothing without effects."),
+            (effect.excludes, False, "cannot be in force together with effects."),
+        ):
+            problems += [
+                Problem(
+                    f"{words}{name}",
+                    file=str(scene.file) if scene.file else None,
+                    key=f"effects.{effect.name}",
+                    value=effect.value(scene),
+                )
+                for name in names
+                if known[name].is_in_force(scene) is not wanted
+            ]
+    if problems:
+        raise InputError(problems)
 
 
 def circuit_model(scene: Scene) -> str:

@@ -2,73 +2,134 @@
 
 from __future__ import annotations
 
-from cosim.effects.effect import ALL, DYNAMIC, Effect
-from cosim.scene import Scene
+import math
+from collections.abc import Callable
+
+from cosim.circuits.port import Stated
+from cosim.effects.effect import ALL, DYNAMIC, Cost, Effect, Size
+from cosim.effects.scale import Scale, scale
+from cosim.scene import Level, Scene
+
+#: Op-amps between potentiometer and summing point, and the summing amplifier.
+_STAGES = 3
+#: Points that a state which ngspice resolves adds behind each of a sample's two jumps.
+_POINTS_A_JUMP = 2.0
 
 
-def _opamp(scene: Scene) -> str:
-    return "53 ns at 3 MHz times noise gain, 1 us in the difference amplifier; slew and rails at level full"
+def gain_before(constants: Stated) -> float:
+    """Return the voltage gain from the potentiometer to a multiplier's input, from the design constants.
+
+    At full-scale gain, rated torque needs the angle i_rated kt gear / k_fs; the multiplier then gives
+    w_rated, and with its control at full scale its input is that same voltage.
+    """
+    angle = constants.i_rated * constants.kt * constants.gear / constants.k_fs
+    return constants.w_rated / (constants.v_rad * angle)
 
 
-def _vca(scene: Scene) -> str:
-    return "0.16 us at 1 MHz; level full: 2 % of full scale total error (AD633 data sheet)"
+def unstated(at: Scale, quantity: str) -> Size:
+    """Return the size of what a vendor's model does not state: all that the motors can do."""
+    return Size(at.limit_n, "N", at.limit_n, f"at the driver's limit: the part states no {quantity}", "bound")
 
 
-def _driver(scene: Scene) -> str:
-    return "0.16 us at 1 MHz times noise gain; slew, rails and current limit at level full"
+def _opamp(scene: Scene, constants: Stated) -> Size:
+    at, rate = scale(scene, constants), constants.of("opamp", "gbw")
+    if not rate:
+        return unstated(at, "gbw")
+    delay = _STAGES * (1.0 + gain_before(constants)) / (2.0 * math.pi * min(rate))
+    return Size(delay, "s", at.of_delay(delay), "of delay", "k v tau, tau = noise gain / (2 pi GBW) a stage")
 
 
-def _motor(scene: Scene) -> str:
-    return "L/R = 0.3 ms; back-EMF kt^2 gear^2 / R = 0.02 N m s/rad at a joint"
+def _vca(scene: Scene, constants: Stated) -> Size:
+    at, rate = scale(scene, constants), constants.of("vca", "bw")
+    if not rate:
+        return unstated(at, "bandwidth")
+    delay = 1.0 / (2.0 * math.pi * min(rate))
+    if scene.effects.vca is Level.FULL:
+        errors = [constants.of("vca", name) for name in ("scale", "nlx", "nly", "ft")]
+        share = sum(max(each) for each in errors if each) / 100.0
+        volts = share * constants.v_fs
+        force = volts / constants.w_rated * constants.i_rated * constants.kt * constants.gear / at.reach_m
+        return Size(100.0 * share, "% of full scale", at.capped(force), "of total error", "data sheet")
+    return Size(delay, "s", at.of_delay(delay), "of delay", "k v tau, tau = 1 / (2 pi f)")
 
 
-def _drive(scene: Scene) -> str:
-    return "voltage drive brakes with kt² gear²/R; current drive does not, and has no L/R lag"
+def _driver_level(scene: Scene, constants: Stated) -> Size:
+    at, rate, r = scale(scene, constants), constants.of("driver", "gbw"), constants.of("motor", "r")
+    if not rate:
+        return unstated(at, "gbw")
+    gain = 1.0 + constants.i_limit * max(r, default=0.0) / constants.v_fs
+    delay = gain / (2.0 * math.pi * min(rate))
+    return Size(delay, "s", at.of_delay(delay), "of delay", "k v tau, tau = noise gain / (2 pi GBW)")
 
 
-def _track(scene: Scene) -> str:
-    return "up to 2.6 kΩ of track and wiper before the follower: no load, no error"
+def back_emf(constants: Stated, at: Scale) -> float:
+    """Return the viscosity [N s/m] that a shorted motor gives the tip: (kt gear / r)^2 / R."""
+    r = constants.of("motor", "r")
+    return (constants.kt * constants.gear / at.reach_m) ** 2 / min(r) if r else 0.0
+
+
+def _motor(scene: Scene, constants: Stated) -> Size:
+    at, r, coil = scale(scene, constants), constants.of("motor", "r"), constants.of("motor", "l")
+    if not r:
+        return unstated(at, "resistance")
+    lag = max(coil, default=0.0) / min(r)
+    b = back_emf(constants, at)
+    force = at.capped(b * at.speed_m_per_s) + at.of_delay(lag)
+    return Size(
+        b, "N s/m", force, f"of back-EMF, and a lag of {lag:.2g} s", "(kt gear / r)^2 v / R + k v L/R"
+    )
+
+
+def _drive(scene: Scene, constants: Stated) -> Size:
+    at = scale(scene, constants)
+    b = back_emf(constants, at)
+    return Size(
+        b, "N s/m", at.capped(b * at.speed_m_per_s), "of back-EMF less at the tip", "(kt gear / r)^2 v / R"
+    )
+
+
+def _track(scene: Scene, constants: Stated) -> Size:
+    at = scale(scene, constants)
+    bias, track = constants.of("opamp", "ib"), constants.numbers.get("pot_r", 0.0)
+    ohms = constants.numbers.get("pot_rw", 0.0) + track / 4.0
+    rad = ohms * max((abs(each) for each in bias), default=0.0) / constants.v_rad
+    force = at.capped(at.analog_n_per_m * at.reach_m * rad)
+    return Size(ohms, "Ohm", force, "of track and wiper before a follower", "k r R i_b / v_rad")
+
+
+def _states(role: str, gbw: int, full: int) -> Callable[[Scene, Stated], Cost]:
+    """Return the cost of a level that adds so many states to each part of a role."""
+
+    def cost(scene: Scene, constants: Stated) -> Cost:
+        deep = getattr(scene.effects, "driver_level" if role == "driver" else role) is Level.FULL
+        each = full if deep else gbw
+        count = constants.count.get(role, 0)
+        words = f"{each} state{'s' if each != 1 else ''} for each of {count}"
+        return Cost(_POINTS_A_JUMP / scene.computer.period_s, each * count, words)
+
+    return cost
+
+
+def _motor_cost(scene: Scene, constants: Stated) -> Cost:
+    return Cost(0.0, scene.joints, "back-EMF couples speeds; one state a motor at full")
+
+
+def _drive_cost(scene: Scene, constants: Stated) -> Cost:
+    return Cost(0.0, scene.joints, "one state a joint for its compensation")
 
 
 #: In the order in which a plan lists them.
 CIRCUIT = (
+    Effect("opamp", "ideal", ("gbw", "full"), "netlist", DYNAMIC, size=_opamp, cost=_states("opamp", 1, 3)),
+    Effect("vca", "ideal", ("gbw", "full"), "netlist", DYNAMIC, size=_vca, cost=_states("vca", 1, 1)),
     Effect(
-        "opamp",
-        "ideal",
-        ("gbw", "full"),
-        "netlist",
-        DYNAMIC,
-        "one state an op-amp (gbw), three (full)",
-        _opamp,
+        "driver_level", "ideal", ("gbw", "full"), "netlist", DYNAMIC,
+        size=_driver_level, cost=_states("driver", 1, 2),
     ),
     Effect(
-        "vca",
-        "ideal",
-        ("gbw", "full"),
-        "netlist",
-        DYNAMIC,
-        "one state a multiplier, n^2 springs and dampers",
-        _vca,
+        "motor", "ideal", ("full", "emf"), "netlist", ALL,
+        size=_motor, cost=_motor_cost, at_full=DYNAMIC,
     ),
-    Effect(
-        "driver_level",
-        "ideal",
-        ("gbw", "full"),
-        "netlist",
-        DYNAMIC,
-        "one state a driver (gbw), two (full)",
-        _driver,
-    ),
-    Effect(
-        "motor",
-        "ideal",
-        ("full", "emf"),
-        "netlist",
-        ALL,
-        "back-EMF couples speeds; full adds one state a motor",
-        _motor,
-        at_full=DYNAMIC,
-    ),
-    Effect("driver", "voltage", ("current",), "netlist", ALL, "one state for its compensation", _drive),
-    Effect("potentiometer", "ideal", ("full",), "netlist", ALL, "track and wiper resistance", _track),
-)
+    Effect("driver", "voltage", ("current",), "netlist", ALL, size=_drive, cost=_drive_cost),
+    Effect("potentiometer", "ideal", ("full",), "netlist", ALL, size=_track),
+)  # fmt: skip

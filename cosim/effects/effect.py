@@ -6,11 +6,62 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from cosim.circuits.port import Stated
 from cosim.scene import Scene
 
 #: Every circuit model; and those that know the circuit's dynamics.
 ALL = frozenset({"ideal", "linear", "spice"})
 DYNAMIC = frozenset({"linear", "spice"})
+
+
+@dataclass(frozen=True)
+class Size:
+    """How large an effect is before anything has run.
+
+    Attributes
+    ----------
+    value, unit : the effect's own quantity: a delay, a step, a weight
+    force_n : upper estimate of what it changes in the force at the fingertip [N]; always finite
+    text : what the value is, in a few words
+    source : equation, paper or data sheet that leads from the value to the force
+    """
+
+    value: float
+    unit: str
+    force_n: float
+    text: str
+    source: str
+
+    def __str__(self) -> str:
+        """Return the size in a line."""
+        shown = f"{self.value:.3g} {self.unit}".strip()
+        return f"{shown} {self.text}; at most {self.force_n:.2g} N ({self.source})"
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What an effect adds where it is in force.
+
+    Attributes
+    ----------
+    points_per_s : further points of the integration in a second of simulated time
+    states : further states of the circuit
+    text : in words
+    """
+
+    points_per_s: float
+    states: int
+    text: str
+
+
+def free(scene: Scene, constants: Stated) -> Cost:
+    """Return the cost of an effect that changes numbers only."""
+    return Cost(0.0, 0, "nothing")
+
+
+def always(scene: Scene) -> str:
+    """Return that nothing is missing."""
+    return ""
 
 
 @dataclass(frozen=True)
@@ -22,11 +73,15 @@ class Effect:
     name : key in `[effects]`
     null : its null form, as the scene spells it
     on : what it can be instead, the usual value first
-    home : where it lives ('netlist', 'linkage', 'computer', 'potentiometer')
+    home : where it lives ('netlist', 'linkage', 'computer', 'potentiometer', 'operator')
     models : circuit models that can carry it below its level `full`, where it has levels
-    cost : what it adds where it is in force, in words
+    size : a-priori size as a function of the scene and of what its board states; of the value in force, or
+        of the usual value where the effect is off
+    cost : what it adds, as a function of the same
+    lacks : what the scene does not state that the effect would need, in words; '' when nothing is missing
+    requires : names of effects without which this one means nothing; asking for it without them is an error
+    excludes : names of effects that cannot be in force together with it
     at_full : circuit models that can carry its level `full`
-    size : a-priori size, as a function of the scene, in words with a number and its source
     """
 
     name: str
@@ -34,8 +89,11 @@ class Effect:
     on: tuple[str | bool, ...]
     home: str
     models: frozenset[str]
-    cost: str
-    size: Callable[[Scene], str]
+    size: Callable[[Scene, Stated], Size]
+    cost: Callable[[Scene, Stated], Cost] = free
+    lacks: Callable[[Scene], str] = always
+    requires: tuple[str, ...] = ()
+    excludes: tuple[str, ...] = ()
     at_full: frozenset[str] = frozenset({"spice"})
 
     def value(self, scene: Scene) -> Any:

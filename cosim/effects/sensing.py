@@ -2,32 +2,48 @@
 
 from __future__ import annotations
 
-from cosim.effects.effect import ALL, Effect
-from cosim.scene import Scene
+import math
+
+from cosim.circuits.port import Stated
+from cosim.effects.effect import ALL, Cost, Effect, Size
+from cosim.effects.scale import scale
+from cosim.scene import PotNoise, Scene
+
+#: Peak of a normal distribution over its rms that is passed once in some 400 values.
+_PEAK = 3.0
+#: Points that ngspice takes around a tick of the noise grid.
+_POINTS_A_TICK = 3.0
 
 
-def _pot(scene: Scene) -> str:
-    rad = scene.device.potentiometer.noise_rad
-    k = scene.computer.analog_stiffness_n_per_m
-    return f"{rad * 0.1333 * 1e3:.2g} mm and {rad * 0.1333 * k:.2g} N at a reach of 133 mm"
+def _pot_noise(scene: Scene, constants: Stated) -> Size:
+    at, pot = scale(scene, constants), scene.device.potentiometer
+    rad = pot.noise_rad if scene.effects.pot_noise is PotNoise.PEAK_TO_PEAK else _PEAK * pot.noise_rad
+    rate = 2.0 * math.pi * pot.noise_bandwidth_hz
+    force = at.capped((at.analog_n_per_m + at.analog_n_s_per_m * rate) * at.reach_m * rad)
+    return Size(pot.noise_rad, "rad", force, "of potentiometer noise", "k r e + c r w e")
 
 
-def _encoder(scene: Scene) -> str:
-    encoder = scene.computer.encoder
-    step = 6.283185307 / (encoder.pulses_per_rev * encoder.decoding)
-    return f"{step * 1e3 / 8:.3g} mrad at the joint with a gear of 8"
+def _pot_cost(scene: Scene, constants: Stated) -> Cost:
+    if scene.effects.pot_noise in (PotNoise.STATIC, PotNoise.POSITION):
+        return Cost(0.0, 0, "a table over the angle")
+    ticks = 2.0 * scene.device.potentiometer.noise_bandwidth_hz
+    return Cost(_POINTS_A_TICK * ticks, 0, "points at every 1 / (2 bandwidth)")
+
+
+def _encoder(scene: Scene, constants: Stated) -> Size:
+    at, encoder = scale(scene, constants), scene.computer.encoder
+    step = 2.0 * math.pi / (encoder.pulses_per_rev * encoder.decoding * constants.gear)
+    force = (at.stiffness_n_per_m / 2.0 + at.discrete_n_s_per_m / at.period_s) * at.reach_m * step
+    return Size(
+        step, "rad", at.capped(force), "a count at the joint", "k r D/2 + B r D/T, Abbott and Okamura 2005"
+    )
 
 
 #: In the order in which a plan lists them.
 SENSING = (
     Effect(
-        "pot_noise",
-        "none",
-        ("white", "peak_to_peak", "static", "position"),
-        "potentiometer",
-        ALL,
-        "one point each 1 / (2 bandwidth)",
-        _pot,
+        "pot_noise", "none", ("white", "peak_to_peak", "static", "position"), "potentiometer", ALL,
+        size=_pot_noise, cost=_pot_cost,
     ),
-    Effect("encoder", False, (True,), "computer", ALL, "nothing", _encoder),
-)
+    Effect("encoder", False, (True,), "computer", ALL, size=_encoder),
+)  # fmt: skip

@@ -4,6 +4,7 @@ The library keeps its state in globals: one circuit at a time, one simulator per
 isolation (every run does) goes through `cosim.ngspice.child`.
 """
 
+import contextlib
 import math
 import re
 from collections import deque
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.errors import InputError, Problem, SimulationError, nearest
+from cosim.errors import CosimError, InputError, Problem, SimulationError, nearest
 from cosim.ngspice.library import OLDEST_VERSION, STOP_COMMAND, Init, Library, Source, Sync
 from cosim.ngspice.lines import Line
 from cosim.ngspice.words import is_error, load_problems, operating_point_problem, step_problem
@@ -174,6 +175,14 @@ class Simulator:
             hint = f", nearest is {near}" if near else ""
             raise InputError(Problem(f"the board states no such .csparam{hint}", file=self._deck, key=name))
         return float(np.real(self.vector(f"const.{name.lower()}")[0]))
+
+    def constants(self) -> dict[str, float]:
+        """Return every design constant that the deck states by ``.csparam`` as a finite number."""
+        found = {}
+        for name in self._constants:
+            with contextlib.suppress(CosimError):
+                found[name] = self.constant(name)
+        return found
 
     def vector_names(self) -> list[str]:
         """Return the names of the vectors of the current plot, in lower case."""
