@@ -11,7 +11,7 @@ from netlist_decks import NETLISTS, measures, parameters, run_program
 @pytest.mark.parametrize("part", ["tl072", "ua741", "opa2134", "ad633", "opa548", "motor", "potentiometer"])
 def test_parts_say_their_role_and_have_all_levels(part: str) -> None:
     text = (NETLISTS / "parts" / f"{part}.lib").read_text()
-    role = re.match(r"\*@ role=(\w+)(?: out=(\w+) swing=(\w+))?\n", text)
+    role = re.match(r"\*@ role=(\w+)(?: out=(\w+) swing=(\w+) noise=(\w+) density=(\w+))?\n", text)
     assert role is not None
     levels = {
         "motor": {"ideal", "emf", "full"},
@@ -21,7 +21,8 @@ def test_parts_say_their_role_and_have_all_levels(part: str) -> None:
     pins = {re.sub(r" params:.*", "", line) for line in re.findall(r"^\.subckt (.*)$", text, re.MULTILINE)}
     assert len(pins) == 1, "all levels have the same pins"
     if role[2]:
-        assert role[2] in pins.pop().split()
+        assert {role[2], role[4]} <= set(pins.pop().split())
+        assert f".param {role[5]}=" in text
         assert f".csparam {role[3]}=" in text
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -89,6 +90,8 @@ class Session:
     ----------
     board
         The flat deck.
+    extra
+        Further lines of the deck: sources at nodes inside the board.
 
     Attributes
     ----------
@@ -98,7 +101,7 @@ class Session:
         In the order of `channel_names`; empty where a gain pin has no multiplier with probes.
     """
 
-    def __init__(self, board: Deck) -> None:
+    def __init__(self, board: Deck, extra: Sequence[str] = ()) -> None:
         self.board, self.joints = board, board.joints
         joints = range(1, self.joints + 1)
         self.channels = channel_names(self.joints)
@@ -117,6 +120,7 @@ class Session:
                 "cosim extraction",
                 *board.text.splitlines()[1:],
                 *testbench(board, drive, dict.fromkeys(pins, "dc 0 ac 0")),
+                *extra,
                 ".save " + " ".join(f"v({node})" for node in (*self._outputs, *nodes)),
                 ".end",
             ]
@@ -163,6 +167,48 @@ class Session:
             run(f"alter @{name}[acmag] = 0")
         run("destroy")
         return found
+
+    def keep_everything(self) -> None:
+        """Let analyses keep every vector: `.noise` keeps none of its own otherwise."""
+        self.simulator.command("delete all")
+
+    def noise(self, node: str, sweep: str) -> dict[str, Array]:
+        """Return what each element adds to the noise of `node` by `.noise` [F] V/sqrt(Hz), by its name."""
+        run = self.simulator.command
+        run("destroy all")
+        run(f"noise v({node}) {self._source[self.signals[0]]} {sweep} 1")
+        run("setplot noise1")
+        prefix = "onoise_"
+        found = {name.removeprefix(prefix) for name in self.simulator.vector_names() if prefix in name}
+        # an element's parts (r1_thermal, q1_ic) are listed beside their sum (r1)
+        whole = [n for n in found if not any(n[:k] in found for k, c in enumerate(n) if c == "_")]
+        out = {
+            name: np.asarray(self.simulator.vector(prefix + name), float)
+            for name in sorted(whole)
+            if name != "spectrum"
+        }
+        run("destroy all")
+        return out
+
+    def thermal(self, resistor: str) -> tuple[float, float]:
+        """Return a resistor's resistance [Ohm] and temperature [K]."""
+        ohms, celsius = (
+            float(self.simulator.command(f"print @{resistor}[{what}]")[0].rpartition("=")[2])
+            for what in ("resistance", "temp")
+        )
+        return ohms, celsius + 273.15
+
+    def before(self, part: Multiplier) -> str:
+        """Return the node before the X probe of a multiplier."""
+        first, second = self._ends(part)
+        return second if first == part.x_node else first
+
+    def sign(self, part: Multiplier) -> float:
+        """Return the sign with which the voltage of the X probe adds to X."""
+        return 1.0 if self._ends(part)[0] == part.x_node else -1.0
+
+    def _ends(self, part: Multiplier) -> tuple[str, str]:
+        return next(probe.nodes for probe in self._probes if probe.source == part.x)
 
     def measure(self, sweep: str) -> Paths:
         """Measure all paths over a sweep such as ``dec 20 0.1 100meg``."""

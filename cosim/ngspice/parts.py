@@ -44,13 +44,24 @@ class PartSwap:
 
 @dataclass(frozen=True)
 class Part:
-    """A part as used in a deck; `out` is its output pin, `swing` the parameter with its output limit [V]."""
+    """A part as used in a deck.
+
+    Attributes
+    ----------
+    out, swing
+        Output pin, and name of the parameter with its limit [V].
+    noise, density
+        Pin at which its voltage noise stands in series, and name of the parameter with its density
+        [V/sqrt(Hz)].
+    """
 
     name: str
     role: str | None
     out: str | None = None
     swing: str | None = None
     level: str | None = None
+    noise: str | None = None
+    density: str | None = None
 
 
 @dataclass
@@ -174,8 +185,10 @@ class Shelf:
         if role is not None and role not in ROLES:
             fail("unknown role", file=str(file), key="role", value=role, allowed=", ".join(ROLES))
         level = self.levels.get("driver_level" if role == "driver" else role or "", "ideal")
-        out, swing = said.get("out"), said.get("swing")
-        return Part(name, role, out and out.lower(), swing and swing.lower(), level)
+        out, swing, noise, density = (
+            said[key].lower() if key in said else None for key in ("out", "swing", "noise", "density")
+        )
+        return Part(name, role, out, swing, level, noise, density)
 
     def _block(self, name: str) -> Block:
         """Return a part's subcircuit at any level; all levels have the same pins."""
