@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,28 +15,29 @@ from cosim.errors import InputError, Problem, nearest
 from cosim.scene import Scene
 
 Signals = Mapping[str, NDArray[np.float64]]
-#: Every measure there is; those of the wall need one, some of them steady contact.
-NAMES = (
-    "peak_force",
-    "max_penetration",
-    "contact_share",
-    "peak_normal_force",
-    "mean_normal_force",
-    "steady_penetration",
-    "steady_normal_force",
-    "steady_tangential_force",
-    "rendered_stiffness",
-    "tangential_ratio",
-    "force_ripple",
-    "peak_current",
-    "rated_share",
-    "over_rated",
-    "heat",
-    "dac_saturations",
-    "unreachable_samples",
-    "headroom",
-    "ledger_closure",
-)
+#: Every measure there is, with its unit; those of the wall need one, some of them steady contact.
+UNITS: dict[str, str] = {
+    "peak_force": "N",
+    "max_penetration": "m",
+    "contact_share": "",
+    "peak_normal_force": "N",
+    "mean_normal_force": "N",
+    "steady_penetration": "m",
+    "steady_normal_force": "N",
+    "steady_tangential_force": "N",
+    "rendered_stiffness": "N/m",
+    "tangential_ratio": "",
+    "force_ripple": "N",
+    "peak_current": "A",
+    "rated_share": "",
+    "over_rated": "",
+    "heat": "A^2 s",
+    "dac_saturations": "",
+    "unreachable_samples": "",
+    "headroom": "",
+    "ledger_closure": "",
+}
+NAMES = tuple(UNITS)
 #: The share of a run, at its end, over which steady figures are averaged.
 _STEADY = 0.2
 
@@ -82,60 +85,55 @@ def standard(
     """Every measure that applies to the scene: name -> {value, unit, text}."""
     out: dict[str, dict[str, Any]] = {}
 
-    def add(name: str, value: float, unit: str, text: str) -> None:
-        out[name] = {"value": float(value), "unit": unit, "text": text}
+    def add(name: str, value: float, text: str) -> None:
+        out[name] = {"value": float(value), "unit": UNITS[name], "text": text}
 
     t = np.asarray(signals["time"])
     late = t >= t[-1] - _STEADY * (t[-1] - t[0])
     force = np.hypot(signals["fx"], signals["fy"])
-    add("peak_force", force.max(), "N", "largest force between operator and device")
+    add("peak_force", force.max(), "largest force between operator and device")
     if scene.wall is not None:
         frame = wall_frame(scene, signals)
         pen, normal, tangent = frame["penetration"], frame["normal"], frame["tangent"]
-        add("max_penetration", max(float(pen.max()), 0.0), "m", "deepest penetration of the wall")
+        add("max_penetration", max(float(pen.max()), 0.0), "deepest penetration of the wall")
         inside = pen > 0.0
-        add("contact_share", time_mean(t, inside.astype(float)), "", "share of the time in contact")
+        add("contact_share", time_mean(t, inside.astype(float)), "share of the time in contact")
         if inside.any():
-            add("peak_normal_force", normal[inside].max(), "N", "largest normal force in contact")
+            add("peak_normal_force", normal[inside].max(), "largest normal force in contact")
             held = np.where(inside, normal, 0.0)
             mean = time_mean(t, held) / time_mean(t, inside.astype(float))
-            add("mean_normal_force", mean, "N", "mean normal force while in contact")
+            add("mean_normal_force", mean, "mean normal force while in contact")
         steady = late & inside
         if steady.sum() > 2 and inside[late].all():
             sink, push = time_mean(t[late], pen[late]), time_mean(t[late], normal[late])
             drag = time_mean(t[late], tangent[late])
-            add("steady_penetration", sink, "m", "mean penetration in the last fifth of the run")
-            add("steady_normal_force", push, "N", "mean normal force in the last fifth of the run")
-            add("steady_tangential_force", drag, "N", "mean tangential force in the last fifth of the run")
+            add("steady_penetration", sink, "mean penetration in the last fifth of the run")
+            add("steady_normal_force", push, "mean normal force in the last fifth of the run")
+            add("steady_tangential_force", drag, "mean tangential force in the last fifth of the run")
             rendered = time_mean(t[late], frame["push"][late]) / sink
-            add("rendered_stiffness", rendered, "N/m", "steady force of the motors over steady penetration")
+            add("rendered_stiffness", rendered, "steady force of the motors over steady penetration")
             if push != 0.0:  # a device that nobody holds
-                add("tangential_ratio", abs(drag / push), "", "|F_t/F_n| in the last fifth of the run")
+                add("tangential_ratio", abs(drag / push), "|F_t/F_n| in the last fifth of the run")
             ripple = normal[late] - push
             add(
                 "force_ripple",
                 float(np.sqrt(time_mean(t[late], ripple**2))),
-                "N",
                 "rms of the normal force about its mean",
             )
     n = scene.joints
     current = np.max([np.abs(signals[f"imot{j}"]) for j in range(1, n + 1)], axis=0)
-    add("peak_current", current.max(), "A", "largest motor current")
-    add("rated_share", current.max() / constants.i_rated, "", "largest motor current over rated current")
+    add("peak_current", current.max(), "largest motor current")
+    add("rated_share", current.max() / constants.i_rated, "largest motor current over rated current")
     add(
         "over_rated",
         time_mean(t, (current > constants.i_rated).astype(float)),
-        "",
         "share of time above rated",
     )
-    add("heat", _heat(t, signals, n), "A^2 s", "integral of the squared motor currents")
-    add(
-        "dac_saturations", float(samples["saturated"].sum()), "", "DAC words clipped at the converter's range"
-    )
+    add("heat", _heat(t, signals, n), "integral of the squared motor currents")
+    add("dac_saturations", float(samples["saturated"].sum()), "DAC words clipped at the converter's range")
     add(
         "unreachable_samples",
         float(samples["unsolved"].sum()),
-        "",
         "samples whose contact point was out of reach",
     )
     tightest = headroom(amplifiers)
@@ -143,8 +141,8 @@ def standard(
         first = tightest[0]
         used = f"{first['peak_v']:.3g} V of {first['swing_v']:.3g} V"
         text = f"{first['path']} ({first['part']}) clips first: {used}"
-        add("headroom", first["headroom"], "", text)
-    add("ledger_closure", ledger["closure"], "", "unexplained share of the energy turned over")
+        add("headroom", first["headroom"], text)
+    add("ledger_closure", ledger["closure"], "unexplained share of the energy turned over")
     return out
 
 
@@ -158,18 +156,98 @@ def chosen(measures: dict[str, dict[str, Any]], scene: Scene) -> dict[str, dict[
     return {name: measures[name] for name in scene.measures.names or measures if name in measures}
 
 
+@dataclass(frozen=True)
+class Tolerance:
+    """A change of a measure that does not matter.
+
+    Attributes
+    ----------
+    size : share of the measure's value, or in its unit
+    relative : which of the two
+    """
+
+    size: float
+    relative: bool
+
+    def allowed(self, value: float) -> float:
+        """Return the change that is allowed of this value, in its unit."""
+        return self.size * abs(value) if self.relative else self.size
+
+    def text(self, unit: str) -> str:
+        """Return it in words."""
+        return f"{100 * self.size:.4g} %" if self.relative else f"{self.size:.4g} {unit}".strip()
+
+
+_AMOUNT = re.compile(r"^([0-9.]+(?:[eE][-+]?[0-9]+)?)\s*(.*)$")
+_PREFIXES = {"u": 1e-6, "µ": 1e-6, "m": 1e-3, "k": 1e3}
+
+
+def tolerances(scene: Scene) -> dict[str, Tolerance]:
+    """Return the scene's `tolerance` by measure: a bare number is a share, text an amount with its unit.
+
+    Raises
+    ------
+    InputError
+        For every measure that there is not, and every amount that is not one of its measure.
+    """
+    found, problems = {}, []
+    for name, stated in scene.tolerance.items():
+        key = f"tolerance.{name}"
+        if name not in UNITS:
+            problems.append(_unknown(scene, key, name))
+            continue
+        amount = Tolerance(stated, True) if isinstance(stated, float | int) else _amount(stated, UNITS[name])
+        if amount is None:
+            unit = UNITS[name] or "number"
+            problems.append(
+                Problem(
+                    "is no change of this measure",
+                    file=str(scene.file) if scene.file else None,
+                    key=key,
+                    value=stated,
+                    allowed=f'a share such as 0.01 or "1 %", or an amount such as "0.05 {unit}"'
+                    if UNITS[name]
+                    else 'a share such as 0.01 or "1 %", or an amount as text such as "0.05"',
+                )
+            )
+        else:
+            found[name] = amount
+    if problems:
+        raise InputError(problems)
+    return found
+
+
+def _amount(text: str, unit: str) -> Tolerance | None:
+    match = _AMOUNT.match(text.strip())
+    try:
+        size = float(match[1]) if match else 0.0
+    except ValueError:
+        return None
+    if match is None or not 0.0 < size < float("inf"):
+        return None
+    written = match[2].strip()
+    if written == "%":
+        return Tolerance(size / 100, True)
+    if written == unit:
+        return Tolerance(size, False)
+    if unit and "^" not in unit and written[1:] == unit and written[0] in _PREFIXES:
+        return Tolerance(size * _PREFIXES[written[0]], False)
+    return None
+
+
+def _unknown(scene: Scene, key: str, name: str) -> Problem:
+    near = nearest(name, NAMES)
+    return Problem(
+        "no such measure" + (f"; nearest is {near}" if near else ""),
+        file=str(scene.file) if scene.file else None,
+        key=key,
+        value=name,
+        allowed=", ".join(NAMES),
+    )
+
+
 def check_names(scene: Scene) -> None:
     """Raise an `InputError` for every name in `[measures] names` that no run can have."""
-    problems = [
-        Problem(
-            "no such measure" + (f"; nearest is {near}" if (near := nearest(name, NAMES)) else ""),
-            file=str(scene.file) if scene.file else None,
-            key="measures.names",
-            value=name,
-            allowed=", ".join(NAMES),
-        )
-        for name in scene.measures.names
-        if name not in NAMES
-    ]
+    problems = [_unknown(scene, "measures.names", name) for name in scene.measures.names if name not in NAMES]
     if problems:
         raise InputError(problems)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -11,7 +12,7 @@ from cosim.circuits.spice import MOST_NODES, Drive, Tolerances
 from cosim.circuits.stated import kept
 from cosim.errors import InputError, Problem
 from cosim.loop.driven import drive
-from cosim.measures import check_names
+from cosim.measures import check_names, tolerances
 from cosim.ngspice.child import Child, call
 from cosim.ngspice.deck import Deck, load_deck
 from cosim.ngspice.parts import PartSwap
@@ -34,6 +35,7 @@ class Plan:
     circuit : pins that are driven
     tolerances : ngspice's error control
     recorded : nodes written at every point; watched : nodes of which the peak is kept
+    choice : how the effects were chosen, JSON-ready, where they were (``effects = "auto"``)
     """
 
     scene: Scene
@@ -43,6 +45,7 @@ class Plan:
     tolerances: Tolerances
     recorded: tuple[str, ...]
     watched: tuple[str, ...]
+    choice: Mapping[str, Any] = field(default_factory=dict)
     _asked: dict[str, Stated] = field(default_factory=dict, repr=False, compare=False)
 
     def stated(self, child: Child | None = None) -> Stated:
@@ -95,6 +98,9 @@ class Plan:
             return []
         return [f"amplifiers have no outputs in the model {self.model}: headroom needs the model spice"]
 
+    def _unused(self) -> list[str]:
+        return ["tolerance is of no use: the effects are stated, not auto"] if self.scene.tolerance else []
+
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready, as `cosim plan` prints it and every result stores it."""
         return {
@@ -108,7 +114,8 @@ class Plan:
             "left_out": effects.left_out(self.scene, self.stated()),
             "mechanical_states": 2 * self.scene.joints,
             "predicted": self.cost(),
-            "notes": [*self.board.notes, *slower_paths(self.scene), *self._unseen()],
+            **({"choice": self.choice} if self.choice else {}),
+            "notes": [*self.board.notes, *slower_paths(self.scene), *self._unseen(), *self._unused()],
             "tolerances": self.tolerances.line(),
         }
 
@@ -159,6 +166,8 @@ def resolve(scene: Scene, *, trust: bool = False) -> Plan:
         For a board that does not fit the scene, or effects that its model cannot carry.
     """
     check_names(scene)
+    tolerances(scene)
+    _check_chosen(scene)
     effects.check(scene)
     try:
         board = load_deck(
@@ -205,6 +214,20 @@ def resolve(scene: Scene, *, trust: bool = False) -> Plan:
         recorded=recorded,
         watched=watched,
     )
+
+
+def _check_chosen(scene: Scene) -> None:
+    """Refuse effects that are still to be chosen: without them the scene would run with none."""
+    if scene.effects.auto:
+        raise InputError(
+            Problem(
+                "the effects are still to be chosen: `cosim run` does so and keeps the choice as scene.toml "
+                "in its result; `cosim plan` shows what it would try",
+                file=str(scene.file) if scene.file else None,
+                key="effects",
+                value="auto",
+            )
+        )
 
 
 def _check_path(scene: Scene) -> None:

@@ -5,10 +5,12 @@ A result folder holds
 * ``signals.raw``: every recorded point, ngspice's binary raw format;
 * ``signals.parquet`` and, on request, ``signals.csv``: the same for other tools;
 * ``samples.csv``: one row for each sample of the computer;
+* ``scene.toml``: the resolved scene, every key stated, to be run again;
 * ``run.json``: resolved scene, plan, events, measures, energy ledger, statistics, provenance.
 """
 
 import csv
+import hashlib
 import importlib.metadata
 import json
 import os
@@ -29,7 +31,7 @@ from cosim.rawfile import Signals, read_raw
 from cosim.scene import Scene, scene_from_dict
 from cosim.staging import Staging, disk_errors
 
-RAW, SAMPLES, RECORD = "signals.raw", "samples.csv", "run.json"
+RAW, SAMPLES, RECORD, SCENE = "signals.raw", "samples.csv", "run.json", "scene.toml"
 FORMATS = ("parquet", "csv")
 _FORMAT_VERSION = 1
 # Rows handled at once when exporting: some megabytes, whatever the length of the run.
@@ -111,6 +113,7 @@ class Run:
             if "csv" in formats:
                 write_csv(folder / "signals.csv", self.signals)
             write_csv(folder / SAMPLES, self.samples)
+            (folder / SCENE).write_text(self.scene.to_toml(), encoding="utf-8")
             (folder / RECORD).write_text(json_text(self._record()) + "\n", encoding="utf-8")
 
     def _record(self) -> dict[str, Any]:
@@ -192,8 +195,15 @@ def provenance(
         "seed": scene.seed,
         "scene_file": str(scene.file) if scene.file else None,
         "scene_digest": scene.digest(),
+        "effects_digest": effects_digest(scene),
         **more,
     }
+
+
+def effects_digest(scene: Scene) -> str:
+    """Return the SHA-256 of the list of effects, set ones and unset ones."""
+    settings = scene.effects.model_dump(mode="json")
+    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
 
 
 def _version(package: str) -> str | None:

@@ -11,7 +11,7 @@ from itertools import product
 
 from cosim.errors import InputError, Problem
 
-_TOP_LEVEL = ("title", "duration_s", "seed")
+_TOP_LEVEL = ("title", "duration_s", "seed", "effects")
 
 
 @dataclass(frozen=True)

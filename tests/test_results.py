@@ -175,7 +175,7 @@ def test_what_is_no_raw_file_is_refused(tmp_path: Path) -> None:
 
 def test_run_comes_back_whole(run: Run, tmp_path: Path) -> None:
     folder = run.save(tmp_path / "out", formats=FORMATS)
-    names = {"signals.raw", "signals.parquet", "signals.csv", "samples.csv", "run.json"}
+    names = {"signals.raw", "signals.parquet", "signals.csv", "samples.csv", "scene.toml", "run.json"}
     assert {path.name for path in folder.iterdir()} == names
     again = Run.load(folder)
     assert again.scene.as_dict() == run.scene.as_dict()
@@ -207,7 +207,12 @@ def test_same_run_same_bytes(run: Run, tmp_path: Path) -> None:
 def test_an_earlier_result_is_replaced_and_nothing_else(run: Run, tmp_path: Path) -> None:
     folder = run.save(tmp_path / "out", formats=FORMATS)
     run.save(folder, formats=())
-    assert {path.name for path in folder.iterdir()} == {"signals.raw", "samples.csv", "run.json"}
+    assert {path.name for path in folder.iterdir()} == {
+        "signals.raw",
+        "samples.csv",
+        "scene.toml",
+        "run.json",
+    }
     mine = tmp_path / "mine"
     mine.mkdir()
     (mine / "thesis.tex").write_text("years of work")

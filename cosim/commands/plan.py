@@ -12,13 +12,20 @@ if TYPE_CHECKING:
 
 
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    from cosim.commands.choice import open_choice, open_lines
     from cosim.plan import resolve
 
-    plans = [(variant, resolve(scene, trust=args.trust)) for variant, scene in load_variants(args)]
-    text = "\n\n".join(
-        (f"{variant.label}\n" if variant.label else "") + describe(plan) for variant, plan in plans
-    )
-    return {"plans": [{"set": dict(variant.values), **plan.as_dict()} for variant, plan in plans]}, text
+    texts, facts = [], []
+    for variant, scene in load_variants(args):
+        if scene.effects.auto:
+            found = open_choice(args, variant)
+            text = "\n".join(open_lines(scene, found))
+        else:
+            plan = resolve(scene, trust=args.trust)
+            text, found = describe(plan), plan.as_dict()
+        texts.append((f"{variant.label}\n" if variant.label else "") + text)
+        facts.append({"set": dict(variant.values), **found})
+    return {"plans": facts}, "\n\n".join(texts)
 
 
 def describe(plan: "Plan") -> str:

@@ -32,14 +32,14 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
     with start_early("cosim.loop.simulate") as child:  # it imports while the scene is read
-        from cosim.plan import resolve
+        from cosim.commands.choice import plan_of
         from cosim.run import run
 
         found = load_variants(args)
-        plans = [(variant, resolve(scene, trust=args.trust)) for variant, scene in found]
         base = Path(args.out) if args.out else Path("out") / Path(args.scene).stem
-        _keep_apart(base, series=len(plans) > 1)
+        _keep_apart(base, series=len(found) > 1)
         _announce_compilation()
+        plans = [(variant, plan_of(args, variant, scene, child)) for variant, scene in found]
         finished: list[tuple[Variant, Path, Run]] = []
         names = folder_names([variant.label for variant, _ in plans])
         for (variant, plan), name in zip(plans, names, strict=True):
@@ -117,6 +117,7 @@ def _json(finished: "list[tuple[Variant, Path, Run]]") -> dict[str, Any]:
             {
                 "set": dict(variant.values),
                 "folder": str(out),
+                **({"choice": run.plan["choice"]} if "choice" in run.plan else {}),
                 "measures": dict(run.measures),
                 "ledger": dict(run.ledger),
                 "stats": dict(run.stats),
@@ -127,6 +128,8 @@ def _json(finished: "list[tuple[Variant, Path, Run]]") -> dict[str, Any]:
 
 
 def _text(finished: "list[tuple[Variant, Path, Run]]") -> str:
+    from cosim.commands.choice import choice_lines
+
     lines = []
     for variant, out, run in finished:
         head = f"{variant.label}: " if variant.label else ""
@@ -135,6 +138,8 @@ def _text(finished: "list[tuple[Variant, Path, Run]]") -> str:
             f"{head}{run.scene.duration_s:g} s simulated in {stats['wall_s']:.3g} s, "
             f"{stats['points']} points, {1e6 * stats['wall_s'] / stats['points']:.3g} us each -> {out}"
         )
+        if "choice" in run.plan:
+            lines += choice_lines(run.plan["choice"])
         lines += _certified(run)
         lines += [f"  note: {note}" for note in run.plan["notes"]]
         if not run.ledger["closes"]:

@@ -130,6 +130,6 @@ CIRCUIT = (
         "motor", "ideal", ("full", "emf"), "netlist", ALL,
         size=_motor, cost=_motor_cost, at_full=DYNAMIC,
     ),
-    Effect("driver", "voltage", ("current",), "netlist", ALL, size=_drive, cost=_drive_cost),
+    Effect("driver", "voltage", ("current",), "netlist", ALL, size=_drive, cost=_drive_cost, design=True),
     Effect("potentiometer", "ideal", ("full",), "netlist", ALL, size=_track),
 )  # fmt: skip

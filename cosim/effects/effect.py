@@ -82,6 +82,8 @@ class Effect:
     requires : names of effects without which this one means nothing; asking for it without them is an error
     excludes : names of effects that cannot be in force together with it
     at_full : circuit models that can carry its level `full`
+    design : whether its settings are other devices, not finer models of one: ``effects = "auto"`` leaves
+        it as the scene states it
     """
 
     name: str
@@ -95,6 +97,7 @@ class Effect:
     requires: tuple[str, ...] = ()
     excludes: tuple[str, ...] = ()
     at_full: frozenset[str] = frozenset({"spice"})
+    design: bool = False
 
     def value(self, scene: Scene) -> Any:
         """Return the setting of the scene: a word or a truth value."""

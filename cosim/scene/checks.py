@@ -292,6 +292,14 @@ def _part_files(get: Get) -> Iterator[Problem]:
             yield from _file_exists(f"device.parts.{name}.file")(get)
 
 
+def _auto_has_a_tolerance(get: Get) -> Iterator[Problem]:
+    if get("effects.auto") and not get("tolerance"):
+        yield Problem(
+            'effects = "auto" needs the change of a measure that may be left out, such as peak_force = 0.01',
+            key="tolerance",
+        )
+
+
 CHECKS: tuple[Check, ...] = (
     _linkage_table,
     *(
@@ -320,6 +328,7 @@ CHECKS: tuple[Check, ...] = (
     _wall_reachable,
     _one_sample,
     _method_has_its_gains,
+    _auto_has_a_tolerance,
     _times_increase("operator.waypoints_s_m"),
     _times_increase("operator.force_s_n"),
     _file_exists("device.board"),

@@ -12,7 +12,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from cosim.errors import Problem, nearest
-from cosim.scene.schema import SceneTables, Unit
+from cosim.scene.schema import Effects, SceneTables, Unit
 
 Key = tuple[str | int, ...]
 
@@ -57,6 +57,8 @@ class Field:
     def noun(self) -> str:
         """What kind of value is expected, in words."""
         kind = get_origin(self.annotation) or self.annotation
+        if kind is Effects:
+            return 'a table or the word "auto"'
         if isinstance(kind, type) and issubclass(kind, BaseModel | Mapping):
             return "a table"
         nouns = {

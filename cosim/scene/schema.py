@@ -357,8 +357,13 @@ Operator = Annotated[NoOperator | MassOperator | HandOperator | PythonOperator, 
 
 
 class Effects(Table):
-    """``[effects]``: what is in force. Every default is the null form."""
+    """``[effects]``: what is in force. Every default is the null form.
 
+    With `auto`, written ``effects = "auto"`` where nothing else is stated, the effects that the table does
+    not state are chosen until ``tolerance`` holds.
+    """
+
+    auto: bool = False
     opamp: Annotated[Level, _Word] = Level.IDEAL
     vca: Annotated[Level, _Word] = Level.IDEAL
     driver: Annotated[Drive, _Word] = Drive.VOLTAGE
@@ -373,6 +378,16 @@ class Effects(Table):
     coriolis: bool = False
     viscous: bool = False
     coulomb: bool = False
+
+
+def _tolerance_kind(value: object) -> str:
+    return "<text>" if isinstance(value, str) else "<share>"
+
+
+Tolerated = Annotated[
+    Annotated[float, Field(gt=0, le=1), Tag("<share>")] | Annotated[str, Tag("<text>")],
+    Discriminator(_tolerance_kind),
+]
 
 
 class Solver(Table):
@@ -420,6 +435,8 @@ class SceneTables(Table):
     wall: Wall | None = None  # free space when left out
     operator: Operator = NoOperator()
     effects: Effects = Effects()
+    # change of each measure that effects = "auto" may leave out: a share, or text with a unit ("0.1 mm")
+    tolerance: Mapping[str, Tolerated] = {}
     solver: Solver = Solver()
     record: Record = Record()
     measures: Measures = Measures()

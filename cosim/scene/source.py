@@ -101,6 +101,8 @@ def _parse_override(key: str, value: str) -> dict[str, Any] | None:
 def absolute_paths(data: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Return `data` with the files it names made absolute from `folder`, lists made tuples."""
     data = freeze(data)
+    if data.get("effects") == "auto":
+        data["effects"] = {"auto": True}
     device, operator, computer = (data.get(name) for name in ("device", "operator", "computer"))
     if isinstance(device, dict):
         _set_path(device, "board", folder)
@@ -153,6 +155,9 @@ def merge(layers: Sequence[Layer]) -> dict[str, Any]:
 def _merge(base: dict[str, Any], top: dict[str, Any], path: tuple[str, ...]) -> dict[str, Any]:
     # Another type of operator has other keys: the old ones would only be in the way.
     if path == ("operator",) and top.get("type", base.get("type")) != base.get("type"):
+        return top
+    # What is to be chosen is not what the file below has already stated.
+    if path == ("effects",) and top.get("auto") is True and base.get("auto") is not True:
         return top
     # q_rad and tip_m are two ways of saying one thing: the later way replaces the earlier.
     if path == ("device", "start") and {"q_rad", "tip_m"} & top.keys():

@@ -1,0 +1,109 @@
+"""What ``effects = "auto"`` chose, or would try, in words."""
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cosim.ngspice.child import Child
+    from cosim.plan import Plan
+    from cosim.scene import Scene
+    from cosim.settings import Variant
+
+
+def plan_of(args: argparse.Namespace, variant: "Variant", scene: "Scene", child: "Child") -> "Plan":
+    """Return the plan of a scene, its effects chosen where it leaves that open."""
+    from cosim.plan import resolve
+
+    if not scene.effects.auto:
+        return resolve(scene, trust=args.trust)
+    from cosim.studies.auto import choose
+
+    forced = [f"solver.model={args.model}"] if args.model else []
+    plan, cpu_s = choose(
+        args.scene, (*forced, *variant.overrides), child=child, trust=args.trust, on_progress=_told
+    )
+    print(f"effects chosen in {plan.choice['runs']} runs, {cpu_s:.3g} s", file=sys.stderr, flush=True)
+    return plan
+
+
+def open_choice(args: argparse.Namespace, variant: "Variant") -> dict[str, Any]:
+    """Return what would be tried, in this order, JSON-ready; nothing runs."""
+    from cosim.studies.candidates import Candidates
+
+    forced = [f"solver.model={args.model}"] if args.model else []
+    candidates = Candidates(args.scene, (*forced, *variant.overrides), trust=args.trust)
+    return {
+        "auto": True,
+        "tolerance": dict(candidates.scene.tolerance),
+        "fixed": {name: [candidates.null[name], why] for name, why in candidates.fixed.items()},
+        "refused": candidates.refused,
+        "candidates": [
+            {
+                "effect": rung.effect.name,
+                "value": rung.value,
+                "size_n": candidates.size_n(rung),
+                "size": candidates.size_text(rung),
+                "seconds": candidates.seconds(candidates.with_(candidates.null, rung)),
+                "model": candidates.plan(candidates.with_(candidates.null, rung)).model,
+            }
+            for rung in candidates.by_size()
+        ],
+    }
+
+
+def open_lines(scene: "Scene", found: Mapping[str, Any]) -> list[str]:
+    """Return the same in words."""
+    stated = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in found["tolerance"].items())
+    rows = [
+        (
+            c["effect"],
+            _word(c["value"]),
+            c["model"],
+            f"{c['seconds']:.2g} s",
+            "not known" if c["size_n"] is None else f"{c['size_n']:.2g} N",
+            c["size"],
+        )
+        for c in found["candidates"]
+    ]
+    head = ("effect", "setting", "model", "predicted", "a priori", "which is")
+    fixed = [f"{name} = {_word(value)} ({why})" for name, (value, why) in found["fixed"].items()]
+    return [
+        f"{scene.title}: effects to be chosen for a tolerance of {stated}",
+        "  `cosim run` tries those that may reach it in this order, by size per predicted second:",
+        *(f"    {row}" for row in _aligned([head, *rows])),
+        *([f"  not chosen: {', '.join(fixed)}"] if fixed else []),
+        *(f"  not possible here: {name}: {why}" for name, why in found["refused"].items()),
+    ]
+
+
+def _told(words: str) -> None:
+    if sys.stderr.isatty():
+        print(f"choosing effects: {words}", file=sys.stderr, flush=True)
+
+
+def choice_lines(choice: Mapping[str, Any]) -> list[str]:
+    """Return the list of effects with the reason of each, and what was verified."""
+    stated = ", ".join(
+        f"{name.replace('_', ' ')} {100 * t['size']:.4g} %"
+        if t["relative"]
+        else f"{name.replace('_', ' ')} {t['size']:.4g}"
+        for name, t in choice["tolerance"].items()
+    )
+    lines = [f"  effects chosen for a tolerance of {stated}, in {choice['runs']} runs:"]
+    rows = [
+        ("in" if d["in_force"] else "out", d["effect"], _word(d["value"]), d["why"])
+        for d in sorted(choice["decisions"], key=lambda d: not d["in_force"])
+    ]
+    lines += [f"    {row}" for row in _aligned(rows)]
+    return [*lines, *(f"  verified: {said}" for said in choice["verified"])]
+
+
+def _word(value: Any) -> str:
+    return str(value).lower()
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
