@@ -30,25 +30,31 @@ def plan_of(args: argparse.Namespace, variant: "Variant", scene: "Scene", child:
 
 def open_choice(args: argparse.Namespace, variant: "Variant") -> dict[str, Any]:
     """Return what would be tried, in this order, JSON-ready; nothing runs."""
+    from cosim.ngspice.child import start_early
     from cosim.studies.candidates import Candidates
 
     forced = [f"solver.model={args.model}"] if args.model else []
-    candidates = Candidates(args.scene, (*forced, *variant.overrides), trust=args.trust)
+    with start_early("cosim.circuits.stated") as child:
+        candidates = Candidates(args.scene, (*forced, *variant.overrides), trust=args.trust, child=child)
+        force_n, least_n, ranked = candidates.force_n(), candidates.tolerance_n(), candidates.ranked()
     return {
         "auto": True,
         "tolerance": dict(candidates.scene.tolerance),
+        "force_n": force_n,
+        "tolerance_n": least_n,
         "fixed": {name: [candidates.null[name], why] for name, why in candidates.fixed.items()},
-        "refused": candidates.refused,
+        "refused": [[name, value, why] for (name, value), why in candidates.refused.items()],
         "candidates": [
             {
                 "effect": rung.effect.name,
                 "value": rung.value,
-                "size_n": candidates.size_n(rung),
-                "size": candidates.size_text(rung),
-                "seconds": candidates.seconds(candidates.with_(candidates.null, rung)),
-                "model": candidates.plan(candidates.with_(candidates.null, rung)).model,
+                "model": plan.model,
+                "seconds": plan.cost()["seconds"],
+                "size_n": size.force_n,
+                "size": str(size),
+                "to_be_run": size.force_n >= least_n,
             }
-            for rung in candidates.by_size()
+            for rung, plan, size in ranked
         ],
     }
 
@@ -56,25 +62,27 @@ def open_choice(args: argparse.Namespace, variant: "Variant") -> dict[str, Any]:
 def open_lines(scene: "Scene", found: Mapping[str, Any]) -> list[str]:
     """Return the same in words."""
     stated = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in found["tolerance"].items())
-    rows = [
-        (
-            c["effect"],
-            _word(c["value"]),
-            c["model"],
-            f"{c['seconds']:.2g} s",
-            "not known" if c["size_n"] is None else f"{c['size_n']:.2g} N",
-            c["size"],
-        )
-        for c in found["candidates"]
-    ]
-    head = ("effect", "setting", "model", "predicted", "a priori", "which is")
+    head = ("effect", "setting", "model", "predicted", "a priori")
+
+    def table(wanted: bool) -> list[str]:
+        rows = [
+            (c["effect"], _word(c["value"]), c["model"], f"{c['seconds']:.2g} s", c["size"])
+            for c in found["candidates"]
+            if c["to_be_run"] is wanted
+        ]
+        return [f"    {row}" for row in _aligned([head, *rows])] if rows else ["    none"]
+
     fixed = [f"{name} = {_word(value)} ({why})" for name, (value, why) in found["fixed"].items()]
     return [
         f"{scene.title}: effects to be chosen for a tolerance of {stated}",
-        "  `cosim run` tries those that may reach it in this order, by size per predicted second:",
-        *(f"    {row}" for row in _aligned([head, *rows])),
+        f"  before anything has run, forces are taken to be of the order of {found['force_n']:.2g} N, and "
+        f"{found['tolerance_n']:.2g} N to matter",
+        "  may matter: `cosim run` tries them by size per predicted second and keeps what does",
+        *table(True),
+        "  too small by themselves: the largest of them is tried, and all of them at once",
+        *table(False),
         *([f"  not chosen: {', '.join(fixed)}"] if fixed else []),
-        *(f"  not possible here: {name}: {why}" for name, why in found["refused"].items()),
+        *(f"  not possible here: {name} = {_word(value)}: {why}" for name, value, why in found["refused"]),
     ]
 
 

@@ -32,6 +32,8 @@ Measures = Mapping[str, Mapping[str, Any]]
 
 #: Predicted time of everything at once, up to which it is run for comparison [s].
 CHECK_S = 60.0
+#: A force below this is none: what a scene states as zero.
+_NOTHING_N = 1e-12
 
 
 @dataclass(frozen=True)
@@ -59,8 +61,8 @@ class Decision:
     effect, value : name in `[effects]` and setting
     in_force : whether it is in
     why : in words
-    size_n, size : a-priori size [N at the tip], if there is a number, and in words
-    seconds : predicted time of a run with it alone
+    size_n, size : a-priori size over the choice [N at the tip], and in words
+    seconds : predicted time of a run of the choice with it
     share : measured change over the change allowed, where it was run
     """
 
@@ -68,10 +70,10 @@ class Decision:
     value: Any
     in_force: bool
     why: str
-    size_n: float | None
-    size: str
-    seconds: float | None
-    share: float | None
+    size_n: float | None = None
+    size: str = ""
+    seconds: float | None = None
+    share: float | None = None
 
 
 @dataclass
@@ -135,11 +137,9 @@ class _Search:
             size = f"{change:.2g} {after[name]['unit']}".strip()
         return Move(share, name, f"{words} by {size}")
 
-    def score(self, settings: Settings, rung: Rung, least_n: float) -> float:
-        size = self.candidates.size_n(rung)
-        return (least_n if size is None else size) / self.candidates.seconds(
-            self.candidates.with_(settings, rung)
-        )
+    def score(self, settings: Settings, rung: Rung) -> float:
+        seconds = self.candidates.seconds(self.candidates.with_(settings, rung))
+        return self.candidates.size(rung, settings).force_n / seconds
 
 
 def choose(
@@ -175,7 +175,7 @@ def choose(
     SimulationError
         When a run fails.
     """
-    candidates = Candidates(path, overrides, trust=trust)
+    candidates = Candidates(path, overrides, trust=trust, child=child)
     search = _Search(candidates, tolerances(candidates.scene), child, on_progress)
     search.measures(candidates.null, "with no effect")
     chosen = _add_by_size(search, candidates.null)
@@ -198,45 +198,44 @@ def _add_by_size(search: _Search, settings: Settings) -> Settings:
     """Try what may matter a priori, the largest per predicted second first."""
     while True:
         least_n = search.force_n(settings)
-        open_ = [
+        left = [
             rung
-            for rung in search.candidates.above(settings)
-            if rung.name not in search.moves and _may_matter(search, rung, least_n)
+            for rung in search.candidates.possible(settings)
+            if rung.name not in search.moves
+            and search.candidates.size(rung, settings).force_n >= max(least_n, _NOTHING_N)
         ]
-        if not open_:
+        if not left:
             return settings
-        best = max(open_, key=lambda rung: search.score(settings, rung, least_n))
+        best = left[0]
+        for rung in left:
+            if search.score(settings, rung) > search.score(settings, best):
+                best = rung
         if search.on_top(settings, best).share > 1.0:
             settings = search.candidates.with_(settings, best)
 
 
-def _may_matter(search: _Search, rung: Rung, least_n: float) -> bool:
-    size = search.candidates.size_n(rung)
-    return size is None or (size > 0.0 and size >= least_n)
-
-
 def _verify_largest(search: _Search, settings: Settings) -> tuple[Settings, str]:
     while True:
-        left = [r for r in search.candidates.above(settings) if search.candidates.size_n(r) != 0.0]
+        left = _open(search, settings)
         if not left:
             return settings, "nothing that the scene leaves open is left out"
-        largest = max(left, key=lambda rung: _expected(search, settings, rung))
+        force_n, largest = max(
+            ((search.candidates.size(rung, settings).force_n, rung) for rung in left),
+            key=lambda pair: pair[0],
+        )
         move = search.on_top(settings, largest)
         if move.share <= 1.0:
             return settings, (
-                f"with {largest.name}, the largest that is left out, switched on over this choice, the "
-                f"measures move by {move.share:.2g} of the tolerance ({move.text})"
+                f"with {largest.name}, a priori the largest that is left out ({force_n:.2g} N), switched on "
+                f"over this choice, the measures move by {move.share:.2g} of the tolerance ({move.text})"
             )
         settings = _add_by_size(search, search.candidates.with_(settings, largest))
 
 
-def _expected(search: _Search, settings: Settings, rung: Rung) -> float:
-    """Return the a-priori size [N]; where none is stated, what was found, with the tolerance as its unit."""
-    size = search.candidates.size_n(rung)
-    if size is not None:
-        return size
-    known = search.moves.get(rung.name)
-    return known.share * search.force_n(settings) if known else float("inf")
+def _open(search: _Search, settings: Settings) -> list[Rung]:
+    """Return what could be switched on and is not nothing."""
+    candidates = search.candidates
+    return [r for r in candidates.possible(settings) if candidates.size(r, settings).force_n > _NOTHING_N]
 
 
 def _verify_all(search: _Search, settings: Settings) -> tuple[Settings, str]:
@@ -261,14 +260,10 @@ def _verify_all(search: _Search, settings: Settings) -> tuple[Settings, str]:
 
 def _add_until(search: _Search, settings: Settings, full: Measures) -> Settings:
     """Put in what moves the measures most, one after another, until the rest together does not matter."""
-    left = [r for r in search.candidates.above(settings) if search.candidates.size_n(r) != 0.0]
-    by_move = sorted(left, key=lambda rung: search.on_top(settings, rung).share, reverse=True)
-    for rung in by_move:
-        above = search.candidates.above(settings)
-        if rung not in above:
-            continue  # a finer setting of the same effect went in before
-        settings = search.candidates.with_(settings, rung)
-        if search.move(search.measures(settings, f"with {rung.name}"), full).share <= 1.0:
+    while left := _open(search, settings):
+        moves = [search.on_top(settings, rung).share for rung in left]
+        settings = search.candidates.with_(settings, left[moves.index(max(moves))])
+        if search.move(search.measures(settings, ""), full).share <= 1.0:
             break
     return settings
 
@@ -294,54 +289,38 @@ def _check_measures(search: _Search, settings: Settings) -> None:
 def decisions(search: _Search, chosen: Settings) -> list[Decision]:
     """Return why each setting of each effect is in or out, in the order of the registry."""
     candidates, found = search.candidates, []
-    above = {rung.name for rung in candidates.above(chosen)}
+    above = candidates.above(chosen)
     least_n = search.force_n(chosen)
     for effect in EFFECTS:
         if effect.name in candidates.fixed:
-            value = chosen[effect.name]
-            text = str(effect.size(candidates.plan(chosen).scene))
-            why = candidates.fixed[effect.name]
-            found.append(Decision(effect.name, value, value != effect.null, why, None, text, None, None))
+            value, why = chosen[effect.name], candidates.fixed[effect.name]
+            found.append(Decision(effect.name, value, value != effect.null, why))
         for rung in (r for r in candidates.rungs if r.effect is effect):
-            if rung.name not in above and chosen[effect.name] != rung.value:
-                continue  # a finer setting is in force
-            move = search.moves.get(rung.name)
-            size = candidates.size_n(rung)
-            in_force = rung.name not in above
-            found.append(
-                Decision(
-                    effect.name,
-                    rung.value,
-                    in_force,
-                    _why(move, size, least_n, in_force),
-                    size,
-                    candidates.size_text(rung),
-                    candidates.seconds(candidates.with_(candidates.null, rung)),
-                    None if move is None or move.share == float("inf") else move.share,
-                )
-            )
+            if rung in above or chosen[effect.name] == rung.value:  # else a finer setting is in force
+                found.append(_decided(search, chosen, rung, rung not in above, least_n))
         found += [
-            Decision(
-                effect.name,
-                name.partition(" = ")[2],
-                False,
-                f"not possible here: {why}",
-                None,
-                "",
-                None,
-                None,
-            )
-            for name, why in candidates.refused.items()
-            if name.startswith(f"{effect.name} = ")
+            Decision(name, value, False, f"not possible here: {why}")
+            for (name, value), why in candidates.refused.items()
+            if name == effect.name
         ]
     return found
 
 
-def _why(move: Move | None, size: float | None, least_n: float, in_force: bool) -> str:
-    if move is not None:
+def _decided(search: _Search, chosen: Settings, rung: Rung, in_force: bool, least_n: float) -> Decision:
+    candidates, move = search.candidates, search.moves.get(rung.name)
+    name, value = rung.effect.name, rung.value
+    try:
+        size = candidates.size(rung, chosen)
+        seconds = candidates.seconds(candidates.with_(chosen, rung))
+    except InputError as error:  # what it requires is left out, or what it excludes is in
+        return Decision(name, value, False, "; ".join(problem.message for problem in error.problems))
+    if move is None:
+        why = f"not run: a priori at most {size.force_n:.2g} N, the tolerance is {least_n:.2g} N"
+        if size.force_n <= _NOTHING_N:
+            why = "nothing to switch on"
+    else:
+        why = f"moves {move.text}" if move.share > 0.0 else "changes nothing"
         if in_force and move.share <= 1.0:
-            return f"moves {move.text}: one of many that together exceed the tolerance"
-        return f"moves {move.text}" if move.share > 0.0 else "changes nothing"
-    if size == 0.0:
-        return "there is nothing to switch on"
-    return f"not run: a priori {size:.2g} N, the tolerance is {least_n:.2g} N"
+            why += "; one of many that together exceed the tolerance"
+    share = None if move is None or move.share == float("inf") else move.share
+    return Decision(name, value, in_force, why, size.force_n, str(size), seconds, share)

@@ -7,8 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from cosim.effects import EFFECTS, Effect
+from cosim.effects import EFFECTS, Effect, Size
+from cosim.effects.scale import scale
 from cosim.errors import InputError
+from cosim.measures import UNITS, tolerances
+from cosim.ngspice.child import Child
 from cosim.plan import Plan, resolve
 from cosim.scene import load_scene
 
@@ -49,18 +52,28 @@ class Candidates:
     ----------
     path, overrides, trust
         The scene, as for `load_scene` and `resolve`; what its table `[effects]` states is fixed.
+    child
+        A simulation process to ask for what a board states.
 
     Attributes
     ----------
     scene : as stated, `effects` still to be chosen
     fixed : name -> why it is not chosen, for every effect that the scene decides
     null : settings with every open effect in its null form
-    refused : rung's name -> why it cannot be in this scene
+    refused : (effect, value) -> why it cannot be in this scene
+    rungs : what may be switched on
     """
 
-    def __init__(self, path: str | Path, overrides: tuple[str, ...] = (), *, trust: bool = False) -> None:
-        self._path, self._overrides, self._trust = path, overrides, trust
-        self._plans: dict[tuple[Any, ...], Plan] = {}
+    def __init__(
+        self,
+        path: str | Path,
+        overrides: tuple[str, ...] = (),
+        *,
+        trust: bool = False,
+        child: Child | None = None,
+    ) -> None:
+        self._path, self._overrides, self._trust, self._child = path, overrides, trust, child
+        self._plans: dict[tuple[Any, ...], Plan | InputError] = {}
         self.scene = load_scene(path, overrides)
         stated = self.scene.effects.model_fields_set
         self.fixed = {
@@ -72,20 +85,38 @@ class Candidates:
             effect.name: effect.value(self.scene) if effect.name in stated else effect.null
             for effect in EFFECTS
         }
-        self.refused: dict[str, str] = {}
-        self.rungs = tuple(self._possible())
-
-    def _possible(self) -> list[Rung]:
-        found = []
+        self.plan(self.null)  # what is wrong with the scene itself is told here
+        self.refused: dict[tuple[str, Any], str] = {}
+        self.rungs: tuple[Rung, ...] = ()
         for effect in EFFECTS:
-            for rung in () if effect.name in self.fixed else ladder(effect):
-                try:
-                    self.plan(self.with_(self.null, rung))
-                except InputError as error:
-                    self.refused[rung.name] = "; ".join(problem.message for problem in error.problems)
-                else:
-                    found.append(rung)
-        return found
+            if effect.name not in self.fixed:
+                self._add(effect)
+
+    def _add(self, effect: Effect) -> None:
+        for rung in ladder(effect):
+            reason = effect.lacks(self.scene) or self._objection(self.with_(self._needed(effect), rung))
+            if reason:
+                self.refused[effect.name, rung.value] = reason
+            else:
+                self.rungs = (*self.rungs, rung)
+
+    def _needed(self, effect: Effect) -> Settings:
+        """Return the null form with the effects without which this one means nothing."""
+        known = {each.name: each for each in EFFECTS}
+        settings, wanted = self.null, list(effect.requires)
+        while wanted:
+            other = known[wanted.pop()]
+            if settings[other.name] == other.null:
+                settings = {**settings, other.name: other.on[0]}
+                wanted += other.requires
+        return settings
+
+    def _objection(self, settings: Settings) -> str:
+        try:
+            self.plan(settings)
+        except InputError as error:
+            return "; ".join(problem.message for problem in error.problems)
+        return ""
 
     def with_(self, settings: Settings, *rungs: Rung) -> Settings:
         """Return the settings with these rungs in place."""
@@ -96,22 +127,22 @@ class Candidates:
         at = {r.effect.name: r.step for r in self.rungs if settings[r.effect.name] == r.value}
         return [rung for rung in self.rungs if rung.step > at.get(rung.effect.name, 0)]
 
+    def possible(self, settings: Settings) -> list[Rung]:
+        """Return those of them that can be switched on now: nothing that they require is off."""
+        return [rung for rung in self.above(settings) if not self._objection(self.with_(settings, rung))]
+
     def everything(self) -> Settings:
         """Return the settings with the finest possible rung of every effect.
 
         Where two effects exclude one another, the one that stands first in the registry is in.
         """
         settings = self.null
-        for rung in self.rungs:
-            try:
-                self.plan(self.with_(settings, rung))
-            except InputError:
-                continue
-            settings = self.with_(settings, rung)
+        while left := self.possible(settings):
+            settings = self.with_(settings, left[0])
         return settings
 
     def plan(self, settings: Settings) -> Plan:
-        """Return the plan of a choice, with all measures.
+        """Return the plan of a choice.
 
         Raises
         ------
@@ -121,34 +152,49 @@ class Candidates:
         key = tuple(settings.items())
         if key not in self._plans:
             stated = [f"effects.{name}={_toml(value)}" for name, value in settings.items()]
-            scene = load_scene(self._path, [*self._overrides, *stated, "effects.auto=false"])
-            scene = scene.model_copy(update={"tolerance": {}})
-            self._plans[key] = resolve(scene, trust=self._trust)
-        return self._plans[key]
+            try:
+                scene = load_scene(self._path, [*self._overrides, *stated, "effects.auto=false"])
+                plan = resolve(scene.model_copy(update={"tolerance": {}}), trust=self._trust)
+                plan.stated(self._child)
+                self._plans[key] = plan
+            except InputError as error:
+                self._plans[key] = error
+        found = self._plans[key]
+        if isinstance(found, InputError):
+            raise found
+        return found
 
     def seconds(self, settings: Settings) -> float:
         """Return the predicted time of a run: never measured, so that the choice is the same everywhere."""
         return self.plan(settings).cost()["seconds"]
 
-    def by_size(self) -> list[Rung]:
-        """Return all rungs by a-priori size per predicted second; those of unknown size first."""
+    def size(self, rung: Rung, settings: Settings) -> Size:
+        """Return the a-priori size of a rung over the settings."""
+        plan = self.plan(self.with_(settings, rung))
+        return rung.effect.size(plan.scene, plan.stated())
 
-        def key(rung: Rung) -> tuple[bool, float]:
-            size = self.size_n(rung)
-            return size is not None, -(size or 0.0) / self.seconds(self.with_(self.null, rung))
+    def force_n(self) -> float:
+        """Return the order of magnitude of the force at the tip, before anything has run [N]."""
+        plan = self.plan(self.everything())
+        return scale(plan.scene, plan.stated()).force_n
 
-        return sorted(self.rungs, key=key)
+    def tolerance_n(self) -> float:
+        """Return the force that matters, before anything has run [N]: the strictest tolerance's."""
+        force = self.force_n()
+        found = [
+            tolerance.allowed(force)
+            for name, tolerance in tolerances(self.scene).items()
+            if tolerance.relative or UNITS[name] == "N"
+        ]
+        return min(found, default=0.0)
 
-    def size_n(self, rung: Rung) -> float | None:
-        """Return the a-priori size of a rung as a force at the tip [N]; ``None`` if it is not known."""
-        return getattr(self._size(rung), "force_n", None)
-
-    def size_text(self, rung: Rung) -> str:
-        """Return the a-priori size in words."""
-        return str(self._size(rung))
-
-    def _size(self, rung: Rung) -> Any:
-        return rung.effect.size(self.plan(self.with_(self.null, rung)).scene)
+    def ranked(self) -> list[tuple[Rung, Plan, Size]]:
+        """Return all rungs, with plan and size over what they require, by size per predicted second."""
+        found = []
+        for rung in self.rungs:
+            settings = self._needed(rung.effect)
+            found.append((rung, self.plan(self.with_(settings, rung)), self.size(rung, settings)))
+        return sorted(found, key=lambda row: -row[2].force_n / row[1].cost()["seconds"])
 
 
 def all_measures(plan: Plan) -> Plan:
