@@ -36,7 +36,7 @@ class Block:
     places
         Outputs and inputs of each part.
     parts
-        State space of each part.
+        State space of each part; parts that are built alike share it.
     """
 
     shape: tuple[int, int]
@@ -71,8 +71,11 @@ class Block:
     def reduced(self, omega: float, tolerance: float) -> tuple[Block, Bound]:
         """Return the block with every part at its lowest order, see `reduce`, and the bound of every path."""
         upper, lower, parts = np.zeros(self.shape), np.zeros(self.shape), []
+        known: dict[int, tuple[Modes, Bound]] = {}
         for (outputs, inputs), part in zip(self.places, self.parts, strict=True):
-            small, bound = reduce(part, omega, tolerance)
+            if id(part) not in known:
+                known[id(part)] = reduce(part, omega, tolerance)
+            small, bound = known[id(part)]
             parts.append(small)
             upper[np.ix_(outputs, inputs)], lower[np.ix_(outputs, inputs)] = bound.upper, bound.lower
         return replace(self, parts=tuple(parts)), Bound(upper, lower)
@@ -114,15 +117,24 @@ def fit_block(s: Complex, h: Complex, where: str, file: str) -> Block:
     peak = np.abs(h).max(axis=0)
     linked = (peak > _ROUNDING * peak.max(axis=1, keepdims=True)) & (peak > 0.0)
     places = _groups(linked)
-    parts = []
+    parts: list[Modes] = []
+    measured: list[Complex] = []
     for rows, columns in places:
+        here = np.where(linked[np.ix_(rows, columns)], h[:, list(rows)][:, :, list(columns)], 0.0)
+        same = next((k for k, other in enumerate(measured) if _equal(here, other)), None)
         try:
-            parts.append(
-                fit(s, np.where(linked[np.ix_(rows, columns)], h[:, list(rows)][:, :, list(columns)], 0.0))
-            )
+            parts.append(fit(s, here) if same is None else parts[same])
         except FitError as reason:
             raise InputError(_problem(reason, where, file)) from reason
+        measured.append(here)
     return Block((h.shape[1], h.shape[2]), places, tuple(parts))
+
+
+def _equal(first: Complex, second: Complex) -> bool:
+    """Whether two parts are the same but for rounding: joints often are built alike."""
+    if first.shape != second.shape:
+        return False
+    return bool((np.abs(first - second).max(axis=0) <= _ROUNDING * np.abs(second).max(axis=0)).all())
 
 
 def _groups(linked: NDArray[np.bool_]) -> tuple[tuple[tuple[int, ...], tuple[int, ...]], ...]:

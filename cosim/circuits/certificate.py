@@ -95,7 +95,7 @@ def _measured(circuit: LinearCircuit, paths: Paths, band_hz: float) -> float:
     inside = paths.hz <= band_hz
     n = circuit.joints
     volts = np.full(len(paths.gain), paths.v_fs)
-    mine = circuit.response(paths.s[inside], volts)[:, :, : 2 * n]
+    mine = circuit.response(paths.s[inside], volts)[:, :, : 2 * n] @ paths.driven
     scale = np.abs(paths.total[inside]).max(axis=0)
     scale = np.maximum(scale, 1e-4 * scale.max(axis=1, keepdims=True))
     return float((np.abs(mine - paths.total[inside]) / np.where(scale > 0.0, scale, 1.0)).max())
@@ -105,7 +105,7 @@ def statics(paths: Paths, control: ControlPath, limit: Array) -> dict[str, Any]:
     """State what does not depend on frequency, and what a gain step does."""
     m = len(paths.gain)
     channels = channel_names(limit.shape[0])
-    through = paths.post[:, :, :m] @ ((paths.gain * paths.v_fs)[:, None] * paths.x)
+    through = paths.post[:, :, :m] @ ((paths.gain * paths.v_fs)[:, None] * paths.x) @ paths.driven
     size = np.abs(paths.total).max()
     found: dict[str, Any] = {
         "control_nonlinearity": float(control.nonlinearity.max()),

@@ -4,47 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.circuits.linear import channel_names
-from cosim.circuits.probes import Probe, find_probes
-from cosim.circuits.spice import Drive, testbench
+from cosim.circuits.multipliers import LOW_HZ
+from cosim.circuits.session import Bench
 from cosim.ngspice.deck import Deck
-from cosim.ngspice.simulator import Simulator
 
-__all__ = ["Multiplier", "Paths", "Session"]
+__all__ = ["LOW_HZ", "Paths", "Session"]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: A response below this is none [V/V]: parasitic paths of macro-models are far below, working paths above.
-_NONE = 1e-6
-#: Where wiring is found out and DC gains are read [Hz]: below every pole that matters, above rounding.
-LOW_HZ = (1e-5, 1e-4)
-
-
-@dataclass(frozen=True)
-class Multiplier:
-    """The probes of one multiplier.
-
-    Attributes
-    ----------
-    channel
-        Its gain pin.
-    x, z
-        Names of the sources in series with X and (if there is one) Z.
-    x_node, z_node
-        Nodes behind them, as the multiplier sees them.
-    """
-
-    channel: str
-    x: str
-    x_node: str
-    z: str | None
-    z_node: str | None
+#: Crosstalk between joints above this share of the largest path to one place: nothing is driven together.
+_CROSSTALK = 1e-10
 
 
 @dataclass(frozen=True)
@@ -61,7 +35,9 @@ class Paths:
     post
         [F, n, m + 2 n]: multiplier's product, cmd, vel -> imot.
     total
-        [F, n, 2 n]: pot, u -> imot with every gain pin at `v_fs`, measured as a whole.
+        [F, n, T]: imot with every gain pin at `v_fs` and `driven`, measured as a whole.
+    driven
+        [2 n, T]: amplitudes of pot, u [V].
     lumped
         Whether the multipliers have no probes.
     v_fs
@@ -73,6 +49,7 @@ class Paths:
     gain: Array
     post: Complex
     total: Complex
+    driven: Array
     lumped: bool
     v_fs: float
 
@@ -83,164 +60,129 @@ class Paths:
         return out
 
 
-class Session:
-    """A board in ngspice with a plain source at every pin.
-
-    Parameters
-    ----------
-    board
-        The flat deck.
-    extra
-        Further lines of the deck: sources at nodes inside the board.
+class Session(Bench):
+    """A board whose paths are measured.
 
     Attributes
     ----------
-    v_fs
-        Full scale of the gain pins [V].
-    multipliers
-        In the order of `channel_names`; empty where a gain pin has no multiplier with probes.
+    together
+        Whether inputs of different joints are driven together: joint j's reach only the multipliers of joint
+        j, and motor i's multipliers only motor i, as far as it was looked at.
     """
 
     def __init__(self, board: Deck, extra: Sequence[str] = ()) -> None:
-        self.board, self.joints = board, board.joints
-        joints = range(1, self.joints + 1)
-        self.channels = channel_names(self.joints)
-        self.signals = [f"{kind}{j}" for kind in ("pot", "u") for j in joints]
-        self.commands = [f"{kind}{j}" for kind in ("cmd", "vel") for j in joints]
-        drive = Drive(
-            self.joints, True, (*(f"u{j}" for j in joints), *self.channels, *(f"cmd{j}" for j in joints))
-        )
-        pins = drive.sources()
-        self._source = {pin: f"v{k:02d}" for k, pin in enumerate(pins)}
-        self._outputs = [f"imot{i}" for i in joints]
-        self._probes = find_probes(board)
-        nodes = dict.fromkeys(node for probe in self._probes for node in probe.nodes if node != "0")
-        text = "\n".join(
-            [
-                "cosim extraction",
-                *board.text.splitlines()[1:],
-                *testbench(board, drive, dict.fromkeys(pins, "dc 0 ac 0")),
-                *extra,
-                ".save " + " ".join(f"v({node})" for node in (*self._outputs, *nodes)),
-                ".end",
-            ]
-        )
-        self.simulator = Simulator()
-        self.simulator.load(text + "\n", lines=board.lines, name=str(board.path))
-        self.v_fs = self.simulator.constant("v_fs")
-        self.multipliers = self._find_multipliers()
+        super().__init__(board, extra)
+        self.together = self.joints > 1 and bool(self.multipliers)
 
-    def hold(self, pins: dict[str, float]) -> None:
-        """Set the DC voltage of some pins or probes [V]."""
-        for pin, volts in pins.items():
-            self.simulator.command(f"alter {self._source.get(pin, pin)} dc = {volts!r}")
+    def groups(self) -> list[list[int]]:
+        """Return the channels in sets that are driven together: one a motor, or each alone."""
+        m, n = len(self.channels), self.joints
+        if not self.together:
+            return [[c] for c in range(m)]
+        return [[kind + i * n + j for i in range(n)] for kind in (0, n * n) for j in range(n)]
 
-    def operating_point(self, nodes: list[str]) -> Array:
-        """Return DC voltages [V]."""
-        self.simulator.command("op")
-        found = np.array([float(self.simulator.vector(node)[0]) for node in nodes])
-        self.simulator.command("destroy")
-        return found
+    def measure(self, sweep: str, sure: bool = False) -> Paths:
+        """Measure all paths over a sweep such as ``dec 20 0.1 100meg``.
 
-    def sweep(self, pin: str, reach: float, steps: int, node: str) -> Array:
-        """Return the DC voltage of `node` [steps + 1] while `pin` goes from -`reach` to `reach` [V]."""
-        step = 2.0 * reach / steps
-        self.simulator.command(f"dc {self._source[pin]} {-reach!r} {reach!r} {step!r}")
-        found = np.asarray(self.simulator.vector(node), float)
-        self.simulator.command("destroy")
-        return found
+        Parameters
+        ----------
+        sure
+            That joints do not reach each other is known and not looked at again.
+        """
+        if not self.multipliers:
+            return self._lumped(sweep)
+        paths = self._apart(sweep)
+        if self.together and not sure and self._crosstalk(paths, sweep):
+            self.together = False
+            paths = self._apart(sweep)
+        return paths
 
-    def respond(self, source: str, sweep: str, nodes: list[str]) -> Complex:
-        """Drive a pin or a probe with 1 V and return the response of `nodes`; shape [F, len(nodes)]."""
-        name = self._source.get(source, source)
-        run = self.simulator.command
-        run(f"alter @{name}[acmag] = 1")
-        try:
-            run(f"ac {sweep}")
-            size = len(self.simulator.vector("frequency"))
-            found: Complex = np.zeros((size, len(nodes)), np.complex128)
-            for k, node in enumerate(nodes):
-                if node != "0":
-                    found[:, k] = self.simulator.vector(node)
-            self.hz = np.real(self.simulator.vector("frequency")).astype(float)
-        finally:
-            run(f"alter @{name}[acmag] = 0")
-        run("destroy")
-        return found
-
-    def keep_everything(self) -> None:
-        """Let analyses keep every vector: `.noise` keeps none of its own otherwise."""
-        self.simulator.command("delete all")
-
-    def noise(self, node: str, sweep: str) -> dict[str, Array]:
-        """Return what each element adds to the noise of `node` by `.noise` [F] V/sqrt(Hz), by its name."""
-        run = self.simulator.command
-        run("destroy all")
-        run(f"noise v({node}) {self._source[self.signals[0]]} {sweep} 1")
-        run("setplot noise1")
-        prefix = "onoise_"
-        found = {name.removeprefix(prefix) for name in self.simulator.vector_names() if prefix in name}
-        # an element's parts (r1_thermal, q1_ic) are listed beside their sum (r1)
-        whole = [n for n in found if not any(n[:k] in found for k, c in enumerate(n) if c == "_")]
-        out = {
-            name: np.asarray(self.simulator.vector(prefix + name), float)
-            for name in sorted(whole)
-            if name != "spectrum"
-        }
-        run("destroy all")
-        return out
-
-    def thermal(self, resistor: str) -> tuple[float, float]:
-        """Return a resistor's resistance [Ohm] and temperature [K]."""
-        ohms, celsius = (
-            float(self.simulator.command(f"print @{resistor}[{what}]")[0].rpartition("=")[2])
-            for what in ("resistance", "temp")
-        )
-        return ohms, celsius + 273.15
-
-    def before(self, part: Multiplier) -> str:
-        """Return the node before the X probe of a multiplier."""
-        first, second = self._ends(part)
-        return second if first == part.x_node else first
-
-    def sign(self, part: Multiplier) -> float:
-        """Return the sign with which the voltage of the X probe adds to X."""
-        return 1.0 if self._ends(part)[0] == part.x_node else -1.0
-
-    def _ends(self, part: Multiplier) -> tuple[str, str]:
-        return next(probe.nodes for probe in self._probes if probe.source == part.x)
-
-    def measure(self, sweep: str) -> Paths:
-        """Measure all paths over a sweep such as ``dec 20 0.1 100meg``."""
-        return self._apart(sweep) if self.multipliers else self._lumped(sweep)
+    def _sets(self, pins: list[str]) -> list[list[int]]:
+        """Return the places in `pins`, n of each of two kinds, that are driven together."""
+        n = self.joints
+        return [[*range(n)], [*range(n, 2 * n)]] if self.together else [[k] for k in range(len(pins))]
 
     def _apart(self, sweep: str) -> Paths:
         n, m = self.joints, len(self.channels)
-        inside = [multiplier.x_node for multiplier in self.multipliers]
-        nodes = inside + self._outputs
+        channel = np.arange(m)
+        joint, motor = channel % n, channel // n % n
+        nodes = [part.x_node for part in self.multipliers] + self._outputs
         self.hold(dict.fromkeys(self.channels, self.v_fs))
-        sides = np.stack([self.respond(pin, sweep, nodes) for pin in self.signals], axis=2)
-        probed = np.stack([self.respond(part.x, sweep, nodes) for part in self.multipliers], axis=2)
-        # a driven probe also moves what stands before it a little: solve for each multiplier's own share
-        share = np.linalg.solve(probed[:, :m].transpose(0, 2, 1), probed[:, m:].transpose(0, 2, 1)).transpose(
-            0, 2, 1
-        )
-        hz = self.hz
-        gain = np.array([self._gain(part, share[0, :, c], hz[0]) for c, part in enumerate(self.multipliers)])
-        direct = [self.respond(pin, sweep, self._outputs) for pin in self.commands]
-        post = np.concatenate([share / (gain * self.v_fs), np.stack(direct, axis=2)], axis=2)
-        self.hold(dict.fromkeys(self.channels, 0.0))
-        return Paths(hz, sides[:, :m], gain, post, sides[:, m : m + n], False, self.v_fs)
-
-    def _gain(self, part: Multiplier, share: NDArray[Any], hz: float) -> float:
-        """Return w per X and volt at the gain pin; `share` is X -> imot at full scale and `hz`."""
-        if part.z is None or part.z_node is None:
-            return 1.0 / self.v_fs
-        response = self.respond(part.z, f"lin 1 {float(hz)!r} {float(hz)!r}", [*self._outputs, part.z_node])[
-            0
+        sets, groups = self._sets(self.signals), self.groups()
+        sides = [
+            self.respond(dict.fromkeys([self.signals[k] for k in one], 1.0), sweep, nodes) for one in sets
         ]
-        strongest = int(np.argmax(np.abs(response[:-1])))
-        return float(np.real(share[strongest] * response[-1] / (response[strongest] * self.v_fs)))
+        hz, size = self.hz, len(self.hz)
+        x = np.zeros((size, m, 2 * n), complex)
+        driven = np.zeros((2 * n, len(sets)))
+        for run, one in enumerate(sets):
+            driven[one, run] = 1.0
+            if self.together:
+                x[:, channel, joint + one[0]] = sides[run][:, :m]
+            else:
+                x[:, :, one[0]] = sides[run][:, :m]
+        # a driven probe also moves what stands before it a little: solve for each multiplier's own share
+        probed = np.stack(
+            [
+                self.respond(dict.fromkeys([self.multipliers[c].x for c in one], 1.0), sweep, nodes)
+                for one in groups
+            ],
+            axis=1,
+        )
+        share = np.zeros((size, n, m), complex)
+        for i in range(n):
+            own = np.flatnonzero(motor == i) if self.together else channel
+            share[:, i, own] = np.linalg.solve(probed[:, :, own], probed[:, :, m + i, None])[:, :, 0]
+        gain = self._gains(share[0], hz[0], groups)
+        post = np.zeros((size, n, m + 2 * n), complex)
+        post[:, :, :m] = share / (gain * self.v_fs)
+        for one in self._sets(self.commands):
+            found = self.respond(dict.fromkeys([self.commands[k] for k in one], 1.0), sweep, self._outputs)
+            if self.together:
+                post[:, range(n), [m + k for k in one]] = found
+            else:
+                post[:, :, m + one[0]] = found
+        self.hold(dict.fromkeys(self.channels, 0.0))
+        total = np.stack([side[:, m:] for side in sides], axis=2)
+        return Paths(hz, x, gain, post, total, driven, False, self.v_fs)
+
+    def _gains(self, share: Complex, hz: float, groups: list[list[int]]) -> Array:
+        """Return w per X and volt at the gain pin [m]; `share` [n, m] is X -> imot at full scale and `hz`."""
+        out = np.full(len(self.channels), 1.0 / self.v_fs)
+        once = f"lin 1 {float(hz)!r} {float(hz)!r}"
+        for group in groups:
+            ends = {c: (part.z, part.z_node) for c in group if (part := self.multipliers[c]).z is not None}
+            nodes = [node for _, node in ends.values() if node is not None]
+            if not nodes:
+                continue
+            drive = {source: 1.0 for source, _ in ends.values() if source is not None}
+            found = self.respond(drive, once, [*self._outputs, *nodes])[0]
+            for c, at_z in zip(ends, found[self.joints :], strict=True):
+                strongest = int(np.argmax(np.abs(share[:, c])))
+                out[c] = np.real(share[strongest, c] * at_z / (found[strongest] * self.v_fs))
+        return out
+
+    def _crosstalk(self, paths: Paths, sweep: str) -> bool:
+        """Whether joints reach each other: everything driven at once, by different voltages, must add up."""
+        n, m = self.joints, len(self.channels)
+        kind, points, *ends = sweep.split()
+        coarse, every = (" ".join([kind, "1", *ends]), int(points)) if kind == "dec" else (sweep, 1)
+        volts = 1.0 + np.modf(0.6180339887 * np.arange(1, m + 2 * n + 1))[0]
+        inside = [part.x_node for part in self.multipliers]
+        found = self.respond(dict(zip(self.signals, volts.tolist(), strict=False)), coarse, inside)
+        told = paths.x[::every][: len(found)] @ volts[: 2 * n]
+        if (np.abs(found - told).max(axis=0) > _CROSSTALK * np.abs(paths.x).max(axis=(0, 2))).any():
+            return True
+        self.hold(dict.fromkeys(self.channels, self.v_fs))
+        names = [*(part.x for part in self.multipliers), *self.commands]
+        found = self.respond(dict(zip(names, volts.tolist(), strict=True)), coarse, inside + self._outputs)
+        self.hold(dict.fromkeys(self.channels, 0.0))
+        post = paths.post[::every][: len(found)]
+        direct = np.broadcast_to(volts[m:], (len(found), 2 * n))
+        told = (post @ np.concatenate([found[:, :m] * (paths.gain * self.v_fs), direct], axis=1)[:, :, None])[
+            :, :, 0
+        ]
+        return bool((np.abs(found[:, m:] - told).max(axis=0) > _CROSSTALK * np.abs(told).max(axis=0)).any())
 
     def _lumped(self, sweep: str) -> Paths:
         n, m = self.joints, len(self.channels)
@@ -260,42 +202,5 @@ class Session:
         self.hold(dict.fromkeys(self.channels, self.v_fs))
         total = np.stack([self.respond(pin, sweep, self._outputs) for pin in self.signals], axis=2)
         self.hold(dict.fromkeys(self.channels, 0.0))
-        return Paths(self.hz, x, np.full(m, 1.0 / self.v_fs), post, total, True, self.v_fs)
-
-    def _find_multipliers(self) -> list[Multiplier]:
-        """Find which probes belong to which gain pin, by what moves when a pin is driven."""
-        groups: dict[str, list[Probe]] = {}
-        for probe in self._probes:
-            groups.setdefault(probe.group, []).append(probe)
-        groups = {path: probes for path, probes in groups.items() if len(probes) > 1}
-        if not groups:
-            return []
-        once = f"lin 1 {LOW_HZ[1]} {LOW_HZ[1]}"
-        nodes = list(dict.fromkeys(probe.nodes[1] for probes in groups.values() for probe in probes))
-        moved = {
-            pin: dict(zip(nodes, np.abs(self.respond(pin, once, nodes)[0]), strict=True))
-            for pin in (*self.channels, *self.signals)
-        }
-        found: dict[str, Multiplier] = {}
-        for probes in groups.values():
-            control = [(p, pin) for p in probes for pin in self.channels if moved[pin][p.nodes[1]] > _NONE]
-            if len(control) != 1 or control[0][1] in found:
-                continue
-            rest = [probe for probe in probes if probe is not control[0][0]]
-            driven = [p for p in rest if any(moved[pin][p.nodes[1]] > 0.0 for pin in self.signals)]
-            if len(driven) != 1 or len(rest) > 2:
-                continue
-            still = next((probe for probe in rest if probe is not driven[0]), None)
-            found[control[0][1]] = Multiplier(
-                control[0][1],
-                driven[0].source,
-                self._behind(driven[0]),
-                still.source if still else None,
-                self._behind(still) if still else None,
-            )
-        return [found[pin] for pin in self.channels] if len(found) == len(self.channels) else []
-
-    def _behind(self, probe: Probe) -> str:
-        """Return the end of a probe that follows when it is driven; what stands before holds the other."""
-        moved = np.abs(self.respond(probe.source, f"lin 1 {LOW_HZ[1]} {LOW_HZ[1]}", list(probe.nodes))[0])
-        return probe.nodes[int(np.argmax(moved))]
+        gain = np.full(m, 1.0 / self.v_fs)
+        return Paths(self.hz, x, gain, post, total, np.eye(2 * n), True, self.v_fs)

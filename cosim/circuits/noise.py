@@ -167,7 +167,6 @@ def extract_noise(board: Deck, report: Report | None = None) -> ComponentNoise:
     makers = elements(deck)
     injections = [f"inoise{k} {e.nodes[0]} {e.nodes[1]} dc 0 ac 0" for k, e in enumerate(makers)]
     session = Session(deck, injections)
-    session.keep_everything()
     sweep = f"dec {_POINTS} {BAND_HZ[0]} {BAND_HZ[1]}"
     n, m = session.joints, len(session.channels)
     paths = session.measure(sweep)

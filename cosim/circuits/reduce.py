@@ -9,6 +9,7 @@ exactly. The lowest order whose error is bounded below the tolerance wins.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -32,6 +33,8 @@ _TIGHT = 0.02
 #: What a bound may be too large by besides, as a share of the worst path's error.
 _LOOSE = 1e-3
 _ROUNDS = 40
+#: Stands for a bound that there is none of.
+_HUGE = 1e250
 #: Paths weaker than this share of the strongest to the same output are parasitic: their error counts
 #: relative to that share.
 _PARASITIC = 1e-4
@@ -194,58 +197,91 @@ def error_bound(full: Modes, small: Modes, omega: float, scale: Array, slope: Ar
     slope
         [outputs, inputs], a term `s * slope` of the small model.
     """
-    parts = [*_parts(full, 1.0), *_parts(small, -1.0)]
-    a = scipy.linalg.block_diag(np.zeros((0, 0)), *[part[0] for part in parts])
-    b = np.concatenate([np.zeros((0, full.b.shape[1])), *[part[1] for part in parts]])
-    c = np.concatenate([np.zeros((len(full.c), 0)), *[part[2] for part in parts]], axis=1)
-    d = full.d - small.d
+    groups = _difference(full, small)
+    d = (full.d - small.d).ravel()
+    linear = np.zeros(d.shape) if slope is None else slope.ravel()
+    unit = scale.ravel()
     edges = np.concatenate([[0.0], np.geomspace(1e-6 * omega, omega, 60)])
     low, high = edges[:-1], edges[1:]
     upper, best = np.zeros(d.shape), np.zeros(d.shape)
     for _ in range(_ROUNDS):
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
-        bound = np.zeros((len(low), *d.shape))
-        state = np.broadcast_to(b.astype(complex), (len(low), *b.shape))
-        left = 1j * middle[:, None, None] * np.eye(len(a)) - a
+        terms = np.zeros((_TERMS, len(low), len(d)), complex)
+        terms[0] = d - 1j * middle[:, None] * linear
+        terms[1] -= linear
+        bound = np.zeros((len(low), len(d)))
+        for a, weight, gain in groups:
+            resolvent = _inverse(1j * middle[:, None, None, None] * np.eye(a.shape[1]) - a)
+            power = resolvent
+            for k in range(_TERMS):
+                terms[k] += (-1) ** k * (power.reshape(len(low), -1) @ weight)
+                if k < _TERMS - 1:
+                    power = power * resolvent if a.shape[1] == 1 else power @ resolvent
+            bound += _rest(np.linalg.norm(resolvent, axis=(2, 3)), half) @ gain
+        best = np.maximum(best, (np.abs(terms[0]) / unit).max(axis=0))
         for k in range(_TERMS):
-            state = np.linalg.solve(left, state)
-            term = (-1) ** k * (c @ state)
-            if k == 0:
-                term = term + d
-                if slope is not None:
-                    term = term - 1j * middle[:, None, None] * slope
-                best = np.maximum(best, (np.abs(term) / scale).max(axis=0))
-            elif k == 1 and slope is not None:
-                term = term - slope
-            bound += np.abs(term) * half[:, None, None] ** k
-        bound += _rest(parts, middle, half)
-        bound /= scale
+            bound += np.abs(terms[k]) * half[:, None] ** k
+        bound /= unit
         good = bound <= (1.0 + _TIGHT) * best + _LOOSE * best.max() + _ROUNDING
-        done = good.all(axis=(1, 2))
+        done = good.all(axis=1)
         upper = np.maximum(upper, bound[done].max(axis=0, initial=0.0))
         if done.all():
-            return Bound(upper, best)
+            break
         low, middle, high = low[~done], middle[~done], high[~done]
         low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
-    return Bound(np.maximum(upper, bound.max(axis=0)), best)
+    else:
+        upper = np.maximum(upper, bound.max(axis=0))
+    return Bound(upper.reshape(scale.shape), best.reshape(scale.shape))
 
 
-def _parts(modes: Modes, sign: float) -> list[tuple[Array, Array, Array]]:
-    """Return A, B, C of each block."""
-    ends = np.cumsum((0, *modes.blocks))
-    return [(modes.a[i:j, i:j], modes.b[i:j], sign * modes.c[:, i:j]) for i, j in pairwise(ends)]
+def _difference(full: Modes, small: Modes) -> list[tuple[Array, Array, Array]]:
+    """Return the blocks of `full` minus `small` by size, those left out that both have.
+
+    Of each size: A [blocks, k, k], the factors [blocks k k, paths] of the resolvents' entries, and the
+    largest that a resolvent of norm 1 can make [blocks, paths].
+    """
+    shared = Counter(key for key, *_ in _keyed(full)) & Counter(key for key, *_ in _keyed(small))
+    blocks = []
+    for modes, sign in ((full, 1.0), (small, -1.0)):
+        left = shared.copy()
+        for key, a, b, c in _keyed(modes):
+            if left[key]:
+                left[key] -= 1
+            else:
+                blocks.append((a, b, sign * c))
+    out = []
+    for size in sorted({len(a) for a, _, _ in blocks}):
+        chosen = [block for block in blocks if len(block[0]) == size]
+        weight = np.concatenate(
+            [np.einsum("oj,li->jloi", c, b).reshape(size * size, -1) for _, b, c in chosen]
+        )
+        gain = np.stack(
+            [(np.linalg.norm(c, axis=1)[:, None] * np.linalg.norm(b, axis=0)).ravel() for _, b, c in chosen]
+        )
+        out.append((np.stack([a for a, _, _ in chosen]), weight, gain))
+    return out
 
 
-def _rest(parts: list[tuple[Array, Array, Array]], middle: Array, half: Array) -> Array:
-    """Bound what the Taylor series leaves out; infinite where an interval is too long for a block."""
-    total: Array = np.zeros((len(middle), 1, 1))
-    for a, b, c in parts:
-        shifted = 1j * middle[:, None, None] * np.eye(len(a)) - a
-        norm = 1.0 / np.linalg.svd(shifted, compute_uv=False)[:, -1]
-        reach = half * norm
-        with np.errstate(divide="ignore"):
-            factor = np.where(reach < 0.9, norm * reach**_TERMS / np.maximum(1.0 - reach, 0.1), np.inf)
-        gain = np.linalg.norm(c, axis=1)[:, None] * np.linalg.norm(b, axis=0)
-        share = factor[:, None, None] * np.where(gain > 0.0, gain, 1e-300)
-        total = total + share
-    return total
+def _keyed(modes: Modes) -> list[tuple[bytes, Array, Array, Array]]:
+    """Return A, B, C of each block behind what tells it from others."""
+    parts = [
+        (modes.a[i:j, i:j], modes.b[i:j], modes.c[:, i:j]) for i, j in pairwise(np.cumsum((0, *modes.blocks)))
+    ]
+    return [(b"".join(matrix.tobytes() for matrix in part), *part) for part in parts]
+
+
+def _inverse(matrices: Complex) -> Complex:
+    out: Complex = 1.0 / matrices if matrices.shape[-1] == 1 else np.linalg.inv(matrices).astype(complex)
+    return out
+
+
+def _rest(norm: Array, half: Array) -> Array:
+    """Bound what the Taylor series of a resolvent of this norm leaves out; huge where it is too long.
+
+    `norm` [intervals, blocks] is Frobenius', never below the one that counts.
+    """
+    reach = half[:, None] * norm
+    tail: Array = np.where(
+        reach < 0.9, norm * np.minimum(reach, 1.0) ** _TERMS / np.maximum(1.0 - reach, 0.1), _HUGE
+    )
+    return tail

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.circuits.measure import LOW_HZ, Multiplier, Session
+from cosim.circuits.measure import LOW_HZ, Session
 
 __all__ = ["ControlPath", "control_path", "current_limits", "offsets"]
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 #: Command voltages go this many times the converters' range: far enough for any driver that clamps.
 _BEYOND = 5.0
@@ -72,7 +73,7 @@ def control_path(session: Session, band_hz: float) -> ControlPath:
     gains = []
     for share in SHARES:
         session.hold(dict.fromkeys(session.channels, share * session.v_fs))
-        gains.append([_strongest(session, part, once) for part in session.multipliers])
+        gains.append(np.real(_through(session, once)[0]))
     session.hold(dict.fromkeys(session.channels, 0.0))
     table = np.array(gains)
     nonlinearity = np.abs(table / table[-1] - np.array(SHARES)[:, None]).max(axis=0)
@@ -80,11 +81,28 @@ def control_path(session: Session, band_hz: float) -> ControlPath:
     return ControlPath(nonlinearity, delay, error)
 
 
-def _strongest(session: Session, part: Multiplier, sweep: str) -> float:
-    """Return the current of the channel's own motor per volt at X."""
-    outputs = [f"imot{int(part.channel[3])}", part.x_node]
-    response = session.respond(part.x, sweep, outputs)[0]
-    return float(np.real(response[0] / response[1]))
+def _through(session: Session, sweep: str) -> Complex:
+    """Return the current of each channel's own motor per volt at X [F, m].
+
+    What crosses between joints is the same share of it at every gain, and so counts for nothing.
+    """
+    columns: dict[int, Complex] = {}
+    for group in session.groups():
+        columns |= _group(session, group, sweep, by_control=False)
+    return np.stack([columns[c] for c in range(len(session.channels))], axis=1)
+
+
+def _group(session: Session, group: list[int], sweep: str, *, by_control: bool) -> dict[int, Complex]:
+    """Drive X probes, or gain pins, of channels of different motors: current per volt of each channel [F]."""
+    n = session.joints
+    parts = [session.multipliers[c] for c in group]
+    outputs = [f"imot{c // n % n + 1}" for c in group]
+    if by_control:
+        found = session.respond(dict.fromkeys([part.channel for part in parts], 1.0), sweep, outputs)
+        return {c: found[:, k] for k, c in enumerate(group)}
+    inside = [part.x_node for part in parts]
+    found = session.respond(dict.fromkeys([part.x for part in parts], 1.0), sweep, [*outputs, *inside])
+    return {c: found[:, k] / found[:, len(group) + k] for k, c in enumerate(group)}
 
 
 def _lumped_nonlinearity(session: Session) -> Array:
@@ -108,18 +126,19 @@ def _lumped_nonlinearity(session: Session) -> Array:
 def _dynamics(session: Session, band_hz: float) -> tuple[Array, float]:
     """Return how much later than X the control voltage acts [m] s, and the largest difference in the band."""
     sweep = f"dec 4 {band_hz / 100.0!r} {band_hz!r}"
-    delays, worst = [], 0.0
+    delays, worst = np.zeros(len(session.channels)), 0.0
     session.hold({part.x: 1.0 for part in session.multipliers})
-    for part in session.multipliers:
-        output = f"imot{int(part.channel[3])}"
-        by_control = session.respond(part.channel, sweep, [output])[:, 0]
-        session.hold({part.channel: session.v_fs})
-        by_x = session.respond(part.x, sweep, [output, part.x_node])
-        session.hold({part.channel: 0.0})
-        ratio = by_control / (by_x[:, 0] / by_x[:, 1])
-        ratio = ratio / ratio[0].real
+    for group in session.groups():
+        by_control = _group(session, group, sweep, by_control=True)
+        pins = [session.channels[c] for c in group]
+        session.hold(dict.fromkeys(pins, session.v_fs))
+        by_x = _group(session, group, sweep, by_control=False)
+        session.hold(dict.fromkeys(pins, 0.0))
         omega = 2.0 * np.pi * session.hz
-        delays.append(-float(ratio[0].imag) / omega[0])
-        worst = max(worst, float(np.abs(ratio - 1.0).max()))
+        for c in group:
+            ratio = by_control[c] / by_x[c]
+            ratio = ratio / ratio[0].real
+            delays[c] = -float(ratio[0].imag) / omega[0]
+            worst = max(worst, float(np.abs(ratio - 1.0).max()))
     session.hold({part.x: 0.0 for part in session.multipliers})
-    return np.array(delays), worst
+    return delays, worst
