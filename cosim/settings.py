@@ -112,3 +112,22 @@ def variants(settings: Sequence[Setting]) -> list[Variant]:
             )
         )
     return found
+
+
+def overrides(texts: Iterable[str]) -> tuple[str, ...]:
+    """Return ``--set`` texts of one value each as overrides for `cosim.scene.load_scene`.
+
+    Raises
+    ------
+    InputError
+        As `parse_settings`, and where a name has several values.
+    """
+    settings = parse_settings(texts)
+    problems = [
+        Problem("takes one value here", key="--set", value=f"{setting.name}={','.join(setting.values)}")
+        for setting in settings
+        if len(setting.values) > 1
+    ]
+    if problems:
+        raise InputError(problems)
+    return tuple(setting.override(setting.values[0]) for setting in settings)

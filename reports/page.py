@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from reports.style import Drawn
 
-__all__ = ["FIGURES", "Picture", "draw_all", "write_report"]
+__all__ = ["FIGURES", "Picture", "draw_all", "picture", "render", "write_page", "write_report"]
 
 PAGE_NAME = "report.html"
 FOLDER_NAME = "figures"
@@ -91,8 +91,9 @@ def write_report(run: RunLike, out_dir: str | Path, trials: Sequence[Trial] = ()
 
         with look():
             drawn = overlay(trials)
-            compared = [_picture("compare", "What changed", drawn)] if drawn is not None else []
-    html = _render(
+            compared = [picture("compare", "What changed", drawn)] if drawn is not None else []
+    html = render(
+        "run.html.j2",
         title=str(view.scene_at("title", default="Co-simulation")),
         pictures=pictures,
         absent=absent,
@@ -104,7 +105,7 @@ def write_report(run: RunLike, out_dir: str | Path, trials: Sequence[Trial] = ()
         scene=_scene_text(run),
         command=command_line(run.provenance.get("command")),
     )
-    return _write(Path(out_dir), html, [*compared, *pictures])
+    return write_page(Path(out_dir), html, [*compared, *pictures])
 
 
 def draw_all(view: View) -> tuple[list[Picture], list[str]]:
@@ -121,11 +122,12 @@ def draw_all(view: View) -> tuple[list[Picture], list[str]]:
             if drawn is None:
                 absent.append(title)
             else:
-                pictures.append(_picture(name, title, drawn))
+                pictures.append(picture(name, title, drawn))
     return pictures, absent
 
 
-def _picture(name: str, title: str, drawn: "Drawn") -> Picture:
+def picture(name: str, title: str, drawn: "Drawn") -> Picture:
+    """Turn a drawn figure into files."""
     svg, png = io.BytesIO(), io.BytesIO()
     drawn.figure.savefig(svg, format="svg", metadata={"Date": None})
     drawn.figure.savefig(png, format="png", dpi=150)
@@ -161,7 +163,8 @@ def _scene_text(run: RunLike) -> str:
     return str(writer()) if writer is not None else ""
 
 
-def _render(**fields: Any) -> str:
+def render(template: str, **fields: Any) -> str:
+    """Fill one of the templates beside this module."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -169,7 +172,7 @@ def _render(**fields: Any) -> str:
         lstrip_blocks=True,
     )  # fmt: skip
     environment.filters["glue"] = glue
-    return environment.get_template("template.html.j2").render(**fields)
+    return environment.get_template(template).render(**fields)
 
 
 def glue(text: str) -> str:
@@ -177,8 +180,14 @@ def glue(text: str) -> str:
     return re.sub(r"(?<=\d) (?=[%A-Za-zµ]{1,3}\b|%)", "\u00a0", text)
 
 
-def _write(folder: Path, html: str, pictures: list[Picture]) -> Path:
-    """Write figures to a temporary folder first, swap it in, and put the page last."""
+def write_page(folder: Path, html: str, pictures: Sequence[Picture]) -> Path:
+    """Write the page and its pictures; figures to a temporary folder first, swapped in, and the page last.
+
+    Raises
+    ------
+    InputError
+        The folder cannot be written; nothing half-written is left.
+    """
     page, figures = folder / PAGE_NAME, folder / FOLDER_NAME
     fresh: Path | None = None
     try:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.commands.command import Command
+from cosim.commands.progress import progress
 
 if TYPE_CHECKING:
     from cosim.studies.ledger import EffectsLedger
@@ -37,7 +38,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         if any(len(setting.values) > 1 for setting in settings):
             fail("a ledger is of one scene: give each name one value", key="--set", value=args.set)
         overrides = tuple(setting.override(setting.values[0]) for setting in settings)
-        with _progress() as show:
+        with progress("effects") as show:
             ledger = effects_ledger(args.scene, overrides, child=child, on_progress=show)
     if args.measure not in ledger.full:
         near = nearest(args.measure, ledger.full)
@@ -53,29 +54,6 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
         text += f"\nwrote {write_effects(ledger, args.measure, Path(args.out))}"
     return as_dict(ledger), text
-
-
-def _progress() -> Any:
-    import sys
-    from contextlib import nullcontext
-
-    if not sys.stderr.isatty():
-        return nullcontext(None)
-    from rich.console import Console
-    from rich.progress import Progress
-
-    bar = Progress(console=Console(stderr=True), transient=True)
-    task = bar.add_task("effects", total=None)
-
-    class Shown:
-        def __enter__(self) -> Any:
-            bar.start()
-            return lambda done, total, name: bar.update(task, completed=done, total=total, description=name)
-
-        def __exit__(self, *_: object) -> None:
-            bar.stop()
-
-    return Shown()
 
 
 def as_dict(ledger: "EffectsLedger") -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""``cosim report``: one self-contained page about a result, or about a scene that it runs first."""
+"""``cosim report``: one self-contained page about results, or about studies that it runs first."""
 
 import argparse
 from pathlib import Path
@@ -9,24 +9,90 @@ from cosim.commands.command import Command
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "results", nargs="+", help="result folder(s) of `cosim run`; the first is the reference"
+        "results",
+        nargs="+",
+        help="result folder(s), the first is the reference; or study file(s), or a folder of them",
     )
     parser.add_argument(
         "-o", "--out", metavar="FOLDER", help="folder for the page (default: report/ in the first result)"
     )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="of studies: change a key of their scenes or a name of their netlists; repeatable",
+    )
 
 
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    studies = study_files([Path(given) for given in args.results])
+    return _report_studies(args, studies) if studies else _report_runs(args)
+
+
+def _report_runs(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    from cosim.errors import fail
     from cosim.results import Run
     from reports.page import write_report
     from reports.tables import Trial
 
+    if args.set:
+        fail("a result is what it is: only the scenes of studies can be changed", key="--set", value=args.set)
     folders = [folder for given in args.results for folder in result_folders(Path(given))]
     runs = [Run.load(folder) for folder in folders]
     trials = [Trial(folder.name, run.measures, run) for folder, run in zip(folders, runs, strict=True)]
     out = Path(args.out) if args.out else Path(args.results[0]) / "report"
     page = write_report(runs[0], out, trials if len(trials) > 1 else ())
     return {"page": str(page), "runs": [str(folder) for folder in folders]}, f"wrote {page}"
+
+
+def study_files(given: list[Path]) -> list[Path]:
+    """Return the study files among `given` and in its folders, in the order of their names.
+
+    Raises
+    ------
+    InputError
+        When studies and results are mixed.
+    """
+    from cosim.errors import fail
+    from cosim.studies.study import is_study
+
+    found: list[Path] = []
+    for path in given:
+        inside = [path] if is_study(path) else sorted(filter(is_study, path.glob("*.toml")))
+        if found and not inside:
+            fail("holds no study file: studies and results need pages of their own", file=str(path))
+        found += inside
+    return found
+
+
+def _report_studies(args: argparse.Namespace, files: list[Path]) -> tuple[dict[str, Any], str]:
+    from cosim.commands.progress import progress
+    from cosim.settings import overrides
+    from cosim.studies.study import load_study, run_study
+    from reports.study_page import write_study_page
+
+    changes = overrides(args.set)
+    specs = [load_study(file, changes) for file in files]  # all are checked before the first runs
+    out = (
+        Path(args.out)
+        if args.out
+        else Path("out") / (files[0].parent.name if len(files) > 1 else files[0].stem)
+    )
+    results = []
+    for number, spec in enumerate(specs, start=1):
+        with progress(f"{number}/{len(specs)} {spec.title}") as show:
+            results.append(
+                (spec.file.stem, run_study(spec, out / "studies" / spec.file.stem, on_progress=show))
+            )
+    title = specs[0].title if len(specs) == 1 else f"Studies of {files[0].parent.name}"
+    page = write_study_page(results, out, title, " ".join(["cosim report", *args.results]))
+    verdicts = [verdict for _, result in results for verdict in result.verdicts]
+    marks = {True: "ok  ", False: "NOT ", None: "    "}
+    lines = [f"{marks[v.holds]} {v.id:5} {v.claim}: {v.found}" for v in verdicts]
+    return {"page": str(page), "verdicts": [vars(verdict) for verdict in verdicts]}, "\n".join(
+        [*lines, f"wrote {page}"]
+    )
 
 
 def result_folders(folder: Path) -> list[Path]:
@@ -39,4 +105,4 @@ def result_folders(folder: Path) -> list[Path]:
     return inside or [folder]
 
 
-COMMAND = Command("report", "write one self-contained HTML page about results", _arguments, _run)
+COMMAND = Command("report", "write one self-contained HTML page about results or studies", _arguments, _run)

@@ -97,14 +97,17 @@ def dotted(key: Key) -> str:
     return text.lstrip(".")
 
 
-def explain(error: Mapping[str, Any], data: Mapping[str, Any]) -> Problem:
-    """Turn one of pydantic's errors about `data` into a problem (its file is not known here)."""
+def explain(
+    error: Mapping[str, Any], data: Mapping[str, Any], root: type[BaseModel] = SceneTables
+) -> Problem:
+    """Turn one of pydantic's errors about `data`, of the kind `root`, into a problem without a file."""
     key, kind = clean_key(error), error["type"]
     if kind == "extra_forbidden":
-        return _unknown_key(key, error["input"], data)
-    if kind in ("missing", "too_long", "too_short") and _is_row(key if kind != "missing" else key[:-1], data):
-        return _wrong_count(key if kind != "missing" else key[:-1], data)
-    field = field_at(key, data)
+        return _unknown_key(key, error["input"], data, root)
+    whole = key if kind != "missing" else key[:-1]
+    if kind in ("missing", "too_long", "too_short") and _is_row(whole, data, root):
+        return _wrong_count(whole, data, root)
+    field = field_at(key, data, root)
     unit, allowed = (field.unit, field.allowed) if field else (None, None)
     value = None if kind in ("missing", "union_tag_not_found") else _plain(_value_at(key, data))
     message = _message(kind, error, field, value)
@@ -133,26 +136,26 @@ def _message(kind: str, error: Mapping[str, Any], field: Field | None, value: ob
     return str(error["msg"])
 
 
-def _unknown_key(key: Key, value: object, data: Mapping[str, Any]) -> Problem:
-    table = field_at(key[:-1], data)
+def _unknown_key(key: Key, value: object, data: Mapping[str, Any], root: type[BaseModel]) -> Problem:
+    table = field_at(key[:-1], data, root)
     names = _keys_of(table.annotation, key[:-1], data) if table else []
     close = nearest(str(key[-1]), names)
     if close is None:
         return Problem("unknown key", key=dotted(key), value=_plain(value), allowed=", ".join(names) or None)
-    meant = field_at((*key[:-1], close), data)
+    meant = field_at((*key[:-1], close), data, root)
     unit = f" (in {meant.unit})" if meant and meant.unit else ""
     return Problem(f'unknown key; did you mean "{close}"{unit}?', key=dotted(key), value=_plain(value))
 
 
-def _is_row(key: Key, data: Mapping[str, Any]) -> bool:
-    field = field_at(key, data)
+def _is_row(key: Key, data: Mapping[str, Any], root: type[BaseModel]) -> bool:
+    field = field_at(key, data, root)
     return (
         field is not None and get_origin(field.annotation) is tuple and ... not in get_args(field.annotation)
     )
 
 
-def _wrong_count(key: Key, data: Mapping[str, Any]) -> Problem:
-    field = field_at(key, data)
+def _wrong_count(key: Key, data: Mapping[str, Any], root: type[BaseModel]) -> Problem:
+    field = field_at(key, data, root)
     assert field is not None
     count, value = len(get_args(field.annotation)), _value_at(key, data)
     return Problem(
@@ -162,9 +165,11 @@ def _wrong_count(key: Key, data: Mapping[str, Any]) -> Problem:
     )
 
 
-def field_at(key: Sequence[str | int], data: Mapping[str, Any]) -> Field | None:
-    """Return what the schema says about `key`; `data` decides between the kinds of operator."""
-    field = Field(SceneTables, (), None)
+def field_at(
+    key: Sequence[str | int], data: Mapping[str, Any], root: type[BaseModel] = SceneTables
+) -> Field | None:
+    """Return what the schema `root` says about `key`; `data` decides between the kinds of operator."""
+    field = Field(root, (), None)
     for depth, part in enumerate(key):
         found = _item(field, part) if isinstance(part, int) else _child(field, part, key[:depth], data)
         if found is None:
@@ -203,7 +208,7 @@ class _AnyOperator(BaseModel):
 
 def _keys_of(annotation: Any, key: Key, data: Mapping[str, Any]) -> list[str]:
     names = [name for model in _models(annotation, key, data) for name in model.model_fields]
-    return names + (["extends"] if not key else [])
+    return names + (["extends"] if not key and "device" in names else [])
 
 
 def _item(field: Field, index: int) -> Field | None:

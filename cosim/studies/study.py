@@ -1,0 +1,286 @@
+"""Study files: an analysis of a scene with its parameters, run once and kept with its points.
+
+A study file is TOML: ``study`` names the analysis, ``scene`` the scene it is about, ``set`` what is changed
+in that scene, ``[parameters]`` what the analysis itself takes. Its result is a set of tables and verdicts.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import cosim
+from cosim.errors import InputError, Problem, fail, nearest
+from cosim.plan import resolve
+from cosim.results import json_text
+from cosim.scene import Scene, load_scene
+from cosim.scene.parameters import Parameters, read_parameters
+from cosim.scene.source import line_of, read_layer
+from cosim.staging import Staging, disk_errors
+from cosim.studies.points import Points
+
+__all__ = ["STUDIES", "Parameters", "Study", "StudyFile", "StudyResult", "Table", "Verdict", "is_study",
+           "load_study", "run_study"]  # fmt: skip
+
+RECORD, POINTS = "study.json", "points.jsonl"
+#: The analyses by name, and the module of each; its `STUDY` says the rest.
+STUDIES = {
+    "congruence": "cosim.studies.congruence",
+}
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a result.
+
+    Attributes
+    ----------
+    name, title : file name without ending, and heading
+    columns : heading with unit -> values (numbers, words or None), all of one length
+    note : what a reader must know of it
+    """
+
+    name: str
+    title: str
+    columns: Mapping[str, Sequence[Any]]
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One claim: what the paper (or theory) says, what was found, and whether it holds.
+
+    Attributes
+    ----------
+    id : row of the acceptance table, such as ``F13a``
+    claim, expected, found : in words with numbers and units
+    holds : None where the claim is a question that `found` answers
+    """
+
+    id: str
+    claim: str
+    expected: str
+    found: str
+    holds: bool | None
+
+
+@dataclass(frozen=True)
+class StudyResult:
+    """What a study found; `seconds` is what computing it took, in all its sittings."""
+
+    study: str
+    title: str
+    tables: tuple[Table, ...]
+    verdicts: tuple[Verdict, ...] = ()
+    notes: tuple[str, ...] = ()
+    seconds: float = 0.0
+    digest: str = ""
+
+    def table(self, name: str) -> Table:
+        """Return a table by its name; `KeyError` when there is none."""
+        for table in self.tables:
+            if table.name == name:
+                return table
+        raise KeyError(name)
+
+
+@dataclass(frozen=True)
+class Study:
+    """An analysis: its name, a line of help, what it takes, and what it does.
+
+    `analyse` gets the study file and `Points`, in which it keeps what took long.
+    """
+
+    name: str
+    help: str
+    parameters: type[Parameters]
+    analyse: Callable[[StudyFile, Points], StudyResult]
+
+
+@dataclass(frozen=True)
+class StudyFile:
+    """A checked study file.
+
+    Attributes
+    ----------
+    file, study, title : where it is, which analysis, heading
+    scene_file, overrides : the scene with what is changed in it, as `load_scene` takes them
+    parameters : of the analysis, an instance of `Study.parameters`
+    """
+
+    file: Path
+    study: Study
+    title: str
+    scene_file: Path
+    overrides: tuple[str, ...]
+    parameters: Any = field(repr=False)
+
+    def scene(self, *overrides: str) -> Scene:
+        """Load the scene with further overrides on top."""
+        return load_scene(self.scene_file, (*self.overrides, *overrides))
+
+    def result(
+        self, *tables: Table, verdicts: Sequence[Verdict] = (), notes: Sequence[str] = ()
+    ) -> StudyResult:
+        """Return a result under this study's name and title."""
+        return StudyResult(self.study.name, self.title, tables, tuple(verdicts), tuple(notes))
+
+    def digest(self) -> str:
+        """SHA-256 of all that the result depends on: parameters, scene, flat deck, and our own sources."""
+        scene = self.scene()
+        parts = (
+            self.study.name, self.title, self.parameters.model_dump_json(), scene.digest(),
+            resolve(scene).board.digest, _sources(),
+        )  # fmt: skip
+        return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+@cache
+def _sources() -> str:
+    """SHA-256 of the program's own sources: an analysis that was changed is run again."""
+    root = Path(cosim.__file__).parent
+    found = hashlib.sha256()
+    for path in sorted([*root.rglob("*.py"), *(root.parent / "mech").rglob("*.py")]):
+        found.update(path.read_bytes())
+    return found.hexdigest()
+
+
+def is_study(path: Path) -> bool:
+    """Whether a file is a study file: TOML with a key ``study``."""
+    return path.suffix == ".toml" and path.is_file() and "study" in read_layer(path).data
+
+
+def study_named(name: str) -> Study:
+    """Return an analysis by its name; `KeyError` when there is none."""
+    study: Study = import_module(STUDIES[name]).STUDY
+    return study
+
+
+def load_study(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> StudyFile:
+    """Load a study file.
+
+    Parameters
+    ----------
+    path
+        TOML file.
+    overrides
+        Changes of its scene, on top of what its ``set`` says.
+
+    Raises
+    ------
+    InputError
+        With every problem of the file; problems of the scene come from `load_scene`.
+    """
+    file = Path(os.path.abspath(path))
+    layer = read_layer(file)
+    data = dict(layer.data)
+
+    def at(
+        message: str, key: str, value: object = None, unit: str | None = None, allowed: str | None = None
+    ) -> Problem:
+        return Problem(message, str(file), key, value, unit, allowed, line_of(layer.text, key.split(".")))
+
+    known = ("study", "title", "scene", "set", "parameters")
+    problems = [
+        at("unknown key" + (f'; did you mean "{near}"?' if (near := nearest(key, known)) else ""), key,
+           data[key], allowed=", ".join(known))
+        for key in data if key not in known
+    ]  # fmt: skip
+    for key in ("study", "title", "scene"):
+        if not isinstance(data.get(key), str):
+            problems.append(at("is required, as text", key, data.get(key)))
+    changes = data.get("set", ())
+    if not isinstance(changes, tuple) or not all(isinstance(text, str) for text in changes):
+        problems.append(at('must be a list of texts like "computer.period_s=0.01"', "set", changes))
+    name = data.get("study")
+    if isinstance(name, str) and name not in STUDIES:
+        near = nearest(name, STUDIES)
+        hint = f'; did you mean "{near}"?' if near else ""
+        problems.append(at(f"no such study{hint}", "study", name, allowed=", ".join(STUDIES)))
+    if problems:
+        raise InputError(problems)
+    study = study_named(data["study"])
+    parameters, refused = read_parameters(study.parameters, data.get("parameters", {}))
+    if refused:
+        raise InputError(
+            at(p.message, f"parameters.{p.key}" if p.key else "parameters", p.value, p.unit, p.allowed)
+            for p in refused
+        )
+    scene_file = Path(os.path.abspath(file.parent / data["scene"]))
+    if not scene_file.is_file():
+        raise InputError(at("no such scene file", "scene", data["scene"]))
+    return StudyFile(file, study, data["title"], scene_file, (*changes, *overrides), parameters)
+
+
+def run_study(
+    spec: StudyFile,
+    folder: Path,
+    *,
+    on_progress: Callable[[int, int, str], None] | None = None,
+) -> StudyResult:
+    """Run a study, or take its result from `folder` when nothing it depends on has changed.
+
+    A run that was interrupted goes on at the points that it finished.
+
+    Parameters
+    ----------
+    folder
+        Keeps the result, its tables as CSV, and the points until the result is complete.
+    on_progress
+        Called with (points done, points in all, what is computed).
+
+    Raises
+    ------
+    InputError
+        When the folder cannot be written or is somebody else's.
+    """
+    digest = spec.digest()
+    known = _load(folder)
+    if known is not None and known.digest == digest:
+        return known
+    kept = folder.parent / f"{folder.name}.{POINTS}"
+    with disk_errors(folder):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+    with Points(kept, digest, on_progress) as points:
+        begun = time.perf_counter()
+        result = spec.study.analyse(spec, points)
+        seconds = points.seconds_before + time.perf_counter() - begun
+    result = StudyResult(**{**vars(result), "seconds": seconds, "digest": digest})
+    with Staging(folder, RECORD) as stage, disk_errors(folder):
+        for table in result.tables:
+            write_table(stage.path / f"{table.name}.csv", table)
+        (stage.path / RECORD).write_text(json_text(asdict(result)) + "\n", encoding="utf-8")
+        stage.publish()
+    kept.unlink(missing_ok=True)
+    return result
+
+
+def write_table(path: Path, table: Table) -> None:
+    """Write a table as CSV."""
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(table.columns)
+        writer.writerows(zip(*table.columns.values(), strict=True))
+
+
+def _load(folder: Path) -> StudyResult | None:
+    """Return the stored result; None when there is none."""
+    file = folder / RECORD
+    if not file.is_file():
+        return None
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+        tables = tuple(Table(**table) for table in data.pop("tables"))
+        verdicts = tuple(Verdict(**verdict) for verdict in data.pop("verdicts"))
+        return StudyResult(**{**data, "tables": tables, "verdicts": verdicts, "notes": tuple(data["notes"])})
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        fail(f"holds no result of a study ({error}); remove it to compute it again", file=str(file))

@@ -1,0 +1,1 @@
+"""Pictures of studies: one module a study, each with a function `draw`."""

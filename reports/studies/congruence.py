@@ -1,0 +1,39 @@
+"""Footnote 2: the shift of the apparent stiffness over the workspace."""
+
+import numpy as np
+from matplotlib.colors import BoundaryNorm
+
+from cosim.studies.study import StudyResult
+from reports.style import Drawn, figure
+
+__all__ = ["draw"]
+
+_LEVELS = (0, 1, 2, 5, 10, 20, 50, 100)
+
+
+def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
+    """Return the maps of the shift without and with the compensating term."""
+    table = result.table("workspace").columns
+    side = int(np.sqrt(len(table["x [m]"])))  # a grid: bend of the elbow by turn of the base
+    x, y = (np.reshape(table[name], (side, side)) for name in ("x [m]", "y [m]"))
+    drawing, axes = figure(4.3, columns=2, sharey=True)
+    norm = BoundaryNorm(_LEVELS, 256, extend="max")
+    for place, column, title in (
+        (axes[0, 0], "shift, worst direction [%]", "As the paper commands it"),
+        (axes[0, 1], "compensated, worst direction [%]", "With the term of footnote 2"),
+    ):
+        shift = np.reshape(table[column], (side, side))
+        marks = place.pcolormesh(x, y, shift, norm=norm, cmap="cividis", shading="gouraud", rasterized=True)
+        place.set_aspect("equal")
+        place.set_title(title)
+        place.set_xlabel("x [m]")
+    axes[0, 0].set_ylabel("y [m]")
+    drawing.colorbar(
+        marks, ax=axes.ravel().tolist(), label="shift of the stiffness, worst direction [%]", ticks=_LEVELS
+    )
+    caption = (
+        "By how much the stiffness that the hand finds differs from the commanded one, in the direction "
+        "where it differs most, at every place of the fingertip (elbow bent one way). "
+        "Left: gains J^T K J. Right: K_g(F) added."
+    )
+    return [("congruence", "Stiffness under a preload", Drawn(drawing, caption))]

@@ -1,0 +1,96 @@
+"""Study files, their points and page; footnote 2 as the simplest of them."""
+
+import json
+
+import numpy as np
+import pytest
+from support import SCENES
+
+from cosim.errors import InputError
+from cosim.studies.congruence import apparent, pressed
+from cosim.studies.points import Points
+from cosim.studies.study import STUDIES, is_study, load_study, run_study, study_named
+from mech import Chain
+
+CHAIN = Chain(lengths_m=(0.1, 0.1), masses_kg=(0.1, 0.1), coms_m=(0.05, 0.05), inertias_kg_m2=(1e-4, 1e-4))
+FILE = """
+study = "congruence"
+title = "Under a preload"
+scene = "{scene}"
+[parameters]
+preload_n = 1.0
+points = 7
+"""
+
+
+@pytest.fixture
+def study_file(tmp_path):
+
+    path = tmp_path / "preload.toml"
+    path.write_text(FILE.format(scene=SCENES / "slope.toml"), encoding="utf-8")
+    return path
+
+
+def test_every_study_is_what_its_name_says():
+    for name in STUDIES:
+        assert study_named(name).name == name
+
+
+def test_a_result_is_kept_until_what_it_depends_on_changes(study_file, tmp_path):
+    spec = load_study(study_file)
+    first = run_study(spec, tmp_path / "out")
+    calls = []
+    again = run_study(spec, tmp_path / "out", on_progress=lambda *a: calls.append(a))
+    assert again == first
+    assert (tmp_path / "out" / "workspace.csv").read_text().startswith("x [m],y [m]")
+    changed = load_study(study_file, ("wall.normal=[0.0, 1.0]",))
+    assert run_study(changed, tmp_path / "out").digest != first.digest
+    edited = load_study(study_file, ("device.values.r_sum_spring=20k",))
+    assert edited.digest() != first.digest
+
+
+def test_an_interrupted_study_goes_on_at_its_points(tmp_path):
+    path = tmp_path / "points.jsonl"
+    with Points(path, "a") as points:
+        assert points.get("one", lambda: {"k": 1.0}) == {"k": 1.0}
+    with path.open("a") as stream:
+        stream.write('{"key": "two", "val')  # cut off
+    with Points(path, "a") as points:
+        assert points.get("one", pytest.fail) == {"k": 1.0}
+        assert points.get("two", lambda: 2) == 2
+    with Points(path, "b") as points:  # depends on something else now
+        assert points.get("one", lambda: 3) == 3
+    assert json.loads(path.read_text().splitlines()[0]) == {"digest": "b"}
+
+
+def test_all_that_is_wrong_with_a_study_file_is_said(tmp_path):
+    path = tmp_path / "bad.toml"
+    path.write_text('study = "congruense"\nscene = 3\ntittle = "x"\n', encoding="utf-8")
+    assert is_study(path)
+    with pytest.raises(InputError) as caught:
+        load_study(path)
+    text = str(caught.value)
+    assert 'did you mean "congruence"?' in text
+    assert 'did you mean "title"?' in text
+    assert "bad.toml:2: scene = 3: is required" in text
+
+
+def test_a_parameter_out_of_range_is_named(study_file):
+    study_file.write_text(study_file.read_text().replace("preload_n = 1.0", "preload_n = -1.0"))
+    with pytest.raises(InputError, match=r"preload.toml:6: parameters.preload_n = -1.0.*> 0.*N"):
+        load_study(study_file)
+
+
+@pytest.mark.parametrize("compensated", [False, True])
+def test_apparent_stiffness_is_what_pressing_finds(compensated):
+    """Two ways: the formula of theory, and the pose solved for forces a little off."""
+    q, force, k = np.array([0.6, 1.1]), np.array([1.0, -2.0]), np.diag([100.0, 100.0])
+    found = apparent(CHAIN, q, k, force, compensated=compensated)
+    # central differences of 1e-4 N: (1e-4 N / 1 N)^2 = 1e-8 of it, and rounding of 1e-16 m / 1e-6 m
+    assert found == pytest.approx(pressed(CHAIN, q, k, force, compensated=compensated), rel=1e-6, abs=1e-5)
+    if compensated:
+        assert found == pytest.approx(k, abs=1e-9)
+    else:
+        jac = CHAIN.jacobian(q)
+        shift = np.linalg.inv(jac).T @ np.array([[0.24161234, 0.21121741], [0.21121741, 0.21121741]])
+        assert k - found == pytest.approx(shift @ np.linalg.inv(jac), rel=1e-6)
