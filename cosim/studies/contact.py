@@ -67,7 +67,9 @@ def law_point(scene: Scene, constants: DesignConstants, linkage: Linkage, q: Arr
         raise InputError(Problem("there is no contact to be held without a wall", file=file, key="wall"))
     if c.law is not None:
         raise InputError(
-            Problem("a control law in Python has no slopes to study", file=file, key="computer.law", value=c.law)
+            Problem(
+                "a control law in Python has no slopes to study", file=file, key="computer.law", value=c.law
+            )
         )
     normal, point = np.array(scene.wall.normal), np.array(scene.wall.point_m)
     jac = linkage.jacobian(q)
@@ -106,7 +108,12 @@ def law_point(scene: Scene, constants: DesignConstants, linkage: Linkage, q: Arr
     zeros = np.zeros((2 * n * n, n))
     return LawPoint(
         np.concatenate(
-            [constants.v_rad * u, per_spring * spring.ravel(), per_damper * damper.ravel(), constants.v_nm * cmd]
+            [
+                constants.v_rad * u,
+                per_spring * spring.ravel(),
+                per_damper * damper.ravel(),
+                constants.v_nm * cmd,
+            ]
         ),
         np.concatenate(
             [
@@ -132,7 +139,8 @@ def _to_wall(jac: Array, normal: Array, n: int) -> Array:
 
 def _equilibrium(linkage: Linkage, q: Array, normal: Array, depth: float) -> Array:
     """Return the angles that put the tip on its projection on the wall, nearest to the pose."""
-    target, u = linkage.forward(q) + depth * normal, q.copy()
+    target = linkage.forward(q) + depth * normal
+    u: Array = q.copy()
     for _ in range(_STEPS):
         miss = target - linkage.forward(u)
         step = _to_wall(linkage.jacobian(u), normal, len(q)) @ miss
@@ -156,7 +164,8 @@ def external_force(scene: Scene, linkage: Linkage, q: Array, t: float) -> Array:
         )
     force = np.zeros(2)
     operator_force(op, t, linkage.forward(q), np.zeros(2), force)
-    return force + op["falls"] * op["mass"] * np.asarray(linkage.gravity_m_per_s2)
+    weight: Array = float(op["falls"] * op["mass"]) * np.asarray(linkage.gravity_m_per_s2)
+    return force + weight
 
 
 def rests(

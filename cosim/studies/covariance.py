@@ -200,7 +200,9 @@ class NoiseCovariance:
         }
 
 
-def covariance(lifted: Lifted, grid: Grid, kind: str = "white", notes: tuple[str, ...] = ()) -> NoiseCovariance:
+def covariance(
+    lifted: Lifted, grid: Grid, kind: str = "white", notes: tuple[str, ...] = ()
+) -> NoiseCovariance:
     """Return the stationary second moments of a scene lifted with noise.
 
     Raises
@@ -252,8 +254,8 @@ def covariance(lifted: Lifted, grid: Grid, kind: str = "white", notes: tuple[str
     system = lifted.system
     e = np.zeros(system.b.shape)
     e[:, -system.joints :] = system.e
-    total = sum(integral(system.a, system.b, e, h, moment) for h, moment in gathered.items())
-    total = total / (grid.periods * system.period_s)
+    moments = [integral(system.a, system.b, e, h, moment) for h, moment in gathered.items()]
+    total: Array = np.sum(moments, axis=0) / (grid.periods * system.period_s)
     rows = {name: lifted.output(out) for name, out in system.outputs.items()}
     seen = {name: row @ pieces[-1].stretch.exit for name, row in rows.items()}
     return NoiseCovariance(
@@ -266,7 +268,7 @@ def covariance(lifted: Lifted, grid: Grid, kind: str = "white", notes: tuple[str
 
 
 def _static(lifted: Lifted, variance: float) -> NoiseCovariance:
-    """Return the second moments over offsets that stay: a linear map of the offsets, the same at all times."""
+    """Return the second moments over offsets that stay: they shift the pose of rest, linearly."""
     assert lifted.noise is not None
     system, size, n = lifted.system, lifted.size, lifted.system.joints
     step = lifted.period()
@@ -323,7 +325,7 @@ def noise_covariance(
     notes = []
     if grid.shift > _SHIFTED:
         notes.append(
-            f"the noise's bandwidth was shifted by {grid.shift:.2g} of itself, so that it and the samples meet"
+            f"the noise's bandwidth was shifted by {grid.shift:.2g} of itself, to meet the samples again"
         )
     found = covariance(lifted, grid, kind.value, tuple(notes))
     return _checked(found, scene, constants, circuit, lifted)

@@ -1,8 +1,8 @@
 """Exact steps of linear systems and the integrals that covariances need, for poles of any speed.
 
-Van Loan's block exponential holds exp(-A h) next to exp(A h) and overflows where a pole is fast; here time is
-doubled instead. The transition of each level comes from `phi_functions` on its own, so no digits of slow modes
-are lost on the way, and sums of positive semidefinite matrices stay so.
+Van Loan's block exponential holds exp(-A h) next to exp(A h) and overflows where a pole is fast; here time
+is doubled instead. The transition of each level comes from `phi_functions` on its own, so no digits of slow
+modes are lost on the way, and sums of positive semidefinite matrices stay so.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _MOST = 200
 
 
 def exact_step(a: Array, b: Array, e: Array, h: float) -> Array:
-    """Return the map of (x, i, i') over `h` [s] for x' = A x + B i + E i', i' constant; [N + 2 M, N + 2 M]."""
+    """Return the map of (x, i, i') over `h` [s] for x' = A x + B i + E i' and constant i'."""
     n, m = b.shape
     zero, one, two = phi_functions(a, h, 2)
     out = np.eye(n + 2 * m)

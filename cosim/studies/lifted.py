@@ -10,6 +10,7 @@ exponential, an event is a matrix of its own, and a period is the product of bot
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,7 +104,7 @@ class Lifted:
     @property
     def inputs(self) -> int:
         """Number of inputs of the system: channels and potentiometers."""
-        return self.system.b.shape[1]
+        return int(self.system.b.shape[1])
 
     def step(self, h: float) -> Array:
         """Return the exact map of (x, i, i') over `h` [s]."""
@@ -120,7 +121,7 @@ class Lifted:
         """Return the event of a sample: the computer reads the encoders and estimates speeds."""
         out = np.eye(self.size)
         s, n = self.system, self.system.joints
-        for newer, older in zip(self.readings[:-1], self.readings[1:], strict=True):
+        for newer, older in pairwise(self.readings):
             out[older] = np.eye(self.size)[newer]
         newest = self.readings[0]
         out[newest] = 0.0
@@ -217,7 +218,7 @@ class Lifted:
         """
         out = np.eye(self.size)
         times = [*self.instants(), self.system.period_s]
-        for t, after in zip(times[:-1], times[1:], strict=True):
+        for t, after in pairwise(times):
             out = self.stretch(t, after - t).leave @ self.at(t) @ out
         return out
 

@@ -58,7 +58,7 @@ class System:
         than gains.
     outputs
         By name: 'motor_force' and 'operator_force' [2] N, 'tip' [2] m, of these three their part along the
-        wall's normal, 'motor_normal', 'operator_normal', 'penetration', and 'angles' [n] rad, 'currents' [n] A.
+        wall's normal, 'motor_normal', 'operator_normal', 'penetration'; 'angles' [n] rad, 'currents' [n] A.
     current_a
         [n], motor currents at rest.
     notes
@@ -95,8 +95,8 @@ def linearise(
     Parameters
     ----------
     preload
-        Whether the forces of the pose count: the operator's at the time `t` (the scene's end by default), weight,
-        and what the law asks for at this depth. Without, all forces are zero, as where a wall is just touched.
+        Whether the forces of the pose count: the operator's at the time `t` (the scene's end by default),
+        weight, and what the law asks for at this depth. Without, all are zero: a wall just touched.
 
     Raises
     ------
@@ -201,9 +201,7 @@ def _outputs(
     pull = np.zeros((2, size))
     pull[:, :n], pull[:, motion] = -op["stiffness"] * jac, -op["damping"] * jac
     mass = op["mass"]
-    push = Output(
-        pull - mass * jac @ a[motion], -mass * jac @ b[motion], -mass * jac @ e[motion], "N"
-    )
+    push = Output(pull - mass * jac @ a[motion], -mass * jac @ b[motion], -mass * jac @ e[motion], "N")
     where = np.zeros((2, size))
     where[:, :n] = jac
     nothing, still = np.zeros((2, b.shape[1])), np.zeros((2, n))

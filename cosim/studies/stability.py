@@ -104,9 +104,7 @@ class Border:
     stability: Stability | None
 
 
-def held(
-    scene: Scene, constants: DesignConstants, circuit: LinearCircuit, q: Array | None = None
-) -> Lifted:
+def held(scene: Scene, constants: DesignConstants, circuit: LinearCircuit, q: Array | None = None) -> Lifted:
     """Return the map of a scene whose contact is held at a wall that is just touched.
 
     Parameters

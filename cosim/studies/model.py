@@ -1,0 +1,52 @@
+"""The circuit model and the design constants of a planned scene, from ngspice's child process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from cosim.circuits.extraction import extract
+from cosim.circuits.linear import LinearCircuit
+from cosim.circuits.port import DesignConstants
+from cosim.circuits.spice import lockstep_deck
+from cosim.loop.driven import drive
+from cosim.loop.simulate import read_constants
+from cosim.ngspice.child import Child, call
+from cosim.ngspice.simulator import Simulator
+from cosim.plan import Plan
+
+__all__ = ["circuit_of"]
+
+
+def circuit_of(plan: Plan, *, child: Child | None = None) -> tuple[LinearCircuit, DesignConstants]:
+    """Return the linear circuit of a plan, unreduced, and its board's constants.
+
+    A plan for `spice` is studied with the `linear` model of the same parts.
+
+    Raises
+    ------
+    InputError
+        For a board that has no such model.
+    """
+    payload = {
+        "board": plan.board,
+        "model": "ideal" if plan.model == "ideal" else "linear",
+        "scene": plan.scene,
+        "tolerances": plan.tolerances,
+    }
+    found: tuple[LinearCircuit, DesignConstants] = call(
+        "cosim.studies.model:ask", payload, deck=str(plan.board.path), child=child
+    )
+    return found
+
+
+def ask(
+    payload: dict[str, Any], report: Callable[[dict[str, Any]], None]
+) -> tuple[LinearCircuit, DesignConstants]:
+    """Extract the circuit and read the constants; runs in the child."""
+    board = payload["board"]
+    circuit = extract({"board": board, "model": payload["model"]}, report)
+    simulator = Simulator()
+    deck = lockstep_deck(board, drive(payload["scene"]), payload["tolerances"], ())
+    simulator.load(deck, lines=board.lines, name=str(board.path))
+    return circuit, read_constants(simulator, str(board.path))
