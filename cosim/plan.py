@@ -157,8 +157,17 @@ def _swaps(scene: Scene) -> dict[str, PartSwap | str]:
     }
 
 
-def resolve(scene: Scene, *, trust: bool = False) -> Plan:
+def resolve(scene: Scene, *, trust: bool = False, board: Deck | None = None) -> Plan:
     """Resolve a scene: choose the circuit model, flatten the board, decide what is driven.
+
+    Parameters
+    ----------
+    scene
+        What is asked for.
+    trust
+        Whether control blocks and file access may pass.
+    board
+        The scene's own board, from another plan with the same levels of its parts.
 
     Raises
     ------
@@ -170,7 +179,7 @@ def resolve(scene: Scene, *, trust: bool = False) -> Plan:
     _check_chosen(scene)
     effects.check(scene)
     try:
-        board = load_deck(
+        board = board or load_deck(
             scene.device.board,
             levels=effects.levels(scene),
             parts=_swaps(scene),

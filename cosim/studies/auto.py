@@ -260,7 +260,7 @@ def _verify_all(search: _Search, settings: Settings) -> tuple[Settings, str]:
 
 def _add_until(search: _Search, settings: Settings, full: Measures) -> Settings:
     """Put in what moves the measures most, one after another, until the rest together does not matter."""
-    while left := _open(search, settings):
+    while left := search.candidates.possible(settings):
         moves = [search.on_top(settings, rung).share for rung in left]
         settings = search.candidates.with_(settings, left[moves.index(max(moves))])
         if search.move(search.measures(settings, ""), full).share <= 1.0:

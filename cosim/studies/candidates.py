@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from cosim.effects import EFFECTS, Effect, Size
+from cosim.effects import levels as effect_levels
 from cosim.effects.scale import scale
 from cosim.errors import InputError
 from cosim.measures import UNITS, tolerances
 from cosim.ngspice.child import Child
+from cosim.ngspice.deck import Deck
 from cosim.plan import Plan, resolve
 from cosim.scene import load_scene
 
@@ -74,6 +76,7 @@ class Candidates:
     ) -> None:
         self._path, self._overrides, self._trust, self._child = path, overrides, trust, child
         self._plans: dict[tuple[Any, ...], Plan | InputError] = {}
+        self._boards: dict[tuple[Any, ...], Deck] = {}  # by the levels of their parts
         self.scene = load_scene(path, overrides)
         stated = self.scene.effects.model_fields_set
         self.fixed = {
@@ -154,8 +157,11 @@ class Candidates:
             stated = [f"effects.{name}={_toml(value)}" for name, value in settings.items()]
             try:
                 scene = load_scene(self._path, [*self._overrides, *stated, "effects.auto=false"])
-                plan = resolve(scene.model_copy(update={"tolerance": {}}), trust=self._trust)
+                levels = tuple(effect_levels(scene).items())
+                board = self._boards.get(levels)
+                plan = resolve(scene.model_copy(update={"tolerance": {}}), trust=self._trust, board=board)
                 plan.stated(self._child)
+                self._boards[levels] = plan.board
                 self._plans[key] = plan
             except InputError as error:
                 self._plans[key] = error
