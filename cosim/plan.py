@@ -199,6 +199,7 @@ def resolve(scene: Scene, *, trust: bool = False, board: Deck | None = None) -> 
         )
     _check_path(scene)
     model = effects.circuit_model(scene)
+    _check_stops(scene, model)
     solver = scene.solver
     recorded = _recorded(scene)
     watched: tuple[str, ...] = ()
@@ -254,3 +255,16 @@ def _check_path(scene: Scene) -> None:
                 allowed="cmd",
             )
         )
+
+
+def _check_stops(scene: Scene, model: str) -> None:
+    kind = scene.device.linkage.value
+    table = scene.device.chain if kind == "chain" else scene.device.slider
+    if table is None or table.stop_restitution is None:
+        return
+    said = "there is no stop: give stops_rad" if not table.stops_rad else ""
+    if model == "spice":
+        said = "the model spice does not locate impacts: leave it out, or use the models ideal or linear"
+    if said:
+        file, key = str(scene.file) if scene.file else None, f"device.{kind}.stop_restitution"
+        raise InputError(Problem(said, file=file, key=key, value=table.stop_restitution))

@@ -10,9 +10,9 @@ from numba import njit
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from mech.records import OperatorKind
+from mech.records import OperatorKind, Touch
 
-__all__ = ["operator_force", "stop_torque"]
+__all__ = ["operator_force", "pushed", "stop_torque"]
 
 Vector = NDArray[np.float64]
 Record = Any
@@ -23,6 +23,7 @@ _cgutils: Any = numba.core.cgutils
 
 _HAND = int(OperatorKind.HAND)
 _USER = int(OperatorKind.USER)
+_PUSHED = int(Touch.PUSHED)
 
 
 def _call_force_at(typingctx: Any, address: Any, t: Any, x: Any, y: Any, vx: Any, vy: Any) -> Any:
@@ -117,4 +118,14 @@ def stop_torque(p: Record, i: int, q: float, v: float) -> float:
         depth = q - p.stop_high[i]
         push = depth * (p.stop_stiffness + p.stop_damping * v)
         return -float(max(push, 0.0))
+    return 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def pushed(p: Record, i: int, q: float, v: float, touch: int) -> float:
+    """Torque of the end stop on joint i that is known to push (`Touch.PUSHED`), smooth in q and v."""
+    if touch == -_PUSHED:
+        return float((p.stop_low[i] - q) * (p.stop_stiffness - p.stop_damping * v))
+    if touch == _PUSHED:
+        return -float((q - p.stop_high[i]) * (p.stop_stiffness + p.stop_damping * v))
     return 0.0

@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mech.contact import operator_force, stop_torque
+from mech.contact import operator_force, pushed, stop_torque
 from mech.kinematics import inverse, jacobian, tip, tip_velocity
 from mech.records import OperatorKind
 
@@ -32,6 +32,7 @@ __all__ = [
     "mass_matrix",
     "operator_force",
     "solve",
+    "solve_held",
     "stop_torque",
     "tip",
     "tip_velocity",
@@ -173,6 +174,45 @@ def solve(n: int, matrix: Vector, x: Vector, factor: Vector) -> None:
 
 
 @njit(cache=True, error_model="numpy")
+def solve_held(n: int, w: Record, x: Vector) -> None:
+    """Solve `w.mass` x = x in place with x = 0 at the joints that `w.held` marks.
+
+    `w.hold` receives the torques [N m] that hold them: M x = (right-hand side) + hold.
+    """
+    for i in range(n):
+        w.hold[i] = -x[i]
+        for j in range(n):
+            w.reduced[i, j] = 0.0 if w.held[i] or w.held[j] else w.mass[i, j]
+        if w.held[i]:
+            w.reduced[i, i] = 1.0
+            x[i] = 0.0
+    solve(n, w.reduced, x, w.factor)
+    for i in range(n):
+        if not w.held[i]:
+            w.hold[i] = 0.0
+            continue
+        for j in range(n):
+            w.hold[i] += w.mass[i, j] * x[j]
+
+
+@njit(cache=True, error_model="numpy")
+def _accelerate(p: Record, w: Record, x: Vector) -> None:
+    """Turn torques into accelerations in place; what holds a held joint is its friction's or its stop's."""
+    n = p.n
+    if w.holding == 0:
+        solve(n, w.mass, x, w.factor)
+        return
+    solve_held(n, w, x)
+    for i in range(n):
+        if not w.held[i]:
+            continue
+        if w.touch[i] * w.hold[i] < 0.0:
+            w.tau_stop[i] = w.hold[i]
+        elif p.coulomb_on:
+            w.tau_coul[i] = w.hold[i]
+
+
+@njit(cache=True, error_model="numpy")
 def dynamics(
     p: Record, op: Record, t: float, q: Vector, v: Vector, tau: Vector, a_out: Vector, w: Record
 ) -> None:
@@ -182,6 +222,9 @@ def dynamics(
     coulomb tanh(v / coulomb_speed): a smooth step, so a joint held by Coulomb friction creeps at
     coulomb_speed * atanh(torque / coulomb). With `coriolis` off the operator's mass, too, is taken at
     its instantaneous inertia only, so that M a = tau + J^T F_op holds to the letter in every setting.
+    Where `w.located` is set, friction is constant by the way that each joint slips (`w.slide`), joints in
+    `w.held` do not accelerate, and a stop pushes as `w.touch` says: whoever integrates sets these at the
+    instants where they change (`mech.held`), and the accelerations are smooth between them.
 
     Left in `w`: r, rdot, jac, mass, bias, tau_visc, tau_coul, tau_stop (torques on the joints),
     f_op (operator on device, with weight and inertia of its mass), f_drive (without both).
@@ -218,25 +261,31 @@ def dynamics(
             a_out[i] += w.tau_visc[i]
     if p.coulomb_on:
         for i in range(n):
-            w.tau_coul[i] = -p.coulomb[i] * math.tanh(v[i] / p.coulomb_speed)
+            if w.located:
+                w.tau_coul[i] = -p.coulomb[i] * w.slide[i]
+            else:
+                w.tau_coul[i] = -p.coulomb[i] * math.tanh(v[i] / p.coulomb_speed)
             a_out[i] += w.tau_coul[i]
     if p.stops_on:
         for i in range(n):
-            w.tau_stop[i] = stop_torque(p, i, q[i], v[i])
+            if w.located:
+                w.tau_stop[i] = pushed(p, i, q[i], v[i], w.touch[i])
+            else:
+                w.tau_stop[i] = stop_torque(p, i, q[i], v[i])
             a_out[i] += w.tau_stop[i]
     if op.kind == _NONE:
         w.f_op[0] = 0.0
         w.f_op[1] = 0.0
         w.f_drive[0] = 0.0
         w.f_drive[1] = 0.0
-        solve(n, w.mass, a_out, w.factor)
+        _accelerate(p, w, a_out)
         return
     operator_force(op, t, w.r, w.rdot, w.f_drive)
     w.f_op[0] = w.f_drive[0] + op.falls * mass * p.gravity[0]
     w.f_op[1] = w.f_drive[1] + op.falls * mass * p.gravity[1]
     for i in range(n):
         a_out[i] += w.jac[0, i] * w.f_op[0] + w.jac[1, i] * w.f_op[1]
-    solve(n, w.mass, a_out, w.factor)
+    _accelerate(p, w, a_out)
     if mass > 0.0:
         x = 0.0
         y = 0.0

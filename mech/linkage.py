@@ -45,13 +45,17 @@ class Linkage(ABC):
     gear
         Motor turns a joint turn.
     viscous_n_m_s, coulomb_n_m
-        Friction at the joints. Coulomb friction is coulomb tanh(v / coulomb_speed).
+        Friction at the joints. Coulomb friction is coulomb tanh(v / coulomb_speed), or holds and slips at
+        located instants where the integrator can (`mech.held`).
     coulomb_speed_rad_per_s
         Width of that step.
     stops_rad
         (low, high) for each joint; infinite bounds are allowed.
     stop_stiffness_n_m_per_rad, stop_damping_n_m_s
         The stop pushes k x + c x x' at depth x, never pulls; c in N m s/rad^2.
+    stop_restitution
+        Speed after an impact over speed before, for stops that do not give; only where contacts are located
+        instants. None: the stop gives, as above.
     gravity_m_per_s2
         Vector, zero when gravity is off.
     """
@@ -65,6 +69,7 @@ class Linkage(ABC):
     stops_rad: Stops = None
     stop_stiffness_n_m_per_rad: float = 100.0
     stop_damping_n_m_s: float = 10.0
+    stop_restitution: float | None = None
     gravity_m_per_s2: Sequence[float] = (0.0, 0.0)
     n: int = field(init=False, repr=False)
 
@@ -247,6 +252,10 @@ class Linkage(ABC):
         check.number("coulomb_speed_rad_per_s", self.coulomb_speed_rad_per_s, above=0.0)
         check.number("stop_stiffness_n_m_per_rad", self.stop_stiffness_n_m_per_rad, above=0.0)
         check.number("stop_damping_n_m_s", self.stop_damping_n_m_s, least=0.0)
+        if self.stop_restitution is not None:
+            check.number("stop_restitution", self.stop_restitution, least=0.0)
+            if self.stop_restitution > 1.0:
+                check.refuse("stop_restitution", self.stop_restitution, "<= 1")
         if self.stops_rad is not None:
             self._store(stops_rad=_stops(check, self.stops_rad, n))
 
@@ -272,6 +281,8 @@ class Linkage(ABC):
             p["stop_high"][:n] = [high for _, high in self.stops_rad]
         p["stop_stiffness"] = self.stop_stiffness_n_m_per_rad
         p["stop_damping"] = self.stop_damping_n_m_s
+        if self.stop_restitution is not None:
+            p["rigid"], p["restitution"] = 1, self.stop_restitution
         return record
 
 

@@ -8,7 +8,7 @@ from enum import IntEnum
 
 import numpy as np
 
-__all__ = ["KNOTS", "LINKAGE", "NMAX", "OPERATOR", "WORK", "OperatorKind", "new_work"]
+__all__ = ["KNOTS", "LINKAGE", "NMAX", "OPERATOR", "WORK", "OperatorKind", "Touch", "new_work"]
 
 NMAX = 6
 """Most joints of a chain."""
@@ -24,6 +24,17 @@ class OperatorKind(IntEnum):
     MASS = 1
     HAND = 2
     USER = 3
+
+
+class Touch(IntEnum):
+    """What an end stop does to a joint, where contacts are located events; negative at the lower stop."""
+
+    FREE = 0
+    PUSHED = 1
+    INSIDE = 2
+    """In the stop, on the way out so fast that the stop does not push."""
+    RESTING = 3
+    """On a stop that does not give."""
 
 
 # Chain: the links' absolute angles are phi_i = q_1 + ... + q_i. With d_ki = length_i for i < k and
@@ -56,6 +67,9 @@ LINKAGE = np.dtype(
         ("stop_high", np.float64, (NMAX,)),  # rad
         ("stop_stiffness", np.float64),  # N m/rad
         ("stop_damping", np.float64),  # N m s/rad^2: torque per depth and speed
+        # Stops that do not give: speed after an impact over speed before; stiffness and damping are unused.
+        ("rigid", np.int64),
+        ("restitution", np.float64),
     ],
     align=True,
 )
@@ -93,6 +107,14 @@ WORK = np.dtype(
         ("sin", np.float64, (NMAX,)),
         ("rate", np.float64, (NMAX,)),  # rad/s, absolute
         ("factor", np.float64, (NMAX, NMAX)),
+        # Friction and stops as located events. 0: friction a smooth step, stops a function of the angle.
+        ("located", np.int64),
+        ("slide", np.int64, (NMAX,)),  # way a joint slips, +1 or -1; 0: held
+        ("touch", np.int64, (NMAX,)),  # `Touch`, its sign the stop's: -1 the lower, +1 the upper
+        ("holding", np.int64),  # number of joints held
+        ("held", np.int64, (NMAX,)),
+        ("hold", np.float64, (NMAX,)),  # N m, torque that holds a held joint
+        ("reduced", np.float64, (NMAX, NMAX)),
     ],
     align=True,
 )

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cosim.loop.maps import ANGLE, COEFFICIENTS, DAC, NODES, SPEED, WEIGHTS, Plan, currents, finish
 from cosim.loop.pins import grid_noise, position_noise, volts
-from mech.kernels import dynamics, solve
+from mech.kernels import dynamics, solve, solve_held
 from mech.records import NMAX
 
 Array = NDArray[np.float64]
@@ -58,6 +58,8 @@ class Bench(NamedTuple):
     last : [3, NMAX] coefficients of the accelerations' parabola of the accepted step
     work : [5] J by worker, of the step on trial; total : accepted
     scale : [0] h of the accepted step
+    holds : [4, NMAX] torques that hold joints at rest, at the nodes and the end of the step on trial
+    hit : [NMAX] -1, 0, +1: the joint that hits a stop which does not give
     clamp : [n] -1, 0, +1: the motor that is at its lowest or highest current
     current : [n] motor currents at the accepted point, not clamped
     """
@@ -77,6 +79,8 @@ class Bench(NamedTuple):
     work: Array
     total: Array
     scale: Array
+    holds: Array
+    hit: NDArray[np.int64]
     clamp: Array
     current: Array
 
@@ -89,7 +93,8 @@ def bench(k: Plan, states: Array) -> Bench:
         gains=np.zeros(len(k.gain)), nodes=np.zeros(3 * n), matrix=np.zeros((3 * n, k.moving)),
         moved=np.zeros(k.moving), a=np.zeros((3, NMAX)), new=np.zeros((3, NMAX)), a_new=np.zeros(NMAX),
         error=np.zeros(5), last=np.zeros((3, NMAX)),
-        work=np.zeros(5), total=np.zeros(5), scale=np.zeros(1), clamp=np.zeros(n), current=np.zeros(n),
+        work=np.zeros(5), total=np.zeros(5), scale=np.zeros(1), holds=np.zeros((4, NMAX)),
+        hit=np.zeros(NMAX, np.int64), clamp=np.zeros(n), current=np.zeros(n),
     )  # fmt: skip
 
 
@@ -212,6 +217,8 @@ def attempt(s: Record, k: Any, b: Bench, slot: int, t: float, h: float, tol: flo
                 b.work[2] += part * s.w.tau_visc[j] * v
                 b.work[3] += part * s.w.tau_coul[j] * v
                 b.work[4] += part * s.w.tau_stop[j] * v
+                if s.w.holding:
+                    b.holds[i, j] = s.w.hold[j]
         moved = 0.0
         for i in range(3):
             for j in range(n):
@@ -250,7 +257,12 @@ def attempt(s: Record, k: Any, b: Bench, slot: int, t: float, h: float, tol: flo
         for i in range(3):
             smooth += _AT_END[i] * b.results[3 * j + i]
         b.a_new[j] = s.tau[j] - s.torque_per_amp * clamped(k, b, j, smooth)
-    solve(n, s.w.mass, b.a_new, s.w.factor)
+    if s.w.holding:
+        for j in range(n):
+            b.holds[3, j] = s.w.hold[j]
+        solve_held(n, s.w, b.a_new)
+    else:
+        solve(n, s.w.mass, b.a_new, s.w.factor)
     error = 0.0
     for j in range(n):
         e = s.a_trial[j] - b.a_new[j]

@@ -117,6 +117,7 @@ def prepare(
     state["rows_capacity"] = row_capacity if record else 0
     if not (record and dense):
         state["h_max"] = scene.computer.period_s
+    state["w"]["located"] = bool(state["p"]["coulomb_on"] or state["p"]["stops_on"])
     names = channels(n)
     driven = [names.index(name) - n for name in driving.channels if name.startswith("ks")]
     maps = plan(

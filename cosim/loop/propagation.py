@@ -14,6 +14,7 @@ from typing import Any
 from numba import carray, njit
 
 from cosim.loop.collocation import accept, attempt, guess, present
+from cosim.loop.crossings import find, first_crossing, meet, strike
 from cosim.loop.exact import land, leap, rests
 from cosim.loop.lockstep import RUNAWAY_RAD_PER_S, evaluate, noise_at, process_events, write_row
 from cosim.loop.maps import slot_of
@@ -33,6 +34,11 @@ _SAFETY, _GROWTH, _ORDER = 0.5, 8.0, 5.0
 _WATCHED, _WATCH_STEPS = 0.7, 64.0
 #: ... and the instants at which a motor reaches or leaves its limit are found to 2^-_LOCATED of an interval.
 _LOCATED = 18
+#: What friction and stops do is found to 2^-_FINEST of an interval, but not below _RESOLUTION_S.
+_FINEST, _RESOLUTION_S = 30, 1e-12
+#: Steps below this share of the period, on the way to such an instant and from it, are no rows.
+_ROW_SHARE = 2.0**-12
+_NEVER = math.inf
 #: Steps over a ramp of the gains, each with the gain of its middle: the torque's impulse is wrong by at most
 #: (change of gain) x (change of input) x settling time / (12 x _RAMP^2).
 _RAMP = 2
@@ -127,7 +133,10 @@ def _limit(s: Record, k: Any, b: Any) -> None:
         b.clamp[j] = _side(k, j, b.current[j])
         current = min(max(b.current[j], k.limit[j, 0]), k.limit[j, 1])
         s.tau[j] = s.torque_per_amp * current
-    evaluate(s, s.t, s.q, s.v, s.a)
+    if s.w.located:
+        find(s, b)
+    else:
+        evaluate(s, s.t, s.q, s.v, s.a)
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
@@ -136,7 +145,18 @@ def _time(s: Record, t0: float, length: float, position: int) -> float:
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
+def _finest(length: float) -> int:
+    """Return the level at which an instant in an interval of `length` [s] counts as found."""
+    level = _FINEST
+    while level > 0 and math.ldexp(length, -level) < _RESOLUTION_S:
+        level -= 1
+    return level
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _check(s: Record) -> None:
+    if s.points - s.points_before > s.most_points:
+        s.fault = _COLLAPSED
     for j in range(s.n):
         if not abs(s.v[j]) < RUNAWAY_RAD_PER_S:
             s.fault = _RAN_AWAY if abs(s.v[j]) < math.inf else _NOT_FINITE
@@ -156,11 +176,14 @@ def run(s: Record, k: Any, b: Any, x: Any, first: float) -> None:
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _run(s: Record, k: Any, b: Any, x: Any, first: float) -> None:
+    if s.w.located:
+        meet(s)
     _right_hand(s, k, b)
     s.history = 0
     record(s)
     t0, length, position = s.t, s.t_event - s.t, 0
     whole = _WHOLE
+    finest, until = _finest(length), _NEVER
     wish = s.h_max
     watch = False
     while s.fault == 0:
@@ -171,15 +194,21 @@ def _run(s: Record, k: Any, b: Any, x: Any, first: float) -> None:
                 s.history = 0
                 if first > 0.0:
                     wish = min(wish, first)
-            if watch:
+            if watch or s.w.located:
                 _right_hand(s, k, b)
+            if watch:
                 s.history = 0
             t0, length, position = s.t, s.t_event - s.t, 0
+            finest, until = _finest(length), _NEVER
         longest = min(wish, s.h_max)
         if watch:
             longest = min(longest, s.c.period / _WATCH_STEPS)
         if _gains_ramp(s):
             longest = min(longest, s.settle / _RAMP)
+        if until - s.t > math.ldexp(length, -finest):
+            longest = min(longest, until - s.t)
+        else:
+            until = _NEVER
         level = 0
         while position & ((whole >> level) - 1) != 0 or math.ldexp(length, -level) > longest * (1 + 1e-9):
             level += 1
@@ -217,6 +246,16 @@ def _run(s: Record, k: Any, b: Any, x: Any, first: float) -> None:
                 level += 1
                 guess(s, b, math.ldexp(length, -level))
                 continue
+            if s.w.located and level < finest:
+                share = first_crossing(s, b, h)
+                if share <= 1.0:
+                    s.rejected += 1
+                    until = s.t + share * h
+                    level += 1
+                    while level < finest and math.ldexp(length, -level) > share * h:
+                        level += 1
+                    guess(s, b, math.ldexp(length, -level))
+                    continue
             break
         if s.fault != 0:
             break
@@ -237,5 +276,14 @@ def _run(s: Record, k: Any, b: Any, x: Any, first: float) -> None:
                     _limit(s, k, b)
                     s.history = 0
                     break
-        record(s)
+        struck = False
+        if s.w.located and level >= finest and strike(s, b):
+            struck = True
+            _limit(s, k, b)
+            s.history = 0
+            until = _NEVER
+        if struck or position == whole or h > _ROW_SHARE * s.c.period:
+            record(s)
+        else:
+            s.points += 1
     call_plain(s.drain_address)

@@ -50,6 +50,7 @@ def mechanism(scene: Scene, gear: float) -> Chain | Slider:
             stops_rad=chain.stops_rad or None,
             stop_stiffness_n_m_per_rad=chain.stop_stiffness_n_m_per_rad,
             stop_damping_n_m_s=chain.stop_damping_n_m_s,
+            stop_restitution=chain.stop_restitution,
         )
     slider = device.slider
     assert slider is not None  # the scene's checks hold this
@@ -67,6 +68,7 @@ def mechanism(scene: Scene, gear: float) -> Chain | Slider:
         stops_rad=slider.stops_rad or None,
         stop_stiffness_n_m_per_rad=slider.stop_stiffness_n_m_per_rad,
         stop_damping_n_m_s=slider.stop_damping_n_m_s,
+        stop_restitution=slider.stop_restitution,
     )
 
 

@@ -58,6 +58,7 @@ PositiveRate = Annotated[float, Field(gt=0, le=1e4), Unit("rad/s")]
 Torque = Annotated[float, Field(ge=0, le=1e3), Unit("N m")]
 JointStiffness = Annotated[float, Field(ge=0, le=1e7), Unit("N m/rad")]
 JointDamping = Annotated[float, Field(ge=0, le=1e4), Unit("N m s/rad")]
+Restitution = Annotated[float, Field(ge=0, le=1)]
 Stiffness = Annotated[float, Field(ge=0, le=1e7), Unit("N/m")]
 Damping = Annotated[float, Field(ge=0, le=1e5), Unit("N s/m")]
 Force = Annotated[float, Field(ge=-1e4, le=1e4), Unit("N")]
@@ -175,6 +176,9 @@ class Chain(Table):
 
     Lists hold one value a joint. Rotor inertia is on the motor's side of the gear, everything else on
     the joint's side. Centres of mass lie on the link, measured from its joint; inertias are about them.
+
+    In the models `ideal` and `linear` Coulomb friction holds and slips, and stops push and let go, at located
+    instants; stops with `stop_restitution` do not give. On `spice` it is coulomb tanh(v / coulomb_speed).
     """
 
     lengths_m: tuple[Length, ...] = Field(min_length=1, max_length=6)
@@ -188,6 +192,7 @@ class Chain(Table):
     stops_rad: tuple[tuple[Angle, Angle], ...] = ()
     stop_stiffness_n_m_per_rad: JointStiffness = 100.0
     stop_damping_n_m_s: JointDamping = 0.1
+    stop_restitution: Restitution | None = None
     gravity_m_per_s2: tuple[Gravity, Gravity] = (0.0, -9.81)
 
 
@@ -208,6 +213,7 @@ class Slider(Table):
     stops_rad: tuple[tuple[Angle, Angle], ...] = ()
     stop_stiffness_n_m_per_rad: JointStiffness = 100.0
     stop_damping_n_m_s: JointDamping = 0.1
+    stop_restitution: Restitution | None = None
     gravity_m_per_s2: tuple[Gravity, Gravity] = (0.0, -9.81)
 
 
