@@ -353,7 +353,7 @@ def test_spring_damper_contact_left_at_the_surface(
 
 @pytest.mark.parametrize("side", [-1, 1])
 def test_a_stop_that_gives_takes_what_hunt_and_crossley_say(tmp_path: Path, side: int) -> None:  # 20
-    # m v dv/dx = -k x (1 + u v), u = c/k: v/u - ln(1 + u v)/u^2 is the same at entry and exit, deepest at v = 0
+    # m v dv/dx = -k x (1 + u v), u = c/k: v/u - ln(1 + u v)/u^2 is the same at both ends, deepest at v = 0
     k, c, speed = 20.0, 4.0, 2.0
     u = c / k
     tables = free(
