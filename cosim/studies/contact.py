@@ -133,8 +133,7 @@ def _to_wall(jac: Array, normal: Array, n: int) -> Array:
     if n == 1:
         w = float(normal @ jac[:, 0])
         return normal[None, :] / w
-    out: Array = np.linalg.pinv(jac)
-    return out
+    return np.asarray(np.linalg.pinv(jac), np.float64)
 
 
 def _equilibrium(linkage: Linkage, q: Array, normal: Array, depth: float) -> Array:
