@@ -45,6 +45,8 @@ vca = "gbw"
 driver_level = "gbw"
 motor = "full"
 coriolis = true
+rotor_inertia = true
+operator_dynamics = true
 [solver]
 max_step_s = 5e-4
 """

@@ -223,7 +223,7 @@ def _marks(plan: Plan, recorded: Outcome) -> NDArray[np.float64]:
     As there, each sample makes the next one a breakpoint of ngspice; the first one is set at time 0.
     """
     scene = plan.scene
-    settle = scene.computer.dac.settling_s if scene.effects.dac else 0.0
+    settle = scene.computer.dac.settling_s if scene.effects.dac_settling else 0.0
     if settle == 0.0 or scene.effects.delay:
         raise ValueError("the replay knows DACs that settle and no delay")
     columns = recorded.sample_columns

@@ -149,8 +149,11 @@ driver_level = "gbw"
 motor = "full"
 encoder = true
 dac = true
+dac_settling = true
 coriolis = true
 viscous = true
+rotor_inertia = true
+operator_dynamics = true
 
 [solver]
 model = "spice"  # the circuit as built; "auto" takes the cheapest model that carries the effects

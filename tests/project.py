@@ -43,6 +43,8 @@ driver_level = "gbw"
 motor = "full"
 encoder = true
 dac = true
+rotor_inertia = true
+operator_dynamics = true
 
 [solver]
 model = "spice"

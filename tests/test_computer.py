@@ -349,7 +349,11 @@ def test_delay_longer_than_a_period_loses_no_sample(tmp_path: Path) -> None:  # 
 def test_dac_settles_on_a_ramp(tmp_path: Path) -> None:
     settling = 1e-3
     tables = merge(
-        FALLING, {"computer": {"dac": {"settling_s": settling, "bits": 32}}, "effects": {"dac": True}}
+        FALLING,
+        {
+            "computer": {"dac": {"settling_s": settling, "bits": 32}},
+            "effects": {"dac": True, "dac_settling": True},
+        },
     )
     run = quick(tmp_path, tables)
     t = np.asarray(run.signals["time"])
@@ -378,7 +382,7 @@ def test_a_ramp_longer_than_the_period_goes_on_from_where_it_is(tmp_path: Path) 
             device={"start": {"q_rad": [0.3], "v_rad_per_s": [1.0]}},
             wall=None,
             computer={"period_s": period, "dac": {"settling_s": settling, "bits": 32}},
-            effects={"dac": True},
+            effects={"dac": True, "dac_settling": True},
         ),
     )
     t, y = np.asarray(run.signals["time"]), np.asarray(run.signals["u1"]) / V_RAD
@@ -394,7 +398,10 @@ def test_a_ramp_longer_than_the_period_goes_on_from_where_it_is(tmp_path: Path) 
 
 def test_equilibria_and_commands_follow_the_gains_by_the_skew(tmp_path: Path) -> None:
     skew = 5e-4
-    tables = merge(FALLING, {"computer": {"dac": {"skew_s": skew, "bits": 32}}, "effects": {"dac": True}})
+    tables = merge(
+        FALLING,
+        {"computer": {"dac": {"skew_s": skew, "bits": 32}}, "effects": {"dac": True, "dac_skew": True}},
+    )
     run = quick(tmp_path, tables)
     for name, lag in (("ksp11", 0.0), ("u1", skew), ("cmd1", skew)):
         phase = (changes(run, name) - lag) / 0.01

@@ -144,6 +144,7 @@ def two_masses(folder: Path, max_step_s: float, duration_s: float) -> tuple[Run,
                 "start": {"q_rad": [amplitude, 0.0]},
             },
             "computer": {"period_s": 0.1, "method": "continuous", "analog_stiffness_n_per_m": 1.0},
+            "effects": {"rotor_inertia": True},
             "solver": {"max_step_s": max_step_s, "coupling_tolerance_rad": LOOSE_RAD},
         },
     )  # fmt: skip
@@ -312,7 +313,7 @@ def spinning(
             "start": {"q_rad": [0.5], "v_rad_per_s": [20.0]},
         },
         "computer": {"period_s": 0.02, "method": "continuous", "analog_stiffness_n_per_m": 1.0},
-        "effects": {"motor": motor},
+        "effects": {"motor": motor, "rotor_inertia": True},
         "solver": {"rtol": rtol, "coupling_tolerance_rad": LOOSE_RAD if loose else 1e-7},
     }  # fmt: skip
 
@@ -402,7 +403,7 @@ def test_late_equilibrium_makes_the_torque_glitch_of_its_closed_form(tmp_path: P
             duration_s=0.049,
             device={"start": {"q_rad": [start], "v_rad_per_s": [-speed / RADIUS]}},
             computer={"dac": {"skew_s": skew, "bits": 32}},
-            effects={"dac": True},
+            effects={"dac": True, "dac_skew": True},
         ),
     )
     t, q, current = (np.asarray(run.signals[name]) for name in ("time", "q1", "imot1"))
@@ -474,7 +475,8 @@ def test_driver_at_its_current_limit_through_a_contact(tmp_path: Path) -> None: 
                     "force_s_n": [[0.1, 0.0, 0.0], [0.5, 0.0, -7.0], [1.5, 0.0, -7.0], [1.7, 0.0, 0.0],
                                   [2.0, 0.0, -1.5]],
                 },
-                effects={"opamp": "full", "vca": "full", "driver_level": "full", "motor": "full"},
+                effects={"opamp": "full", "vca": "full", "driver_level": "full", "motor": "full",
+                         "operator_dynamics": True},
             ),
         )  # fmt: skip
 

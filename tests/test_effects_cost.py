@@ -15,7 +15,10 @@ from cosim.plan import Plan, resolve
 from cosim.scene import load_scene
 
 IDEAL = ("opamp=ideal", "vca=ideal", "driver_level=ideal", "motor=ideal", "potentiometer=ideal")
-OFF = ("encoder=false", "dac=false", "coriolis=false", "viscous=false")
+OFF = tuple(
+    f"{name}=false"
+    for name in "encoder dac dac_settling coriolis viscous rotor_inertia operator_dynamics".split()
+)
 
 
 def slope(*effects: str, more: tuple[str, ...] = ()) -> Any:
@@ -136,7 +139,9 @@ def test_what_converters_delay_and_noise_add(tmp_path: Path) -> None:
     assert coded["points"] <= plain["points"] * 1.02  # rounding the codes moves steps, it adds no instants
     encoded = stats(tmp_path, pressed(effects={"encoder": True}))
     assert encoded["points"] <= plain["points"] * 1.02
-    settled = stats(tmp_path, pressed(effects={"dac": True}, computer={"dac": {"settling_s": 1e-4}}))
+    settled = stats(
+        tmp_path, pressed(effects={"dac": True, "dac_settling": True}, computer={"dac": {"settling_s": 1e-4}})
+    )
     assert settled["points"] > coded["points"]
     assert settled["random_draws"] == 0
     noisy = stats(tmp_path, pressed(effects={"pot_noise": "white"}))
@@ -323,7 +328,7 @@ def test_energy_ledger_closes_with_end_stops_hit_at_speed(tmp_path: Path) -> Non
         duration_s=1.0,
         wall=None,
         device={"slider": stops, "start": {"q_rad": [0.0], "v_rad_per_s": [2.0]}},
-        effects={"motor": "emf"},
+        effects={"motor": "emf", "end_stops": True},
     )
     coarse, fine = (quick(tmp_path, tables, tolerance) for tolerance in TOLERANCES)
     closes(coarse, 1e-4)

@@ -82,7 +82,7 @@ def test_scenes_agree_with_their_monolithic_decks(tmp_path, name):
         ("slope", ["effects.coulomb=true"]),
         ("drop", ["effects.coulomb=true"]),
         ("slope", ["effects.gravity=true", "effects.viscous=false", "effects.coriolis=false"]),
-        ("slope", ["effects.dac=false"]),
+        ("slope", ["effects.dac_settling=false"]),
         (
             "slope",
             [
@@ -91,6 +91,7 @@ def test_scenes_agree_with_their_monolithic_decks(tmp_path, name):
                 "computer.delay_fraction=0.3",
                 "computer.analog_damping_n_s_per_m=2.0",
                 "computer.dac.skew_s=1e-4",
+                "effects.dac_skew=true",
             ],
         ),
     ],
@@ -121,7 +122,7 @@ def arm(board, n):
                 "start": {"q_rad": [0.3 + 0.1 * j for j in range(n)], "v_rad_per_s": [1.0] * n},
             },
             "operator": {"type": "mass", "mass_kg": 0.05},
-            "effects": {"motor": "full", "gravity": True, "coriolis": True},
+            "effects": {"motor": "full", "gravity": True, "coriolis": True, "rotor_inertia": True},
             "wall": None,
         },
     )
@@ -188,7 +189,7 @@ def test_same_run_same_deck(tmp_path):
 @pytest.mark.parametrize(
     ("overrides", "key"),
     [
-        (["device.chain.stops_rad=[[-1.0,2.0],[-1.0,2.0]]"], "device.chain.stops_rad"),
+        (["device.chain.stops_rad=[[-1.0,2.0],[-1.0,2.0]]", "effects.end_stops=true"], "effects.end_stops"),
         (['effects.pot_noise="static"'], "effects.pot_noise"),
     ],
 )

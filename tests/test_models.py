@@ -112,7 +112,7 @@ def test_a_resistor_reaches_every_model(tmp_path):
                 tmp_path,
                 slider(
                     duration_s=1.0,
-                    effects={"motor": "emf"},
+                    effects={"motor": "emf", "operator_dynamics": True},
                     operator={
                         "type": "hand",
                         "waypoints_s_m": [[0.0, 0.0, 0.0]],

@@ -316,7 +316,7 @@ def test_a_drop_follows_the_exact_sampled_solution(
             "period_s": period, "method": method, "discrete_stiffness_n_per_m": kp,
             "discrete_damping_n_s_per_m": kd, "analog_stiffness_n_per_m": k_dp, "command_path": path,
         },
-        effects={"motor": "emf", "gravity": True, "encoder": encoder},
+        effects={"motor": "emf", "gravity": True, "encoder": encoder, "rotor_inertia": True},
     )  # fmt: skip
     made = propagate(scene_of(tmp_path, tables), ideal(1), tol=1e-13, exact=exact)
     reference = ExactSlider(
@@ -463,7 +463,10 @@ def test_stiff_circuit_by_collocation_and_by_exponential(tmp_path: Path) -> None
         computer={
             "period_s": 0.01, "analog_damping_n_s_per_m": 1.0, "dac": {"settling_s": 1e-4, "skew_s": 3e-4},
         },
-        effects={"motor": "emf", "dac": True, "pot_noise": "white"},
+        effects={
+            "motor": "emf", "dac": True, "dac_settling": True, "dac_skew": True, "pot_noise": "white",
+            "operator_dynamics": True,
+        },
     )  # fmt: skip
     circuit = lagging(replace(ideal(1), e_pre=0 * ideal(1).e_pre), 3e3, MOTOR_OHM / MOTOR_H)
     scene = scene_of(tmp_path, tables)
@@ -499,7 +502,9 @@ def test_a_kink_on_a_sample_and_one_ulp_beside_it(tmp_path: Path) -> None:  # 25
             "waypoints_s_m": [[0.0, 0.0, 0.0]],
             "force_s_n": [[at, 0.0, 0.0], [0.3, 0.0, -1.0]],
         }  # fmt: skip
-        made = propagate(scene_of(tmp_path, slider(operator=hand)), ideal(1))
+        made = propagate(
+            scene_of(tmp_path, slider(operator=hand, effects={"operator_dynamics": True})), ideal(1)
+        )
         assert (samples(made, "tick") == np.arange(len(samples(made, "tick")))).all()
         ends.append((float(made.memory.state[0]["q"][0]), len(samples(made, "tick"))))
     assert len({count for _, count in ends}) == 1

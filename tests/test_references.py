@@ -69,7 +69,7 @@ def test_mass_dropped_on_the_wall_follows_the_exact_sampled_solution(
                 "analog_stiffness_n_per_m": k_dp,
                 "command_path": path,
             },
-            effects={"motor": "emf", "gravity": True, "encoder": encoder},
+            effects={"motor": "emf", "gravity": True, "encoder": encoder, "rotor_inertia": True},
         ),
     )
     mass = 0.25

@@ -340,7 +340,7 @@ def test_recorded_nodes_are_signals_and_ngspice_reads_them(project: Project, tmp
         ["computer.period_s=0.03"],
         ["effects.delay=true", "computer.delay_periods=5"],  # longer than the run
         ["effects.delay=true", "computer.delay_fraction=1e-15"],
-        ["computer.dac.skew_s=1e-12"],
+        ["effects.dac_skew=true", "computer.dac.skew_s=1e-12"],
         ["computer.dac.settling_s=0.5"],  # longer than the run
         ["wall.point_m=[0.07, 0.154]"],  # through the start point
         ["wall.point_m=[0.07, 0.18]"],  # deep inside from the start

@@ -7,7 +7,7 @@ import math
 from cosim.circuits.port import Stated
 from cosim.effects.effect import ALL, Cost, Effect, Size
 from cosim.effects.scale import scale
-from cosim.scene import Scene
+from cosim.scene import HandOperator, Scene
 from cosim.scene.schema import Chain, Slider
 
 
@@ -61,6 +61,41 @@ def _lacks_coulomb(scene: Scene) -> str:
     return "" if _largest(_table(scene).coulomb_n_m) > 0.0 else "coulomb_n_m is zero"
 
 
+def _rotor(scene: Scene, constants: Stated) -> Size:
+    at = scale(scene, constants)
+    share = at.rotor_kg / at.mass_kg
+    # a mass caught by a spring makes v sqrt(k m): half the share of the mass; carried along, all of it
+    return Size(at.rotor_kg, "kg", share * at.force_n, "behind the gears at the tip", "F J gear^2 / (r^2 m)")
+
+
+def _lacks_rotor(scene: Scene) -> str:
+    return "" if _largest(_table(scene).rotor_inertia_kg_m2) > 0.0 else "rotor_inertia_kg_m2 is zero"
+
+
+def _stops(scene: Scene, constants: Stated) -> Size:
+    at, table = scale(scene, constants), _table(scene)
+    # all kinetic energy of the tip into the stop's spring
+    hit = at.speed_m_per_s * math.sqrt(at.mass_kg * table.stop_stiffness_n_m_per_rad) / at.reach_m
+    stiffness = table.stop_stiffness_n_m_per_rad
+    return Size(stiffness, "N m/rad", hit, "beyond the travel", "v sqrt(k m) where a stop is hit")
+
+
+def _lacks_stops(scene: Scene) -> str:
+    return "" if _table(scene).stops_rad else "no stops_rad are stated"
+
+
+def _person(scene: Scene, constants: Stated) -> Size:
+    at, hand = scale(scene, constants), scene.operator
+    damping = hand.damping_n_s_per_m if isinstance(hand, HandOperator) else 0.0
+    caught = at.speed_m_per_s * math.sqrt(at.stiffness_n_per_m * at.person_kg)
+    force = damping * at.speed_m_per_s + caught
+    return Size(at.person_kg, "kg", force, f"of hand, with {damping:.3g} N s/m", "b v + v sqrt(k m)")
+
+
+def _lacks_hand(scene: Scene) -> str:
+    return "" if isinstance(scene.operator, HandOperator) else "nobody's hand holds the tip"
+
+
 #: In the order in which a plan lists them.
 LINKAGE = (
     Effect("gravity", False, (True,), "linkage", ALL, size=_gravity),
@@ -70,4 +105,7 @@ LINKAGE = (
         "coulomb", False, (True,), "linkage", ALL,
         size=_coulomb, cost=_coulomb_cost, lacks=_lacks_coulomb,
     ),
+    Effect("rotor_inertia", False, (True,), "linkage", ALL, size=_rotor, lacks=_lacks_rotor),
+    Effect("end_stops", False, (True,), "linkage", ALL, size=_stops, lacks=_lacks_stops),
+    Effect("operator_dynamics", False, (True,), "operator", ALL, size=_person, lacks=_lacks_hand),
 )  # fmt: skip

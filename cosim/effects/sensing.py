@@ -39,11 +39,31 @@ def _encoder(scene: Scene, constants: Stated) -> Size:
     )
 
 
+def _linearity(scene: Scene, constants: Stated) -> Size:
+    at, rad = scale(scene, constants), scene.device.potentiometer.linearity_rad
+    force = at.capped(at.analog_n_per_m * at.reach_m * rad)
+    return Size(rad, "rad", force, "off the straight line", "k r e; data sheet of the potentiometer")
+
+
+def _calibration(scene: Scene, constants: Stated) -> Size:
+    at, pot = scale(scene, constants), scene.device.potentiometer
+    far = constants.numbers.get("pot_travel", 2.0 * math.pi) / 2.0
+    rad = abs(pot.zero_rad) + abs(pot.gain_error) * far
+    force = at.capped(at.analog_n_per_m * at.reach_m * rad)
+    return Size(rad, "rad", force, "between potentiometer and encoder at the end of travel", "k r (e0 + g q)")
+
+
+def _table_cost(scene: Scene, constants: Stated) -> Cost:
+    return Cost(0.0, 0, "a table over the angle; a slider is no more solved exactly")
+
+
 #: In the order in which a plan lists them.
 SENSING = (
     Effect(
         "pot_noise", "none", ("white", "peak_to_peak", "static", "position"), "potentiometer", ALL,
         size=_pot_noise, cost=_pot_cost,
     ),
+    Effect("pot_linearity", False, (True,), "potentiometer", ALL, size=_linearity, cost=_table_cost),
+    Effect("pot_calibration", False, (True,), "potentiometer", ALL, size=_calibration, cost=_table_cost),
     Effect("encoder", False, (True,), "computer", ALL, size=_encoder),
 )  # fmt: skip

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from pathlib import Path
 from typing import Any
@@ -16,10 +15,17 @@ from cosim.export.waveform import channels, source, stopping_source
 from cosim.loop.setup import mechanism, operator, start
 from cosim.plan import Plan
 from cosim.results import Run
-from cosim.scene import PotNoise, PythonOperator, Scene
+from cosim.scene import Jitter, PotNoise, PythonOperator, Scene
 from cosim.staging import disk_errors
 
 KINDS = ("monolithic", "replay")
+#: What a monolithic deck cannot carry: key of `[effects]`, its null form, and what it is.
+_NOT_CARRIED: tuple[tuple[str, str | bool, str], ...] = (
+    ("end_stops", False, "end stops"),
+    ("pot_noise", "none", "noise"),
+    ("pot_linearity", False, "errors that belong to the angle"),
+    ("pot_calibration", False, "errors that belong to the angle"),
+)
 
 
 def export(plan: Plan, run: Run, path: str | os.PathLike[str], kind: str = "monolithic") -> Path:
@@ -51,6 +57,7 @@ def export(plan: Plan, run: Run, path: str | os.PathLike[str], kind: str = "mono
     if kind not in KINDS:
         fail("there is no such kind of export", key="kind", value=kind, allowed=", ".join(KINDS))
     _check_run(plan, run)
+    _check_clock(plan.scene)
     lines = _monolithic(plan, run) if kind == "monolithic" else _replay(plan, run)
     target = Path(path)
     with disk_errors(target):
@@ -102,21 +109,34 @@ def _monolithic(plan: Plan, run: Run) -> list[str]:
 def _check_carried(scene: Scene) -> None:
     """Refuse what a monolithic deck cannot carry; all of it at once."""
     file = str(scene.file) if scene.file else None
-    kind = scene.device.linkage.value
-    table = scene.device.slider if kind == "slider" else scene.device.chain
-    stops = table.stops_rad if table is not None else ()
-    problems = []
-    if any(math.isfinite(angle) for pair in stops for angle in pair):
-        message = "a monolithic deck has no end stops: leave them out, or export a replay"
-        problems.append(Problem(message, file=file, key=f"device.{kind}.stops_rad", value=stops))
-    if scene.effects.pot_noise is not PotNoise.NONE:
-        message, noise = "a monolithic deck has no noise", scene.effects.pot_noise.value
-        problems.append(Problem(message, file=file, key="effects.pot_noise", value=noise, allowed="none"))
+    problems = [
+        Problem(
+            f"a monolithic deck has no {words}: switch it off, or export a replay",
+            file=file,
+            key=f"effects.{name}",
+            value=value,
+            allowed=str(null).lower(),
+        )
+        for name, null, words in _NOT_CARRIED
+        if (value := getattr(getattr(scene.effects, name), "value", getattr(scene.effects, name))) != null
+    ]
     if isinstance(scene.operator, PythonOperator):
         message, known = "a monolithic deck cannot call Python", "none, mass, hand"
         problems.append(Problem(message, file=file, key="operator.type", value="python", allowed=known))
     if problems:
         raise InputError(problems)
+
+
+def _check_clock(scene: Scene) -> None:
+    """Refuse samples at instants of their own: the deck's clocks are pulses."""
+    if scene.effects.period_jitter is not Jitter.NONE:
+        fail(
+            "the clocks of an exported deck tick evenly",
+            file=str(scene.file) if scene.file else None,
+            key="effects.period_jitter",
+            value=scene.effects.period_jitter.value,
+            allowed="none",
+        )
 
 
 def _deck(plan: Plan, what: str, elements: list[str], shown: list[str]) -> list[str]:

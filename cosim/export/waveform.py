@@ -19,7 +19,7 @@ Vector = NDArray[np.float64]
 
 def settling_s(scene: Scene) -> float:
     """Length of the ramp [s] by which the DACs change, 0 when they jump."""
-    return scene.computer.dac.settling_s if scene.effects.dac else 0.0
+    return scene.computer.dac.settling_s if scene.effects.dac_settling else 0.0
 
 
 def channel(time: Vector, volts: Vector, settle: float) -> tuple[Vector, Vector]:
@@ -103,7 +103,7 @@ def clocks(scene: Scene) -> list[str]:
     computer, effects = scene.computer, scene.effects
     period, rise = computer.period_s, settling_s(scene) or RISE_S
     starts = [computer.delay_fraction * period if effects.delay else 0.0]
-    if effects.dac and computer.dac.skew_s > 0.0:
+    if effects.dac_skew and computer.dac.skew_s > 0.0:
         starts.append(starts[0] + computer.dac.skew_s)
     return [
         f"Vclock{k} clock{k} 0 pulse(0 1 {start!r} {rise!r} {rise!r} {period - rise!r} {2 * period!r})"

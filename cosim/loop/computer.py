@@ -49,6 +49,7 @@ COMPUTER = np.dtype(
         ("kd", "f8"),
         ("k_dp", "f8"),
         ("k_dd", "f8"),
+        ("geometric", "i8"),
         ("point", "f8", 2),
         ("normal", "f8", 2),
         ("joint_gain", "f8", NMAX),
@@ -179,10 +180,13 @@ def law(c: Record, p: Record, x: Record) -> None:
         jacobian(p, x.q, x.jac)
     else:
         equilibrium(c, p, x)
-    w = x.jac[0]  # row 0 becomes J^T n, the joint torques of a unit normal force
+    w = x.jac[0]  # row 0 becomes J^T n, the joint torques of a unit normal force,
+    across = x.jac[1]  # row 1 the distance of the tip from each joint along the normal
     speed = 0.0
     for j in range(n):
-        w[j] = c.normal[0] * x.jac[0, j] + c.normal[1] * x.jac[1, j]
+        jx, jy = x.jac[0, j], x.jac[1, j]
+        w[j] = c.normal[0] * jx + c.normal[1] * jy
+        across[j] = c.normal[0] * jy - c.normal[1] * jx
         speed += w[j] * x.v[j]
     if c.method == 3:
         for i in range(n):
@@ -193,9 +197,18 @@ def law(c: Record, p: Record, x: Record) -> None:
             for j in range(n):
                 x.ksp[i, j] = c.k_dp * w[i] * w[j]
                 x.ksd[i, j] = c.k_dd * w[i] * w[j]
-    if c.method == 1 or (c.kp == 0.0 and c.kd == 0.0):
-        return
-    force = c.kp * x.pen - c.kd * speed
+    force = 0.0 if c.method == 1 else c.kp * x.pen - c.kd * speed
+    held = force  # what the springs do not carry
+    if c.method != 1 and (c.kp != 0.0 or c.kd != 0.0):
+        held = _push(c, x, w, force)
+    if c.geometric:
+        _stiffen(c, x, w, across, held)
+
+
+@njit(cache=True, error_model="numpy")
+def _push(c: Record, x: Record, w: Vector, force: float) -> float:
+    """Ask for the discrete force [N] along the normal; return what of it the springs do not carry."""
+    n = c.n
     if c.path == 0 and c.method == 2:
         ww = 0.0
         for j in range(n):
@@ -203,9 +216,31 @@ def law(c: Record, p: Record, x: Record) -> None:
         if ww > 0.0:  # at full stretch no torque pushes along the arm: nothing to ask for
             for j in range(n):
                 x.u[j] += w[j] * force / (c.k_dp * ww)
-    else:
+        return 0.0
+    for j in range(n):
+        x.cmd[j] = w[j] * force
+    return force
+
+
+@njit(cache=True, error_model="numpy")
+def _stiffen(c: Record, x: Record, w: Vector, across: Vector, held: float) -> None:
+    """Add the geometric stiffness of the force in being to Ksp (footnote 2; Chen and Kao 2000).
+
+    Where the tip moves under a force F on the device, J^T F changes although F does not: without the term
+    K_g = [dJ^T/dq1 F, dJ^T/dq2 F, ...] the stiffness that is felt is K - J^-T K_g J^-1. For a planar chain
+    K_g[i, j] = -(r - r_m) . F, r_m the joint m = max(i, j). The device pushes along the normal with the force
+    of its springs and `held` [N], so that F is its opposite. The torque at the sample stays as it was: the
+    commands take away what the stiffer springs would add.
+    """
+    n = c.n
+    push = held
+    for j in range(n):
+        push += c.k_dp * w[j] * (x.u[j] - x.q[j])
+    for i in range(n):
         for j in range(n):
-            x.cmd[j] = w[j] * force
+            added = push * across[max(i, j)]
+            x.ksp[i, j] += added
+            x.cmd[i] -= added * (x.u[j] - x.q[j])
 
 
 @njit(cache=True, error_model="numpy")

@@ -18,6 +18,13 @@ def channels(n: int) -> list[str]:
     )
 
 
+def is_geometric(scene: Scene) -> bool:
+    """Whether the control law adds the geometric stiffness: it bends with the links, and needs springs."""
+    springs = scene.computer.method in (Method.CONTINUOUS, Method.COMBINED)
+    built_in = scene.computer.law is None
+    return scene.effects.geometric_stiffness and springs and built_in and not scene.is_slider
+
+
 def drive(scene: Scene) -> Drive:
     """Pins that this scene moves; all others are held at 0 V."""
     computer, n = scene.computer, scene.joints
@@ -36,7 +43,7 @@ def drive(scene: Scene) -> Drive:
         elif name.startswith("ksd"):
             used = damped and (computer.method is not Method.JOINT_PD or diagonal)
         elif name.startswith("cmd"):
-            used = by_cmd and computer.method is not Method.CONTINUOUS
+            used = (by_cmd and computer.method is not Method.CONTINUOUS) or is_geometric(scene)
         else:
             used = True
         if used or user:

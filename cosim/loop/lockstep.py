@@ -55,6 +55,15 @@ def noise_at(s: Record, t: float, joint: int) -> float:
     return value
 
 
+@njit(cache=True, error_model="numpy", forceinline=True)
+def instant(s: Record, tick: int) -> float:
+    """Return when the computer samples [s]: an integer tick of its clock, early or late by its jitter."""
+    at = tick * s.c.period
+    if s.jitter != 0:
+        at += carray(doubles_at(s.jitter), (s.last_tick + 1,))[tick]
+    return float(at)
+
+
 @njit(cache=True, error_model="numpy")
 def _is_gain(s: Record, channel: int) -> bool:
     return bool(s.n <= channel < s.n + 2 * s.n * s.n)
@@ -129,6 +138,8 @@ def compute_sample(s: Record) -> None:
     slot = s.queue_in % QUEUE
     to_volts(s.c, s.x, s.queue[slot])
     s.queue_time[slot] = (s.tick + s.delay_ticks) * s.c.period + s.delay_s
+    if s.jitter != 0:
+        s.queue_time[slot] += instant(s, s.tick) - s.tick * s.c.period
     s.queue_in += 1
     if s.queue_in - min(s.queue_out[0], s.queue_out[1]) > QUEUE:
         s.fault = _SAMPLE_LOST
@@ -143,7 +154,7 @@ def _write_sample(s: Record) -> None:
     width = 8 + 4 * n + 2 * n * n
     row = carray(doubles_at(s.samples + 8 * width * s.samples_used), (width,))
     x = s.x
-    row[0], row[1], row[2], row[3] = x.tick, x.time, x.contact, x.pen
+    row[0], row[1], row[2], row[3] = x.tick, instant(s, x.tick), x.contact, x.pen
     row[4], row[5], row[6], row[7] = x.saturated, x.unsolved, x.r[0], x.r[1]
     at = 8
     for j in range(n):
@@ -164,7 +175,7 @@ def _next_event(s: Record) -> float:
     """Return the time of the next instant that the step must land on."""
     at = s.t_end
     if s.tick <= s.last_tick:
-        at = min(at, s.tick * s.c.period)
+        at = min(at, instant(s, s.tick))
     for group in range(2):
         if s.queue_out[group] < s.queue_in:
             slot = s.queue_out[group] % QUEUE
@@ -187,7 +198,7 @@ def announce(s: Record, now: float) -> None:
     if s.breakpoint_address == 0:  # our own loop knows
         return
     if s.tick <= s.last_tick:
-        call_with_time(s.breakpoint_address, s.tick * s.c.period)
+        call_with_time(s.breakpoint_address, instant(s, s.tick))
     change = s.queue_time[(s.queue_in - 1) % QUEUE]
     if change > now:
         call_with_time(s.breakpoint_address, change)
@@ -229,7 +240,7 @@ def process_events(s: Record, t: float) -> bool:
         fill(s, t)
         s.ramping = 0
         s.history = min(s.history, 1)
-    if s.tick <= s.last_tick and s.tick * s.c.period <= now:
+    if s.tick <= s.last_tick and instant(s, s.tick) <= now:
         compute_sample(s)
         announce(s, now)
     jumped = False

@@ -1,4 +1,4 @@
-"""Potentiometer noise, drawn by us: one seeded stream a source, the same in every circuit model.
+"""What is drawn by us: one seeded stream a source, the same in every circuit model.
 
 The streams are keyed by (seed, source, joint), so that adding a source never changes another's values. Grid
 noise is linear between ticks of the grid; each tick is landed on by the step control.
@@ -15,6 +15,10 @@ from numpy.typing import NDArray
 _INTERPOLATED_RMS = np.sqrt(2.0 / 3.0)
 #: Points of the table of position noise in one period.
 _POINTS_PER_PERIOD = 64
+#: A linearity error is drawn for a turn either way; a calibration holds wherever a scene's joints may be.
+_TURN_RAD, _FARTHEST_RAD = 2.0 * np.pi, 100.0
+#: Samples come early or late by less than half a period, so that they keep their order.
+_LATEST = 0.45
 
 
 @dataclass(frozen=True)
@@ -82,14 +86,7 @@ def potentiometer_noise(
         offsets = np.array([g.standard_normal() * noise_rad for g in streams])
         return Noise(empty, 0.0, np.vstack([offsets, offsets]), -span_rad, 2 * span_rad, joints)
     if kind == "position":
-        knots = int(np.ceil(2 * span_rad / period_rad)) + 4
-        fine = (knots - 3) * _POINTS_PER_PERIOD
-        values = np.column_stack([g.standard_normal(knots) for g in streams])
-        at = np.arange(fine + 1) / _POINTS_PER_PERIOD + 1.0
-        base = np.minimum(at.astype(int), knots - 3)
-        x = (at - base)[:, None]
-        # cosine blend: unit mean square at and between the knots
-        table = np.cos(np.pi / 2 * x) * values[base] + np.sin(np.pi / 2 * x) * values[base + 1]
+        table, knots = _over_angle(streams, period_rad, span_rad)
         return Noise(
             empty, 0.0, noise_rad * table, -span_rad, period_rad / _POINTS_PER_PERIOD, knots * joints
         )
@@ -101,3 +98,99 @@ def potentiometer_noise(
     else:
         grid = np.column_stack([(g.random(ticks) - 0.5) * noise_rad for g in streams])
     return Noise(grid, dt, empty, 0.0, 0.0, ticks * joints)
+
+
+def _over_angle(
+    streams: list[np.random.Generator], period_rad: float, span_rad: float
+) -> tuple[NDArray[np.float64], int]:
+    """Draw a smooth function of the angle from -span to +span with unit rms for each stream.
+
+    Returns the table [points, n], spaced by period / `_POINTS_PER_PERIOD`, and the draws of each stream.
+    """
+    knots = int(np.ceil(2 * span_rad / period_rad)) + 4
+    fine = (knots - 3) * _POINTS_PER_PERIOD
+    values = np.column_stack([g.standard_normal(knots) for g in streams])
+    at = np.arange(fine + 1) / _POINTS_PER_PERIOD + 1.0
+    base = np.minimum(at.astype(int), knots - 3)
+    x = (at - base)[:, None]
+    # cosine blend: unit mean square at and between the knots
+    table = np.cos(np.pi / 2 * x) * values[base] + np.sin(np.pi / 2 * x) * values[base + 1]
+    return table, knots
+
+
+def with_errors(
+    noise: Noise, seed: int, *, linearity_rad: float, period_rad: float, gain_error: float, zero_rad: float
+) -> Noise:
+    """Add the potentiometers' errors that belong to the angle to their noise.
+
+    Parameters
+    ----------
+    linearity_rad, period_rad
+        Largest linearity error within a turn either way and the angle over which it varies, drawn for each
+        joint from a stream of its own.
+    gain_error, zero_rad
+        Calibration: (1 + gain_error) q + zero_rad is shown for q.
+
+    Returns
+    -------
+    Noise
+        The same object when every error is zero. Values of the noise's own table are kept at its points.
+    """
+    joints = noise.grid.shape[1]
+    lo, step, table, draws = noise.lo, noise.step, noise.table, noise.draws
+    if linearity_rad > 0.0:
+        streams = [stream(seed, "potentiometer/linearity", j) for j in range(joints)]
+        curve, knots = _over_angle(streams, period_rad, _TURN_RAD)
+        turn = int(np.ceil(2 * _TURN_RAD / period_rad * _POINTS_PER_PERIOD)) + 1
+        curve *= linearity_rad / np.abs(curve[:turn]).max(axis=0)
+        lo, step, table = _sum(lo, step, table, -_TURN_RAD, period_rad / _POINTS_PER_PERIOD, curve)
+        draws += knots * joints
+    if gain_error != 0.0 or zero_rad != 0.0:
+        ends = np.array([[-_FARTHEST_RAD], [_FARTHEST_RAD]])
+        line = np.repeat(gain_error * ends + zero_rad, joints, axis=1)
+        lo, step, table = _sum(lo, step, table, -_FARTHEST_RAD, 2 * _FARTHEST_RAD, line)
+    return noise if table is noise.table else Noise(noise.grid, noise.dt, table, lo, step, draws)
+
+
+def _sum(
+    lo: float, step: float, table: NDArray[np.float64], other_lo: float, other_step: float,
+    other: NDArray[np.float64],
+) -> tuple[float, float, NDArray[np.float64]]:  # fmt: skip
+    """Add two functions of the angle, each linear between its points and constant beyond them.
+
+    The sum stands at the points of the finer one, continued over the span of both.
+    """
+    if not len(table):
+        return other_lo, other_step, other
+    fine_lo, fine = (lo, step) if step <= other_step else (other_lo, other_step)
+    first = min(lo, other_lo)
+    last = max(lo + (len(table) - 1) * step, other_lo + (len(other) - 1) * other_step)
+    before = int(np.ceil((fine_lo - first) / fine - 1e-9))
+    at = fine_lo + fine * np.arange(-before, int(np.ceil((last - fine_lo) / fine - 1e-9)) + 1)
+    parts = [
+        np.column_stack(
+            [np.interp(at, start + width * np.arange(len(values)), column) for column in values.T]
+        )
+        for start, width, values in ((lo, step, table), (other_lo, other_step, other))
+    ]
+    return float(at[0]), fine, parts[0] + parts[1]
+
+
+def period_jitter(kind: str, seed: int, ticks: int, share: float) -> NDArray[np.float64]:
+    """By how much of a period each sample comes late; [ticks]. The first, at power-up, comes in time.
+
+    Parameters
+    ----------
+    kind : 'uniform' (`share` is half the width) or 'normal' (its standard deviation, cut off at
+        `_LATEST`: a value beyond is drawn again)
+    """
+    random = stream(seed, f"period_jitter/{kind}", 0)
+    late = np.zeros(ticks)
+    if kind == "uniform":
+        late[1:] = share * (2.0 * random.random(ticks - 1) - 1.0)
+        return late
+    missing = np.arange(1, ticks)
+    while len(missing):
+        late[missing] = share * random.standard_normal(len(missing))
+        missing = missing[np.abs(late[missing]) > _LATEST]
+    return late

@@ -12,8 +12,8 @@ from cosim.circuits.port import DesignConstants
 from cosim.circuits.spice import Drive
 from cosim.errors import InputError, Problem
 from cosim.loop.computer import COMPUTER, Method, Path
-from cosim.loop.driven import channels
-from cosim.loop.noise import Noise, no_noise, potentiometer_noise
+from cosim.loop.driven import channels, is_geometric
+from cosim.loop.noise import Noise, no_noise, period_jitter, potentiometer_noise, with_errors
 from cosim.loop.state import QUEUE, STATE
 from cosim.scene import Scene, schema
 from mech import Chain, Hand, NoOperator, Operator, ParameterError, PointMass, Slider, load_user
@@ -40,14 +40,14 @@ def mechanism(scene: Scene, gear: float) -> Chain | Slider:
             masses_kg=chain.masses_kg,
             coms_m=chain.coms_m,
             inertias_kg_m2=chain.inertias_kg_m2,
-            rotor_inertia_kg_m2=chain.rotor_inertia_kg_m2,
+            rotor_inertia_kg_m2=chain.rotor_inertia_kg_m2 if effects.rotor_inertia else zeros,
             gear=gear,
             gravity_m_per_s2=chain.gravity_m_per_s2 if effects.gravity else (0.0, 0.0),
             coriolis=effects.coriolis,
             viscous_n_m_s=chain.viscous_n_m_s if effects.viscous else zeros,
             coulomb_n_m=chain.coulomb_n_m if effects.coulomb else zeros,
             coulomb_speed_rad_per_s=chain.coulomb_speed_rad_per_s,
-            stops_rad=chain.stops_rad or None,
+            stops_rad=(chain.stops_rad or None) if effects.end_stops else None,
             stop_stiffness_n_m_per_rad=chain.stop_stiffness_n_m_per_rad,
             stop_damping_n_m_s=chain.stop_damping_n_m_s,
             stop_restitution=chain.stop_restitution,
@@ -57,7 +57,7 @@ def mechanism(scene: Scene, gear: float) -> Chain | Slider:
     return Slider(
         radius_m=slider.radius_m,
         mass_kg=slider.mass_kg,
-        rotor_inertia_kg_m2=slider.rotor_inertia_kg_m2,
+        rotor_inertia_kg_m2=slider.rotor_inertia_kg_m2 if effects.rotor_inertia else 0.0,
         gear=gear,
         direction=slider.direction,
         origin_m=slider.origin_m,
@@ -65,7 +65,7 @@ def mechanism(scene: Scene, gear: float) -> Chain | Slider:
         viscous_n_m_s=slider.viscous_n_m_s if effects.viscous else 0.0,
         coulomb_n_m=slider.coulomb_n_m if effects.coulomb else 0.0,
         coulomb_speed_rad_per_s=slider.coulomb_speed_rad_per_s,
-        stops_rad=slider.stops_rad or None,
+        stops_rad=(slider.stops_rad or None) if effects.end_stops else None,
         stop_stiffness_n_m_per_rad=slider.stop_stiffness_n_m_per_rad,
         stop_damping_n_m_s=slider.stop_damping_n_m_s,
         stop_restitution=slider.stop_restitution,
@@ -88,13 +88,13 @@ def operator(scene: Scene) -> Operator:
 
 
 def _operator(scene: Scene) -> Operator:
-    given = scene.operator
+    given, dynamic = scene.operator, scene.effects.operator_dynamics
     if isinstance(given, schema.MassOperator):
         return PointMass(mass_kg=given.mass_kg)
     if isinstance(given, schema.HandOperator):
         return Hand(
-            mass_kg=given.mass_kg,
-            damping_n_s_per_m=given.damping_n_s_per_m,
+            mass_kg=given.mass_kg if dynamic else 0.0,
+            damping_n_s_per_m=given.damping_n_s_per_m if dynamic else 0.0,
             stiffness_n_per_m=given.stiffness_n_per_m,
             waypoints_s_m=given.waypoints_s_m,
             force_s_n=given.force_s_n,
@@ -105,11 +105,21 @@ def _operator(scene: Scene) -> Operator:
 
 
 def noise(scene: Scene) -> Noise:
-    """Draw the potentiometers' noise of the scene (null form: nothing drawn)."""
-    kind = scene.effects.pot_noise
-    if kind is schema.PotNoise.NONE:
-        return no_noise(scene.joints)
-    pot = scene.device.potentiometer
+    """Draw the potentiometers' noise and errors of the scene (null form: nothing drawn)."""
+    kind, pot, effects = scene.effects.pot_noise, scene.device.potentiometer, scene.effects
+    drawn = no_noise(scene.joints) if kind is schema.PotNoise.NONE else _pot_noise(scene)
+    return with_errors(
+        drawn,
+        scene.seed,
+        linearity_rad=pot.linearity_rad if effects.pot_linearity else 0.0,
+        period_rad=pot.linearity_period_rad,
+        gain_error=pot.gain_error if effects.pot_calibration else 0.0,
+        zero_rad=pot.zero_rad if effects.pot_calibration else 0.0,
+    )
+
+
+def _pot_noise(scene: Scene) -> Noise:
+    kind, pot = scene.effects.pot_noise, scene.device.potentiometer
     return potentiometer_noise(
         kind.value,
         scene.joints,
@@ -142,6 +152,7 @@ def computer_record(scene: Scene, constants: DesignConstants) -> NDArray[np.void
     c["kd"] = computer.discrete_damping_n_s_per_m
     c["k_dp"] = computer.analog_stiffness_n_per_m
     c["k_dd"] = computer.analog_damping_n_s_per_m
+    c["geometric"] = is_geometric(scene)
     if scene.wall is not None:
         c["point"], c["normal"] = scene.wall.point_m, scene.wall.normal
     c["joint_gain"] = -1.0
@@ -198,6 +209,7 @@ class Memory:
     drive: Drive
     operator: Operator
     knots: NDArray[np.float64]
+    jitter: NDArray[np.float64]
 
 
 def columns(drive: Drive, recorded: tuple[str, ...]) -> list[str]:
@@ -252,8 +264,10 @@ def pack(
     s["dac_channel"][: len(circuit.channels)] = [names.index(c) for c in circuit.channels]
     s["dacs"] = len(circuit.channels)
     s["dac_first"] = n + s["speeds"]
-    if scene.effects.dac:
-        s["settle"], s["skew"] = scene.computer.dac.settling_s, scene.computer.dac.skew_s
+    if scene.effects.dac_settling:
+        s["settle"] = scene.computer.dac.settling_s
+    if scene.effects.dac_skew:
+        s["skew"] = scene.computer.dac.skew_s
     s["c"] = computer_record(scene, constants)
     period = scene.computer.period_s
     if scene.effects.delay:
@@ -273,6 +287,13 @@ def pack(
         )
     s["last_tick"] = math.floor(scene.duration_s / period * (1 + 1e-12))
     s["t_end"] = scene.duration_s
+    jitter = np.zeros(0)
+    if scene.effects.period_jitter is not schema.Jitter.NONE and scene.computer.jitter_share > 0.0:
+        share = scene.computer.jitter_share
+        jitter = period * period_jitter(
+            scene.effects.period_jitter.value, scene.seed, int(s["last_tick"]) + 1, share
+        )
+        s["jitter"] = jitter.ctypes.data
     drawn = noise(scene)
     if drawn.dt > 0:
         s["noise"], s["noise_rows"], s["noise_dt"] = drawn.grid.ctypes.data, len(drawn.grid), drawn.dt
@@ -298,4 +319,4 @@ def pack(
     s["nodes"], s["nodes_recorded"] = len(recorded) + len(watched), len(recorded)
     knots = np.array([t for t in person.knots_s if 0.0 < t < scene.duration_s])
     s["knot_times"], s["knots"] = knots.ctypes.data, len(knots)
-    return Memory(state, rows, samples, drawn, circuit, person, knots)
+    return Memory(state, rows, samples, drawn, circuit, person, knots, jitter)

@@ -283,7 +283,7 @@ def statistics(memory: Memory, wall_s: float, cpu_s: float) -> dict[str, Any]:
         "rejected": int(s["rejected"]),
         "source_calls": int(s["source_calls"]),
         "discontinuities": int(s["discontinuities"]),
-        "random_draws": memory.noise.draws,
+        "random_draws": memory.noise.draws + max(len(memory.jitter) - 1, 0),
         "defect_max_rad": float(s["defect_max"]),
         "defect_sum_rad": float(s["defect_sum"]),
     }

@@ -59,6 +59,7 @@ STATE = np.dtype(
         ("c", COMPUTER),
         ("x", SAMPLE),
         ("law_address", "i8"),  # a user's Python law, 0 for the built-in one
+        ("jitter", "i8"),  # address of what is added to the instant of each tick [s], 0 without
         ("delay_ticks", "i8"),
         ("delay_s", "f8"),
         ("tick", "i8"),

@@ -84,13 +84,15 @@ def _joint_can_accelerate(get: Get) -> Iterator[Problem]:
         get(f"device.chain.{name}") for name in ("masses_kg", "coms_m", "inertias_kg_m2")
     )
     rotors = get("device.chain.rotor_inertia_kg_m2") or (0.0,) * joints
+    turning = get("effects.rotor_inertia")
     if {len(masses), len(coms), len(inertias), len(rotors)} != {joints}:
         raise Skip
     # A last link that weighs nothing makes the mass matrix singular.
-    outboard = masses[-1] * coms[-1] ** 2 + inertias[-1] + rotors[-1]
+    outboard = masses[-1] * coms[-1] ** 2 + inertias[-1] + (rotors[-1] if turning else 0.0)
     if not outboard > 0:
         yield Problem(
-            "the last link has no inertia about its joint: give it mass, inertia or a rotor",
+            "the last link has no inertia about its joint: give it mass, inertia or a rotor with "
+            "effects.rotor_inertia",
             key="device.chain.masses_kg",
             value=list(masses),
             unit="kg",

@@ -132,6 +132,14 @@ class PotNoise(StrEnum):
     POSITION = "position"
 
 
+class Jitter(StrEnum):
+    """Distribution of the sampling instants about their nominal ones."""
+
+    NONE = "none"
+    UNIFORM = "uniform"
+    NORMAL = "normal"
+
+
 class CircuitModelName(StrEnum):
     """Circuit model asked for; `auto` lets the effects in force choose."""
 
@@ -227,15 +235,27 @@ class Start(Table):
 
 
 class Potentiometer(Table):
-    """``[device.potentiometer]``: size of the noise; its kind is chosen by ``effects.pot_noise``.
+    """``[device.potentiometer]``: what it shows instead of the joint's angle.
 
-    `noise_rad` is an rms for white, a full width for peak_to_peak, an offset's standard deviation for
-    static and a linearity error's rms for position, which varies over `position_period_rad`.
+    `noise_rad` is the size of the noise whose kind ``effects.pot_noise`` chooses: an rms for white, a full
+    width for peak_to_peak, an offset's standard deviation for static and an rms over the angle for position,
+    which varies over `position_period_rad`.
+
+    `linearity_rad` is the largest distance from the straight line within a turn either way (a data sheet's
+    independent linearity, there in per cent of the travel: 0.1 % of 340 degrees is 0.006 rad); it varies over
+    `linearity_period_rad`. In ``effects.pot_linearity``.
+
+    `gain_error` (0.01: 1 %) and `zero_rad` are what is left of the calibration against the encoder: it shows
+    (1 + gain_error) q + zero_rad. In ``effects.pot_calibration``.
     """
 
     noise_rad: SmallAngle = 0.006
     noise_bandwidth_hz: Frequency = 100.0
     position_period_rad: AngleSpan = 0.1
+    linearity_rad: SmallAngle = 0.006
+    linearity_period_rad: AngleSpan = 1.0
+    gain_error: float = Field(default=0.01, ge=-0.5, le=0.5)
+    zero_rad: Annotated[float, Field(ge=-0.5, le=0.5), Unit("rad")] = 0.005
 
 
 class PartFile(Table):
@@ -280,9 +300,10 @@ class Encoder(Table):
 
 
 class Dac(Table):
-    """``[computer.dac]``: bits and range come from the board where they are not given.
+    """``[computer.dac]``: bits and range come from the board where they are not given; ``effects.dac``.
 
-    `skew_s` is the time by which the equilibrium channels follow the gain channels.
+    `settling_s` is the time of the ramp from one code to the next (``effects.dac_settling``), `skew_s` that
+    by which the channels of equilibria and commands follow those of the gains (``effects.dac_skew``).
     """
 
     bits: int | None = Field(default=None, ge=1, le=32)
@@ -298,7 +319,12 @@ class Velocity(Table):
 
 
 class Computer(Table):
-    """``[computer]``: sampling and the control law of section III of the paper."""
+    """``[computer]``: sampling and the control law of section III of the paper.
+
+    `jitter_share` is by how much of a period samples come early or late: half the width of the uniform, or
+    the standard deviation of the normal distribution that ``effects.period_jitter`` chooses, the latter
+    cut off at 0.45 periods. The computer takes its period for constant.
+    """
 
     period_s: Period
     method: Annotated[Method, _Word]
@@ -309,6 +335,7 @@ class Computer(Table):
     joint_stiffness_n_m_per_rad: tuple[JointStiffness, ...] = ()
     joint_damping_n_m_s_per_rad: tuple[JointDamping, ...] = ()
     command_path: Annotated[CommandPath, _Word] = CommandPath.CMD
+    jitter_share: float = Field(default=0.01, ge=0, le=0.45)
     delay_periods: int = Field(default=0, ge=0, le=1000)
     delay_fraction: float = Field(default=0.0, ge=0, lt=1)
     law: str | None = None
@@ -341,7 +368,8 @@ class HandOperator(Table):
     """``[operator] type = "hand"``: mass, damping and stiffness of a hand about its intended path.
 
     The path joins `waypoints_s_m` (rows t, x, y) by minimum-jerk moves; the wanted force
-    `force_s_n` (rows t, fx, fy; on the device) is linear between its rows.
+    `force_s_n` (rows t, fx, fy; on the device) is linear between its rows. Mass and damping are there with
+    ``effects.operator_dynamics`` only: without, the hand is a spring, which follows its path at any speed.
     """
 
     type: Literal["hand"]
@@ -377,13 +405,22 @@ class Effects(Table):
     motor: Annotated[MotorLevel, _Word] = MotorLevel.IDEAL
     potentiometer: Annotated[PotLevel, _Word] = PotLevel.IDEAL
     pot_noise: Annotated[PotNoise, _Word] = PotNoise.NONE
+    pot_linearity: bool = False
+    pot_calibration: bool = False
     encoder: bool = False
     dac: bool = False
+    dac_settling: bool = False
+    dac_skew: bool = False
     delay: bool = False
+    period_jitter: Annotated[Jitter, _Word] = Jitter.NONE
+    geometric_stiffness: bool = False
     gravity: bool = False
     coriolis: bool = False
     viscous: bool = False
     coulomb: bool = False
+    rotor_inertia: bool = False
+    end_stops: bool = False
+    operator_dynamics: bool = False
 
 
 def _tolerance_kind(value: object) -> str:
