@@ -222,7 +222,7 @@ def _seconds(call: Callable[[], Any]) -> float:
 
 def compare(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     """Find tolerances of equal accuracy and time all solvers in turn."""
-    plan = scene("drop", "effects.dac=false", f"duration_s={DURATION_S!r}")
+    plan = scene("drop", "effects.dac=false", "effects.dac_settling=false", f"duration_s={DURATION_S!r}")
     constants = lockstep(retold(plan)).constants
     assert constants is not None
     circuit = model(plan, "linear", 0.0)

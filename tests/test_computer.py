@@ -415,7 +415,7 @@ def test_equilibria_and_commands_follow_the_gains_by_the_skew(tmp_path: Path) ->
 def press(*overrides: str) -> list[str]:
     """Overrides that leave press.toml an ideal circuit with an exact computer."""
     ideal = [f"effects.{name}=ideal" for name in ("opamp", "vca", "driver_level", "motor")]
-    return [*ideal, "effects.encoder=false", "effects.dac=false", *overrides]
+    return [*ideal, "effects.encoder=false", "effects.dac=false", "effects.dac_settling=false", *overrides]
 
 
 def test_u_equals_cmd_on_an_ideal_circuit(tmp_path: Path) -> None:

@@ -439,7 +439,9 @@ def test_cost_and_gain_do_not_depend_on_the_bandwidth(tmp_path: Path, gbw: float
 
 
 def test_bandwidth_changes_neither_steps_nor_answer_on_an_arm(tmp_path: Path) -> None:
-    scene = load_scene(SCENES / "slope.toml", ["effects.encoder=false", "effects.dac=false"])
+    scene = load_scene(
+        SCENES / "slope.toml", ["effects.encoder=false", "effects.dac=false", "effects.dac_settling=false"]
+    )
     poles = (2 * math.pi * 1e5, 2 * math.pi * 1e8)
     runs = [propagate(scene, lagging(ideal(2), pole, pole), rows=False) for pole in poles]
     points = [int(made.memory.state[0]["points"]) for made in runs]
@@ -570,7 +572,12 @@ def test_current_limit_reached_and_left_between_samples(tmp_path: Path, lag: flo
 def test_slope_follows_dop853_on_the_textbook_equations(kind: str, encoder: bool) -> None:
     scene = load_scene(
         SCENES / f"{kind}.toml",
-        ["effects.motor=emf", "effects.dac=false", f"effects.encoder={str(encoder).lower()}"],
+        [
+            "effects.motor=emf",
+            "effects.dac=false",
+            "effects.dac_settling=false",
+            f"effects.encoder={str(encoder).lower()}",
+        ],
     )
     made = propagate(scene, ideal(2))
     times, states, forces = slope_reference(kind, encoder=encoder)
@@ -583,7 +590,9 @@ def test_slope_follows_dop853_on_the_textbook_equations(kind: str, encoder: bool
 
 def test_long_steps_keep_what_they_promise() -> None:
     """One step a period: 81 points for 2 s, and the force within 1e-4 of its peak."""
-    scene = load_scene(SCENES / "slope.toml", ["effects.motor=emf", "effects.dac=false"])
+    scene = load_scene(
+        SCENES / "slope.toml", ["effects.motor=emf", "effects.dac=false", "effects.dac_settling=false"]
+    )
     _, states, _ = slope_reference("slope", encoder=True)
     for tol in (1e-5, 1e-7, 1e-9):
         made = propagate(scene, ideal(2), tol=tol, rows=False)
@@ -592,14 +601,15 @@ def test_long_steps_keep_what_they_promise() -> None:
         assert error < 10 * tol
         assert error < 2 * state["defect_sum"] + 1e-9 or tol > 1e-6
     scene = load_scene(
-        SCENES / "slope.toml", ["effects.motor=emf", "effects.dac=false", "effects.encoder=false"]
+        SCENES / "slope.toml",
+        ["effects.motor=emf", "effects.dac=false", "effects.dac_settling=false", "effects.encoder=false"],
     )
     made = propagate(scene, ideal(2), tol=1e-6, rows=False)
     assert made.memory.state[0]["points"] < 100
 
 
 def test_energy_account_closes(tmp_path: Path) -> None:
-    scene = load_scene(SCENES / "slope.toml", ["effects.dac=false"])
+    scene = load_scene(SCENES / "slope.toml", ["effects.dac=false", "effects.dac_settling=false"])
     circuit = lagging(replace(ideal(2), e_pre=0 * ideal(2).e_pre), 1e6, MOTOR_OHM / MOTOR_H)
     made = propagate(scene, circuit)
     state = made.memory.state[0]

@@ -163,7 +163,13 @@ def test_slope_follows_dop853_on_the_textbook_equations(tmp_path: Path, kind: st
     ideal = [f"effects.{name}=ideal" for name in ("opamp", "vca", "driver_level")]
     scene = load_scene(
         SCENES / f"{kind}.toml",
-        [*ideal, "effects.motor=emf", "effects.dac=false", f"effects.encoder={str(encoder).lower()}"],
+        [
+            *ideal,
+            "effects.motor=emf",
+            "effects.dac=false",
+            "effects.dac_settling=false",
+            f"effects.encoder={str(encoder).lower()}",
+        ],
     )
     run = simulate(scene, tmp_path / "out")
     times, states, forces = slope_reference(kind, encoder=encoder)
