@@ -79,7 +79,7 @@ class Plan:
         for effect in effects.EFFECTS:
             if effect.is_in_force(scene):
                 added = effect.cost(scene, self.stated()).points_per_s * scene.duration_s
-                if effect.name == "pot_noise":
+                if effect.name in ("pot_noise", "component_noise"):
                     noisy += added
                 else:
                     quiet += added

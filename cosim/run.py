@@ -111,6 +111,7 @@ def run(
                 "constants": vars(constants),
                 "amplifiers": headroom(amplifiers),
                 "certificate": got["circuit"].certificate if "circuit" in got else {},
+                "component_noise": got["component_noise"],
             },
             events=_events(samples),
             measures=chosen(measures, scene),

@@ -12,14 +12,17 @@ import io
 import json
 import os
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.circuits.linear import LinearCircuit
 
-__all__ = ["Asked", "folder", "load", "store"]
+__all__ = ["Asked", "folder", "load", "load_arrays", "store", "store_arrays"]
 
 #: To be raised with every change of the algorithm that changes a model.
 VERSION = 1
@@ -74,6 +77,16 @@ def load(asked: Asked) -> tuple[LinearCircuit | None, str]:
         return None, f"ignored the damaged cache file {path}: {error}"
 
 
+def load_arrays(name: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]] | None:
+    """Return what `store_arrays` has kept, or nothing where it is not there or of no use."""
+    try:
+        with np.load(io.BytesIO((folder() / f"{name}.npz").read_bytes()), allow_pickle=False) as stored:
+            arrays = {key: stored[key] for key in stored.files if key != "about"}
+            return json.loads(str(stored["about"])), arrays
+    except Exception:  # whatever is wrong with it, the board itself is at hand
+        return None
+
+
 def store(asked: Asked, circuit: LinearCircuit) -> None:
     """Keep a model; where nothing can be written, nothing is kept."""
     about = {
@@ -82,16 +95,22 @@ def store(asked: Asked, circuit: LinearCircuit) -> None:
         "model": circuit.model,
         "certificate": circuit.certificate,
     }
+    store_arrays(asked.digest, about, circuit.arrays())
+
+
+def store_arrays(name: str, about: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Keep arrays and what is to be said of them under a digest; where nothing can be written, nothing is."""
     packed = io.BytesIO()
-    np.savez(packed, about=np.array(json.dumps(about)), **circuit.arrays())  # type: ignore[arg-type]
+    np.savez(packed, about=np.array(json.dumps(about)), **arrays)  # type: ignore[arg-type]
+    target = folder() / f"{name}.npz"
     with contextlib.suppress(OSError):
         folder().mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=folder(), suffix=".part")
+        handle, part = tempfile.mkstemp(dir=folder(), suffix=".part")
         try:
             with os.fdopen(handle, "wb") as file:
                 file.write(packed.getbuffer())
-            os.replace(name, folder() / f"{asked.digest}.npz")
+            os.replace(part, target)
         except BaseException:
             with contextlib.suppress(OSError):
-                os.unlink(name)
+                os.unlink(part)
             raise

@@ -12,14 +12,16 @@ with independent xi_d of one-sided density 1: one random stream a device, throug
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import Boltzmann
 
+from cosim.circuits.cache import VERSION, load_arrays, store_arrays
 from cosim.circuits.linear import channel_names
 from cosim.circuits.measure import Session
 from cosim.ngspice.deck import Deck
@@ -149,7 +151,7 @@ def _integral(hz: Array, density: Array, band_hz: tuple[float, float]) -> Array:
 
 
 def component_noise(payload: dict[str, Any], report: Report) -> ComponentNoise:
-    """Measure the noise of a board's components; runs in ngspice's child process.
+    """Measure the noise of a board's components, or take it from the cache; runs in ngspice's process.
 
     Parameters
     ----------
@@ -158,7 +160,24 @@ def component_noise(payload: dict[str, Any], report: Report) -> ComponentNoise:
     report
         called as the measurement goes on
     """
-    return extract_noise(payload["board"], report)
+    board: Deck = payload["board"]
+    name = hashlib.sha256(f"noise {VERSION} {_POINTS} {BAND_HZ}\n{noisy(board).text}".encode()).hexdigest()
+    known = load_arrays(name)
+    if known is not None:
+        about, arrays = known
+        return ComponentNoise(
+            **arrays,
+            devices=tuple(about["devices"]),
+            groups=tuple(map(tuple, about["groups"])),
+            probes=tuple((source, sign) for source, sign in about["probes"]),
+            v_fs=about["v_fs"],
+            notes=tuple(about["notes"]),
+        )
+    found = extract_noise(board, report)
+    kept = {field.name: getattr(found, field.name) for field in fields(found)}
+    arrays = {key: value for key, value in kept.items() if isinstance(value, np.ndarray)}
+    store_arrays(name, {key: value for key, value in kept.items() if key not in arrays}, arrays)
+    return found
 
 
 def extract_noise(board: Deck, report: Report | None = None) -> ComponentNoise:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 
 from cosim.ngspice.deck import Deck
-from cosim.ngspice.lines import number, tokens
+from cosim.ngspice.lines import join, number, tokens
 from cosim.ngspice.netlist import Block, parse
 
-__all__ = ["Probe", "find_probes"]
+__all__ = ["Probe", "external_probes", "find_probes"]
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,37 @@ def find_probes(board: Deck) -> list[Probe]:
 
     walk(net.blocks[board.board], "xboard", {pin: pin for pin in board.pins})
     return found
+
+
+def external_probes(board: Deck, sources: Collection[str]) -> Deck:
+    """Return the board with these probes EXTERNAL: whoever simulates sets their voltage at any time.
+
+    `sources` are names as in `Probe.source`. What stands in one subcircuit becomes EXTERNAL in all its
+    instances.
+    """
+    net = parse(board.lines[1:])
+    wanted: set[tuple[str, str]] = set()
+
+    def walk(block: Block, path: str) -> None:
+        for words in _sources(block):
+            if f"v.{path}.{words[0].lower()}" in sources:
+                wanted.add((block.name, words[0].lower()))
+        for instance in block.instances():
+            if instance.block in net.blocks:
+                walk(net.blocks[instance.block], f"{path}.{instance.name}")
+
+    walk(net.blocks[board.board], "xboard")
+    lines, depth, name = [], 0, ""
+    for line in board.lines:
+        if line.keyword == ".subckt":
+            name = tokens(line.text)[1].lower() if depth == 0 else name
+            depth += 1
+        elif line.keyword in (".ends", ".eom"):
+            depth -= 1
+        elif depth == 1 and (name, line.keyword) in wanted:
+            line = line.rewritten(join([*tokens(line.text)[:3], "external"]))
+        lines.append(line)
+    return replace(board, lines=tuple(lines))
 
 
 def _sources(block: Block) -> list[list[str]]:

@@ -13,6 +13,7 @@ from cosim.effects.circuit import CIRCUIT
 from cosim.effects.computer import COMPUTER
 from cosim.effects.effect import Cost, Effect, Size
 from cosim.effects.linkage import LINKAGE
+from cosim.effects.noise import NOISE
 from cosim.effects.sensing import SENSING
 from cosim.errors import InputError, Problem
 from cosim.scene import CircuitModelName, Scene
@@ -20,7 +21,7 @@ from cosim.scene import CircuitModelName, Scene
 __all__ = ["EFFECTS", "Cost", "Effect", "Size", "check", "circuit_model", "in_force", "left_out", "levels"]
 
 #: Every effect, in the order in which a plan lists them.
-EFFECTS: tuple[Effect, ...] = (*CIRCUIT, *SENSING, *COMPUTER, *LINKAGE)
+EFFECTS: tuple[Effect, ...] = (*CIRCUIT, *NOISE, *SENSING, *COMPUTER, *LINKAGE)
 
 
 def in_force(scene: Scene, constants: Stated) -> list[dict[str, Any]]:

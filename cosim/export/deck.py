@@ -67,6 +67,9 @@ def export(plan: Plan, run: Run, path: str | os.PathLike[str], kind: str = "mono
 
 def _check_run(plan: Plan, run: Run) -> None:
     file = str(run.signals.path)
+    if plan.scene.effects.component_noise:
+        fail("a deck has no component noise: leave the effect out", key="effects.component_noise",
+             file=str(plan.scene.file) if plan.scene.file else None, value=True, allowed="false")  # fmt: skip
     missing = [name for name in plan.circuit.channels if name not in run.signals]
     if missing:
         fail(f"this is the run of another scene: it has not recorded {', '.join(missing)}", file=file)

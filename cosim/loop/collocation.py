@@ -17,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from cosim.loop.maps import ANGLE, COEFFICIENTS, DAC, NODES, SPEED, WEIGHTS, Plan, currents, finish
-from cosim.loop.pins import grid_noise, position_noise, volts
+from cosim.loop.pins import component, grid_noise, position_noise, volts
 from mech.kernels import dynamics, solve, solve_held
 from mech.records import NMAX
 
@@ -117,9 +117,20 @@ def _fixed(s: Record, k: Any, b: Bench, t: float, h: float) -> None:
     for j in range(n):
         f[at + DAC * j] = volts(s, first + j, t)
         f[at + DAC * j + 1] = volts(s, first + j, t + h) - f[at + DAC * j]
+    if s.component != 0:
+        for j in range(n):
+            now = component(s, t, s.component_inputs + j)
+            f[at + DAC * j] += now
+            f[at + DAC * j + 1] += component(s, t + h, s.component_inputs + j) - now
     at += DAC * n
     for j in range(n):
         f[at + SPEED * j] = s.gear * s.v[j]
+    if s.component != 0:
+        at += SPEED * n
+        for i in range(s.component_inputs):
+            now = component(s, t, i)
+            f[at + DAC * i] = now
+            f[at + DAC * i + 1] = component(s, t + h, i) - now
     for c in range(2 * n * n):
         b.gains[c] = k.gain[c] * volts(s, n + c, t + 0.5 * h)
 
@@ -314,7 +325,8 @@ def present(s: Record, k: Any, b: Bench) -> None:
         for i in range(k.after):
             total += k.c_post[o, i] * b.states[k.before + i]
         for j in range(n):
-            total += k.d_post[o, m + j] * volts(s, n + m + j, s.t)
+            held = volts(s, n + m + j, s.t) + component(s, s.t, s.component_inputs + j)
+            total += k.d_post[o, m + j] * held
             total += k.d_post[o, m + n + j] * s.gear * s.v[j]
         for c in range(m):
             g = k.gain[c] * volts(s, n + c, s.t) * k.d_post[o, c]
@@ -326,5 +338,7 @@ def present(s: Record, k: Any, b: Bench) -> None:
             for j in range(n):
                 pot = s.q[j] + grid_noise(s, s.t, j) + position_noise(s, s.q[j], j)
                 x += k.d_pre[c, j] * pot + k.d_pre[c, n + j] * volts(s, j, s.t) + k.e_pre[c, j] * s.v[j]
+            for i in range(s.component_inputs):
+                x += k.d_pre[c, 2 * n + i] * component(s, s.t, i)
             total += g * x
         b.current[o] = total

@@ -35,6 +35,7 @@ def drive(scene: Scene) -> Drive:
         computer.command_path is CommandPath.CMD or computer.method in (Method.DISCRETE, Method.JOINT_PD)
     )
     user = computer.law is not None
+    noisy = scene.effects.component_noise
     chosen = []
     for name in channels(n):
         diagonal = name[-1] == name[-2]
@@ -43,7 +44,9 @@ def drive(scene: Scene) -> Drive:
         elif name.startswith("ksd"):
             used = damped and (computer.method is not Method.JOINT_PD or diagonal)
         elif name.startswith("cmd"):
-            used = (by_cmd and computer.method is not Method.CONTINUOUS) or is_geometric(scene)
+            # what comes behind the multipliers makes noise that is referred to these pins
+            asked = by_cmd and computer.method is not Method.CONTINUOUS
+            used = asked or noisy or is_geometric(scene)
         else:
             used = True
         if used or user:

@@ -73,7 +73,7 @@ def exact(
     size = 2 + circuit.order
     linear = (
         p["slider"] == 1 and not p["coulomb_on"] and not p["stops_on"] and not state["position_noise"]
-        and op["kind"] != OperatorKind.USER
+        and op["kind"] != OperatorKind.USER and not state["component"]
     )  # fmt: skip
     path = op["path"][: op["paths"]]
     held = op["stiffness"] > 0 or op["damping"] > 0

@@ -67,7 +67,14 @@ modes before and after the multiplier."""
 
 
 def plan(
-    circuit: LinearCircuit, driven: Iterable[int], *, gear: float, commands: bool, speeds: bool, bent: bool
+    circuit: LinearCircuit,
+    driven: Iterable[int],
+    *,
+    gear: float,
+    commands: bool,
+    speeds: bool,
+    bent: bool,
+    noise: Ints | None = None,
 ) -> Plan:
     """Lay out the blocks of a circuit.
 
@@ -82,18 +89,31 @@ def plan(
     bent
         Whether the potentiometers see more of an angle than its polynomial (noise that depends on the angle):
         then all their coefficients change between the sweeps of a step, and stand for themselves.
+    noise
+        [m] number of the noise voltage in series with X of each multiplier; none without component noise.
     """
     n, m = circuit.joints, len(circuit.gain)
     one, two = modes(circuit.a_pre, "a_pre"), modes(circuit.a_post, "a_post")
     before, after = len(one.poles), len(two.poles)
     pot = before + after
     u, cmd, vel = pot + ANGLE * n, pot + (ANGLE + DAC) * n, pot + (ANGLE + 2 * DAC) * n
-    features = vel + SPEED * n
+    noisy = vel + SPEED * n
+    sources = int(noise.max()) + 1 if noise is not None else 0
+    features = noisy + DAC * sources
+    in_series = np.zeros((m, sources))
+    if noise is not None:
+        in_series[np.arange(m), noise] = 1.0
     what, which, power = (np.zeros(features, np.int64) for _ in range(3))
     which[:before], what[before:pot], which[before:pot] = range(before), 1, range(after)
     what[pot:] = 2
-    for start, width, first in ((pot, ANGLE, 0), (u, DAC, n), (cmd, DAC, m), (vel, SPEED, m + n)):
-        for j in range(n):
+    for start, width, first, count in (
+        (pot, ANGLE, 0, n),
+        (u, DAC, n, n),
+        (cmd, DAC, m, n),
+        (vel, SPEED, m + n, n),
+        (noisy, DAC, 2 * n, sources),
+    ):
+        for j in range(count):
             coefficients = np.arange(start + width * j, start + width * (j + 1))
             which[coefficients], power[coefficients] = first + j, np.arange(width)
     blocks: list[_Block] = []
@@ -107,6 +127,7 @@ def plan(
         first = 0 if bent else 2
         moving = [pot + ANGLE * j + k for j in range(n) if mask[j] for k in range(first, ANGLE)]
         fixed += [pot + ANGLE * j + k for j in range(n) if mask[j] for k in range(first)]
+        fixed += [noisy + DAC * j + k for j in np.flatnonzero(mask[2 * n :]).tolist() for k in range(DAC)]
         return fixed + moving, len(moving)
 
     def outputs(post: list[int], direct: NDArray[np.bool_]) -> tuple[list[int], int]:
@@ -133,7 +154,7 @@ def plan(
         pre, post = states(one.part, circuit.c_pre[c] != 0), post_of(c)
         touched = (circuit.d_pre[c] != 0) | (circuit.b_pre[pre] != 0).any(axis=0)
         touched[:n] |= circuit.e_pre[c] != 0
-        found, moving = inputs(touched)
+        found, moving = inputs(np.concatenate([touched, in_series[c] != 0]))
         rows, nodes = outputs(post, circuit.d_post[:, c] != 0)
         blocks.append((CHANNEL, c, rows, nodes, pre + found, moving, pre, post))
     for on, start, width, first, moving in (
@@ -174,10 +195,11 @@ def plan(
         pre_at=bounds(6), post_at=bounds(7), data_at=ints(np.concatenate([[0], np.cumsum(size)])),
         rows=joined(2), columns=joined(4), pre_modes=joined(6), post_modes=joined(7),
         what=what, which=which, power=power, move=move,
-        poles1=one.poles, v1=one.v, w1=one.w, cv=circuit.c_pre @ one.v, wb=one.w @ circuit.b_pre,
+        poles1=one.poles, v1=one.v, w1=one.w, cv=circuit.c_pre @ one.v,
+        wb=one.w @ np.pad(circuit.b_pre, ((0, 0), (0, sources))),
         poles2=two.poles, v2=two.v, w2=two.w, wb2=two.w @ circuit.b_post, cv2=circuit.c_post @ two.v,
         c_pre=np.ascontiguousarray(circuit.c_pre), c_post=np.ascontiguousarray(circuit.c_post),
-        d_pre=np.ascontiguousarray(circuit.d_pre), e_pre=np.ascontiguousarray(circuit.e_pre),
+        d_pre=np.hstack([circuit.d_pre, in_series]), e_pre=np.ascontiguousarray(circuit.e_pre),
         d_post=np.ascontiguousarray(circuit.d_post), gain=np.ascontiguousarray(circuit.gain),
         offset=np.ascontiguousarray(circuit.offset), limit=np.ascontiguousarray(circuit.limit),
         data=np.zeros((SLOTS, max(sum(size), 1))), length=np.full(SLOTS, -1.0), slots=np.zeros(2, np.int64),

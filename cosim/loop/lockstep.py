@@ -16,6 +16,7 @@ from numba import carray, cfunc, njit, types
 from cosim.loop.adams import correct, predict
 from cosim.loop.computer import law, read_encoders, to_volts
 from cosim.loop.native import call_plain, call_with_time, doubles_at, vector_value
+from cosim.loop.pins import component
 from cosim.loop.state import QUEUE, STATE, Fault
 from mech.kernels import dynamics, solve
 
@@ -30,6 +31,8 @@ _SAFETY, _GROWTH = 0.8, 4.0
 _NEVER = 1e300
 #: Share of the time constant of the coupled pole that a step may be.
 _POLE_SHARE = 0.5
+#: A source's name in ngspice has a dot behind its letter where it stands inside a subcircuit; its length.
+_DOT, _LONGEST = 46, 512
 
 Record = Any
 _record = numba.from_dtype(STATE)
@@ -81,6 +84,9 @@ def fill(s: Record, t: float) -> None:
             s.out[j] += noise_at(s, t, j)
     for j in range(s.speeds):
         s.out[n + j] = s.gear * s.v_trial[j]
+    if s.component != 0:
+        for i in range(s.component_inputs + n):
+            s.component_now[i] = component(s, t, i)
     if s.ramping:
         for i in range(s.dacs):
             k = s.dac_channel[i]
@@ -89,15 +95,51 @@ def fill(s: Record, t: float) -> None:
             s.out[s.dac_first + i] = s.dac_from[k] + part * (s.dac_to[k] - s.dac_from[k])
 
 
+@njit(cache=True, error_model="numpy")
+def name_hash(letters: Any, count: int) -> int:
+    """Return a number for the first `count` letters of a name, or for those before its end."""
+    found = 0
+    for i in range(count):
+        if letters[i] == 0:
+            break
+        found = (found * 257 + letters[i]) % 9007199254740881  # the largest prime below 2^53
+    return found
+
+
+@njit(cache=True, error_model="numpy")
+def _command_noise(s: Record, place: int) -> float:
+    """Component noise [V] at the source `place`: none but at the pins cmd."""
+    first = s.n + 2 * s.n * s.n
+    if place < s.dac_first or s.dac_channel[place - s.dac_first] < first:
+        return 0.0
+    return float(s.component_now[s.component_inputs + s.dac_channel[place - s.dac_first] - first])
+
+
+@njit(cache=True, error_model="numpy")
+def _probe_noise(s: Record, letters: Any) -> float:
+    """Component noise [V] of a probe inside the board, as it stands in series with X."""
+    wanted = name_hash(letters, _LONGEST)
+    for i in range(s.probes):
+        if s.probe_name[i] == wanted:
+            return float(s.probe_sign[i] * s.component_now[s.probe_input[i]])
+    return 0.0
+
+
 @cfunc(_i4(types.CPointer(_f8), _f8, types.CPointer(_u1), _i4, types.CPointer(_record)), cache=True)
 def source(voltage: Any, t: float, name: Any, ident: int, user: Any) -> int:
-    """GetVSRCData: sources are named v00, v01, ... in the order of `STATE.out`."""
+    """GetVSRCData: sources are named v00, v01, ... in the order of `STATE.out`, probes by their path."""
     s = carray(user, 1)[0]
     if t != s.t_trial:
         fill(s, t)
     digits = carray(name, 3)
-    voltage[0] = s.out[(digits[1] - 48) * 10 + digits[2] - 48]
     s.source_calls += 1
+    if s.component == 0:
+        voltage[0] = s.out[(digits[1] - 48) * 10 + digits[2] - 48]
+    elif digits[1] == _DOT:
+        voltage[0] = _probe_noise(s, carray(name, _LONGEST))
+    else:
+        place = (digits[1] - 48) * 10 + digits[2] - 48
+        voltage[0] = s.out[place] + _command_noise(s, place)
     return 0
 
 
@@ -187,6 +229,8 @@ def _next_event(s: Record) -> float:
                 at = min(at, end)
     if s.noise != 0:
         at = min(at, (s.noise_tick + 1) * s.noise_dt)
+    if s.component != 0:
+        at = min(at, (s.component_tick + 1) * s.component_dt)
     if s.knot < s.knots:
         at = min(at, carray(doubles_at(s.knot_times), (s.knots,))[s.knot])
     return float(at)
@@ -232,6 +276,9 @@ def process_events(s: Record, t: float) -> bool:
     now = t + s.delta_min
     if s.noise != 0 and (s.noise_tick + 1) * s.noise_dt <= now:
         s.noise_tick += 1
+        s.history = min(s.history, 1)
+    if s.component != 0 and (s.component_tick + 1) * s.component_dt <= now:
+        s.component_tick += 1
         s.history = min(s.history, 1)
     if s.knot < s.knots and carray(doubles_at(s.knot_times), (s.knots,))[s.knot] <= now:
         s.knot += 1

@@ -33,6 +33,18 @@ def grid_noise(s: Record, t: float, joint: int) -> float:
 
 
 @njit(cache=True, error_model="numpy")
+def component(s: Record, t: float, place: int) -> float:
+    """Component noise [V] at a place, the different X first, then the pins cmd; linear between its ticks."""
+    if s.component == 0:
+        return 0.0
+    width = s.component_inputs + s.n
+    table = carray(doubles_at(s.component), (s.component_rows * width,))
+    x = t / s.component_dt - s.component_tick
+    at = s.component_tick * width + place
+    return float(table[at] + x * (table[at + width] - table[at]))
+
+
+@njit(cache=True, error_model="numpy")
 def position_noise(s: Record, q: float, joint: int) -> float:
     """Noise of a potentiometer [rad] that belongs to its angle."""
     if s.position_noise == 0:
@@ -54,3 +66,5 @@ def pins(s: Record, out: Any) -> None:
         out[n + dacs + j] = s.gear * s.v[j]
     for channel in range(dacs):
         out[n + channel] = volts(s, channel, s.t)
+    for i in range(n):
+        out[dacs + i] += component(s, s.t, s.component_inputs + i)

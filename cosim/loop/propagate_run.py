@@ -19,6 +19,7 @@ from cosim.circuits.spice import Tolerances, lockstep_deck
 from cosim.errors import InputError, Problem
 from cosim.loop import lockstep, propagation
 from cosim.loop.collocation import Bench, bench
+from cosim.loop.component_noise import ComponentGrid, component_grid
 from cosim.loop.driven import channels, drive
 from cosim.loop.exact import Exact, exact
 from cosim.loop.layout import plan
@@ -84,7 +85,7 @@ class Propagation:
         """
         state = self.memory.state[0]
         lockstep.begin(state)
-        self.bench.states[:] = rest(self.circuit, state)
+        self.bench.states[:] = rest(self.circuit, state, self.memory.component)
         propagation.run(state, self.plan, self.bench, self.exact, self.first_s)
         if self.failures:
             raise self.failures[0]
@@ -99,6 +100,7 @@ def prepare(
     dense: bool = True,
     row_capacity: int = 2048,
     sample_capacity: int = 256,
+    component: ComponentGrid | None = None,
 ) -> Propagation:
     """Pack a scene at time 0, its first sample not yet computed.
 
@@ -109,10 +111,12 @@ def prepare(
     dense
         Whether rows show the motion: steps at most `solver.max_step_s`, and short behind a jump. Otherwise
         the tolerance alone decides, as it does without rows.
+    component
+        Noise of the board's components, where the scene asks for it.
     """
     n = scene.joints
     driving = drive(scene)
-    memory = pack(scene, constants, driving, (), (), row_capacity, sample_capacity)
+    memory = pack(scene, constants, driving, (), (), row_capacity, sample_capacity, component)
     state = memory.state[0]
     state["rows_capacity"] = row_capacity if record else 0
     if not (record and dense):
@@ -126,6 +130,7 @@ def prepare(
         commands=any(name.startswith("cmd") for name in driving.channels),
         speeds=driving.speeds,
         bent=bool(state["position_noise"]),
+        noise=component.group if component is not None else None,
     )  # fmt: skip
     state["speeds"] = 0  # the pins vel are no part of a row
     desk = bench(maps, np.zeros(maps.before + maps.after))
@@ -136,7 +141,9 @@ def prepare(
     )
 
 
-def rest(circuit: LinearCircuit, state: np.void) -> NDArray[np.float64]:
+def rest(
+    circuit: LinearCircuit, state: np.void, component: ComponentGrid | None = None
+) -> NDArray[np.float64]:
     """States of the circuit at its operating point with the pins as they are at the accepted point."""
     n, m = circuit.joints, len(circuit.gain)
     level = np.zeros(4 * n + m)
@@ -144,6 +151,8 @@ def rest(circuit: LinearCircuit, state: np.void) -> NDArray[np.float64]:
     pot_u, gains = level[: 2 * n], circuit.gain * level[2 * n : 2 * n + m]
     z = _still(circuit.a_pre, circuit.b_pre @ pot_u, "a_pre")
     x = circuit.c_pre @ z + circuit.d_pre @ pot_u
+    if component is not None:
+        x += component.values[0, component.group]
     after = np.concatenate([gains * x, level[2 * n + m :]])
     return np.concatenate([z, _still(circuit.a_post, circuit.b_post @ after, "a_post")])
 
@@ -196,6 +205,7 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
             key: payload[key] for key in ("board", "model", "band_hz", "tolerance") if key in payload
         }
         circuit = extract(asked, report)
+    component = component_grid(scene, board, report)
     version = ""
     constants: DesignConstants | None = payload.get("constants")
     if constants is None:
@@ -205,7 +215,7 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         simulator.load(deck, lines=board.lines, name=str(board.path))
         constants, version = read_constants(simulator, str(board.path)), str(simulator.version)
     folder = Path(payload["folder"])
-    packed = prepare(scene, constants, circuit, record=True)
+    packed = prepare(scene, constants, circuit, record=True, component=component)
     state = packed.memory.state[0]
     person = scene.operator.file if isinstance(scene.operator, PythonOperator) else "operator"
     recorder = Recorder(packed.memory, _Clock(state), folder, report, deck=str(board.path), person=person)
@@ -213,7 +223,7 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         law = UserLaw(load_law(scene.computer.law, scene.file), state, recorder.fail, scene.computer.law)
         state["law_address"] = law.address
     # a run of no length, without the user's law, loads the compiled loop before the clock starts
-    warm = prepare(scene, constants, circuit, record=True)
+    warm = prepare(scene, constants, circuit, record=True, component=component)
     warm.memory.state[0]["t_end"] = 0.0
     warm.run()
     wall, cpu = time.perf_counter(), time.process_time()
@@ -230,6 +240,7 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         "sample_columns": sample_columns(circuit.joints),
         "constants": constants,
         "stats": statistics(packed.memory, wall, cpu),
+        "component_noise": component.about if component is not None else None,
         "peaks": {},
         "swings": {},
         "ngspice": version,

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from cosim.circuits.port import DesignConstants
 from cosim.circuits.spice import Drive
 from cosim.errors import InputError, Problem
+from cosim.loop.component_noise import ComponentGrid
 from cosim.loop.computer import COMPUTER, Method, Path
 from cosim.loop.driven import channels, is_geometric
+from cosim.loop.lockstep import name_hash
 from cosim.loop.noise import Noise, no_noise, period_jitter, potentiometer_noise, with_errors
 from cosim.loop.state import QUEUE, STATE
 from cosim.scene import Scene, schema
@@ -210,6 +212,13 @@ class Memory:
     operator: Operator
     knots: NDArray[np.float64]
     jitter: NDArray[np.float64]
+    component: ComponentGrid | None = None
+
+    @property
+    def draws(self) -> int:
+        """Random numbers drawn for the run."""
+        drawn = self.component.draws if self.component is not None else 0
+        return self.noise.draws + max(len(self.jitter) - 1, 0) + drawn
 
 
 def columns(drive: Drive, recorded: tuple[str, ...]) -> list[str]:
@@ -239,12 +248,14 @@ def pack(
     watched: tuple[str, ...],
     row_capacity: int = 2048,
     sample_capacity: int = 256,
+    component: ComponentGrid | None = None,
 ) -> Memory:
     """Build the lockstep's memory at time 0, the first sample not yet computed.
 
     Parameters
     ----------
     recorded : nodes written at every point; watched : further nodes of which only the peak is kept
+    component : noise of the board's components, where the scene asks for it
     """
     n = scene.joints
     linkage = mechanism(scene, constants.gear)
@@ -300,6 +311,10 @@ def pack(
     if len(drawn.table):
         s["position_noise"], s["position_points"] = drawn.table.ctypes.data, len(drawn.table)
         s["position_lo"], s["position_step"] = drawn.lo, drawn.step
+    grids = [drawn.dt] if drawn.dt > 0 else []
+    if component is not None:
+        _put_component(s, component)
+        grids.append(component.dt)
     solver = scene.solver
     s["h_max"] = min(solver.max_step_s, period)
     s["h_first"] = FIRST_STEP_SHARE * s["h_max"]
@@ -309,7 +324,7 @@ def pack(
     s["h_pole"] = s["h_max"]
     s["tol"] = solver.coupling_tolerance_rad
     # A million is thousands of times what a period needs, ten times more than it was asked for is too.
-    fine = min(s["h_max"], drawn.dt) if drawn.dt > 0 else s["h_max"]
+    fine = min([float(s["h_max"]), *grids])
     s["most_points"] = max(1_000_000, math.ceil(10 * period / fine))
     s["delta_min"] = 1e-12 * max(period, scene.duration_s * 1e-3)
     rows = np.zeros((row_capacity, len(columns(circuit, recorded))))
@@ -319,4 +334,15 @@ def pack(
     s["nodes"], s["nodes_recorded"] = len(recorded) + len(watched), len(recorded)
     knots = np.array([t for t in person.knots_s if 0.0 < t < scene.duration_s])
     s["knot_times"], s["knots"] = knots.ctypes.data, len(knots)
-    return Memory(state, rows, samples, drawn, circuit, person, knots, jitter)
+    return Memory(state, rows, samples, drawn, circuit, person, knots, jitter, component)
+
+
+def _put_component(s: np.void, component: ComponentGrid) -> None:
+    """Tell compiled code where component noise is, and to which sources it belongs."""
+    s["component"], s["component_rows"] = component.values.ctypes.data, len(component.values)
+    s["component_dt"], s["component_inputs"] = component.dt, component.inputs
+    names = [np.frombuffer(name.encode(), np.uint8) for name, _ in component.probes]
+    s["probes"] = len(names)
+    s["probe_name"][: len(names)] = [name_hash(name, len(name)) for name in names]
+    s["probe_input"][: len(names)] = component.group[: len(names)]
+    s["probe_sign"][: len(names)] = [sign for _, sign in component.probes]

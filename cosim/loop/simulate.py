@@ -12,9 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.circuits.port import DesignConstants
+from cosim.circuits.probes import external_probes
 from cosim.circuits.spice import Drive, Tolerances, lockstep_deck, saved
 from cosim.errors import CosimError, InputError, Problem, SimulationError, nearest
 from cosim.loop import lockstep
+from cosim.loop.component_noise import ComponentGrid, component_grid
 from cosim.loop.driven import drive
 from cosim.loop.setup import Memory, columns, pack, sample_columns
 from cosim.loop.signals import Layout, write_signals
@@ -141,7 +143,7 @@ def back_emf_viscosity(simulator: Simulator, circuit: Drive, state: np.void) -> 
     if circuit.speeds:
         first = circuit.sources().index("vel1")
         held = {f"v{k:02d}": float(state["out"][k]) for k in range(len(circuit.sources()))}
-        simulator.attach(source=lambda name, t: held[name])
+        simulator.attach(source=lambda name, t: held.get(name, 0.0))  # a probe inside the board is at 0 V
         for j in range(n):
             simulator.command(f"alter @v{first + j:02d}[acmag] = 1")
             simulator.command(f"ac lin 1 {_LOW_HZ} {_LOW_HZ}")
@@ -166,7 +168,8 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     -------
     dict
         'ledger', 'sample_columns', 'constants', 'stats', 'peaks' (largest |v| of each node), 'swings' (output
-        limits by parameter), 'ngspice' (version); signals.raw and samples.f64 are in the folder
+        limits by parameter), 'ngspice' (version), 'component_noise' (as `ComponentGrid.about`); signals.raw
+        and samples.f64 are in the folder
     """
     scene: Scene = payload["scene"]
     board: Deck = payload["board"]
@@ -179,12 +182,15 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     def beat(reached: float) -> None:
         report({"time_s": reached} if moving else {})  # an analysis before the run has its own clock
 
+    component = component_grid(scene, board, report)
+    if component is not None:
+        board = external_probes(board, _with_probes(component, board))
     simulator = Simulator(on_time=beat)
     circuit = drive(scene)
     text = lockstep_deck(board, circuit, tolerances, nodes)
     simulator.load(text, lines=board.lines, name=str(board.path))
     constants = read_constants(simulator, str(board.path))
-    memory = pack(scene, constants, circuit, recorded, nodes[len(recorded) :])
+    memory = pack(scene, constants, circuit, recorded, nodes[len(recorded) :], component=component)
     swings = {
         a.swing_param: simulator.constant(a.swing_param)
         for a in board.amplifiers
@@ -249,10 +255,26 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         "sample_columns": sample_columns(circuit.joints),
         "constants": constants,
         "stats": statistics(memory, wall, cpu),
+        "component_noise": component.about if component is not None else None,
         "peaks": dict(zip(nodes, state["node_peak"].tolist(), strict=False)),
         "swings": swings,
         "ngspice": simulator.version,
     }
+
+
+def _with_probes(component: ComponentGrid, board: Deck) -> set[str]:
+    """Return the names of the probes through which noise enters; `InputError` for a board without any."""
+    if not component.probes:
+        raise InputError(
+            Problem(
+                "the multipliers have no 0 V probe in series with X through which noise could enter",
+                file=str(board.path),
+                key="effects.component_noise",
+                value=True,
+                allowed="false, or the model ideal or linear",
+            )
+        )
+    return {name for name, _ in component.probes}
 
 
 def unknown_nodes(simulator: Simulator, text: str, board: Deck, missing: list[str]) -> InputError:
@@ -283,7 +305,7 @@ def statistics(memory: Memory, wall_s: float, cpu_s: float) -> dict[str, Any]:
         "rejected": int(s["rejected"]),
         "source_calls": int(s["source_calls"]),
         "discontinuities": int(s["discontinuities"]),
-        "random_draws": memory.noise.draws + max(len(memory.jitter) - 1, 0),
+        "random_draws": memory.draws,
         "defect_max_rad": float(s["defect_max"]),
         "defect_sum_rad": float(s["defect_sum"]),
     }

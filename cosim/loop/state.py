@@ -14,6 +14,8 @@ from mech.records import LINKAGE, NMAX, OPERATOR, WORK
 
 #: DAC channels of the largest board: u, ksp, ksd, cmd.
 CHANNELS = 2 * NMAX + 2 * NMAX * NMAX
+#: Multipliers of the largest board.
+MULTIPLIERS = 2 * NMAX * NMAX
 #: Samples that may be under way between the computer and the DACs (delay of several periods).
 QUEUE = 16
 
@@ -77,6 +79,18 @@ STATE = np.dtype(
         ("position_points", "i8"),
         ("position_lo", "f8"),
         ("position_step", "f8"),
+        # component noise: linear between grid ticks, at the different X and at the pins cmd
+        ("component", "i8"),  # address of the samples [ticks, X + n], 0 without noise
+        ("component_rows", "i8"),
+        ("component_dt", "f8"),
+        ("component_tick", "i8"),
+        ("component_inputs", "i8"),  # number of different X
+        ("component_now", "f8", MULTIPLIERS + NMAX),  # values at the trial point
+        # the X probes inside the board, by a hash of their names (see `name_hash`)
+        ("probes", "i8"),
+        ("probe_name", "i8", MULTIPLIERS),
+        ("probe_input", "i8", MULTIPLIERS),
+        ("probe_sign", "f8", MULTIPLIERS),
         # instants at which the operator's force has a kink
         ("knot_times", "i8"),
         ("knots", "i8"),

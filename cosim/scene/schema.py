@@ -280,6 +280,7 @@ class Device(Table):
     """``[device]``: board, mechanism and where it starts.
 
     `values` overrides parameters and elements of the netlist by name; ``--set R12=8.2k`` lands here.
+    ``effects.component_noise`` is drawn up to `component_noise_bandwidth_hz`.
     """
 
     board: Path
@@ -288,6 +289,7 @@ class Device(Table):
     slider: Slider | None = None
     start: Start
     potentiometer: Potentiometer = Potentiometer()
+    component_noise_bandwidth_hz: Annotated[float, Field(gt=0, le=1e5), Unit("Hz")] = 1000.0
     parts: Mapping[str, Part] = {}
     values: Mapping[str, str] = {}
 
@@ -407,6 +409,7 @@ class Effects(Table):
     pot_noise: Annotated[PotNoise, _Word] = PotNoise.NONE
     pot_linearity: bool = False
     pot_calibration: bool = False
+    component_noise: bool = False
     encoder: bool = False
     dac: bool = False
     dac_settling: bool = False
