@@ -1,0 +1,210 @@
+"""Passivity against closed forms: Colgate and Schenkel, devices with dynamics, energy of runs."""
+
+import math
+
+import numpy as np
+import pytest
+from support import EMF_TRUE, merge, quick, slider
+from test_propagation import CONSTANTS, ideal, lagging
+from test_stability import RADIUS, carriage
+
+from cosim.studies.energy import delivered, device_of, law_of
+from cosim.studies.passivity import Device, Law, _used, least_damping, needed_damping, share_used, wall
+from cosim.studies.stability import touching
+
+
+def plain(b):
+    return Device(np.ones(1), lambda omega: np.full((len(omega), 1, 1), b, complex))
+
+
+def tip(impedance, command=None):
+    """A device of one joint from its impedance at frequencies [rad/s]."""
+    return Device(
+        np.ones(1),
+        lambda omega: impedance(1j * omega).real.astype(complex)[:, None, None],
+        command,
+    )
+
+
+@pytest.mark.parametrize(
+    ("law", "known"),
+    [
+        (wall(133.0, 0.0, 0.025), 1.6625),
+        (wall(1000.0, 1.0, 1e-3), 1.5),
+        (wall(1000.0, -1.0, 1e-3), 1.5),
+        (wall(1000.0, 0.0, 1e-3, periods=1), 1.5),
+        (wall(1000.0, 1.0, 1e-3, keep=0.5), 0.5 + 1.0 / 3.0),  # low-pass 1 ms: B T/(T + 2 tau)
+    ],
+    ids=["K", "K and B", "K and -B", "delay", "filtered"],
+)
+def test_published_numbers(law, known):
+    """Theory's table, exact; the extension of a constant viscosity is the same condition."""
+    found = needed_damping(law)
+    assert found.value == pytest.approx(known, rel=1e-9)
+    assert found.value <= found.upper <= found.value * (1 + 1e-8)
+    # near w = 0 the grid ends at 1/2000 of the half circle, where the delay's curve is 1e-6 lower
+    assert share_used(law, plain(1.0)).value == pytest.approx(known, rel=2e-6)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_certificate_against_a_dense_sweep(seed):
+    """Random stable laws with light poles: peaks far narrower than any grid are found all the same."""
+    generator = np.random.default_rng(seed)
+    n = int(generator.integers(2, 6))
+    a = generator.standard_normal((n, n))
+    a *= (1.0 - 10.0 ** generator.uniform(-6, -1)) / np.abs(np.linalg.eigvals(a)).max()
+    law = Law(a, generator.standard_normal(n), generator.standard_normal(n), 3.0, 1e-3)
+    found = needed_damping(law)
+    peaks = np.abs(np.angle(np.linalg.eigvals(a)))
+    widths = np.geomspace(1e-9, 1.0, 400)
+    theta = np.concatenate(
+        [np.linspace(1e-5, np.pi, 20001), *[p + widths for p in peaks], *[p - widths for p in peaks]]
+    )
+    top = 2.0 * np.pi * law.period_s * found.frequency_hz
+    theta = np.append(theta[(theta > 1e-4) & (theta <= np.pi)], max(top, 1e-4))
+    z = np.exp(1j * theta)
+    # the quotient as it stands in the condition: rounding of 1e-15 |H| over 5e-9 at the least angle
+    needed = 0.5e-3 / (1 - np.cos(theta)) * ((1 - 1 / z) * law.response(z)).real
+    rounding = 1e-6 * np.abs(law.response(z)).max() * law.period_s
+    assert needed.max() <= found.upper + rounding
+    if top > 1e-4:
+        assert needed[-1] == pytest.approx(found.value, abs=rounding)
+
+
+@pytest.mark.parametrize(("hz", "known"), [(10.0, 25.7), (100.0, 108.0), (1000.0, 159.2), (1e9, 168.0)])
+def test_a_damper_with_a_differentiator(hz, known):
+    """c = 2, b = 0.1, one pole, T = 25 ms; the ideal damper gives 2 (b + c)/T = 168 N/m."""
+    device = tip(lambda s: 0.1 + 2.0 / (1.0 + s / (2.0 * np.pi * hz)))
+    assert 1.0 / share_used(wall(1.0, 0.0, 0.025), device).value == pytest.approx(known, abs=0.05)
+
+
+def test_the_sum_over_aliases_is_its_closed_form():
+    """At w = pi/T, b(w) = b/(1 + 1/w^2): sums of 1/n^2 and 1/n^4 over odd n, pi^2/8 and pi^4/96."""
+    b, period = 0.7, 1.0
+    device = tip(lambda s: b / (1.0 - 1.0 / s**2) + 0.0 * s)
+    two = 2.0 * (math.pi**2 / 8.0) / math.pi**2
+    four = 2.0 * (math.pi**4 / 96.0) / math.pi**4
+    exact = 2.0 * (two + four) / b  # Re{(1 - exp(-j pi)) K}/T = 2 K/T
+    assert _used(wall(1.0, 0.0, period), device, math.pi) == pytest.approx(exact, rel=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+def test_a_delay_of_less_than_a_period(share):
+    """Near w = 0: K/2 (h + sqrt(h^2 + T^2 f (1 - f))), h = T/2 + t_d, f = t_d/T, from the sum of the aliases.
+
+    The second term under the root is the sum over n of |1 - exp(-2 pi j n f)|^2/w_n^2: what a late hold does
+    to the aliases. Whole periods have none.
+    """
+    period, k = 1e-3, 1000.0
+    late = share * period
+    half = period / 2 + late
+    exact = k / 2 * (half + math.sqrt(half**2 + period**2 * share * (1 - share)))
+    found = share_used(wall(k, 0.0, period, lag_s=late), plain(1.0))
+    assert found.value == pytest.approx(exact, rel=2e-5)
+    assert found.value > k * half
+
+
+def test_a_path_of_its_own_that_does_nothing():
+    straight = lambda omega: np.ones((len(omega), 1), complex)  # noqa: E731
+    for law in (wall(1000.0, 0.0, 1e-3), wall(1000.0, 2.0, 1e-3, periods=1)):
+        with_path = Device(np.ones(1), plain(1.0).damping, straight)
+        assert share_used(law, with_path).value == pytest.approx(share_used(law, plain(1.0)).value, rel=1e-6)
+
+
+def test_the_least_damping_of_analog_paths():
+    """Spring k through one pole: b - k tau at w = 0; damper c through two equal poles: b - c/8."""
+    tau, k = 1.0 / (2e3 * math.pi), 10446.0
+    value, _ = least_damping(tip(lambda s: 1.6625 + k / (s * (1 + tau * s))))
+    assert value == pytest.approx(1.6625 - k * tau, abs=1e-6)
+    assert abs(value) < 1e-4  # the published limit itself
+    value, omega = least_damping(tip(lambda s: 0.5 + 4.0 / (1 + 1e-4 * s) ** 2))
+    assert value == pytest.approx(0.0, abs=1e-9)
+    assert omega == pytest.approx(math.sqrt(3.0) / 1e-4, rel=1e-4)
+
+
+# ---- scenes
+
+
+def test_the_boards_back_emf_is_the_viscosity(tmp_path):
+    """Nothing brakes but the motor: b = EMF/r^2 at the tip, and the limit is 2 b/T."""
+    scene = carriage(tmp_path, 0.01, 0.2, 0.0, discrete_stiffness_n_per_m=100.0)
+    device = device_of(scene, CONSTANTS, ideal(1), touching(scene, CONSTANTS))
+    b = EMF_TRUE / RADIUS**2
+    assert 1.0 / device.mobility(np.array([1.0, 1e3, 1e9])) == pytest.approx(b, rel=1e-9)
+    share = share_used(law_of(scene), device).value
+    assert 100.0 / share == pytest.approx(2.0 * b / 0.01, rel=1e-6)
+
+
+def test_a_lag_of_the_circuit_costs_damping(tmp_path):
+    """Spring of 100 N/m through poles of 1 kHz before and behind: -k sum(tau) at low frequency."""
+    scene = carriage(
+        tmp_path, 0.01, 0.2, 1.6, method="combined", analog_stiffness_n_per_m=100.0,
+        discrete_stiffness_n_per_m=50.0,
+    )  # fmt: skip
+    device = device_of(
+        scene,
+        CONSTANTS,
+        lagging(ideal(1, emf=False), 2e3 * math.pi, 2e3 * math.pi),
+        touching(scene, CONSTANTS),
+    )
+    tau = 1.0 / (2e3 * math.pi)
+    assert device.damping(np.array([1e-3]))[0, 0, 0].real / RADIUS**2 == pytest.approx(
+        1.6 - 2.0 * tau * 100.0, rel=1e-5
+    )
+    assert share_used(law_of(scene), device).value > 50.0 * 0.01 / 2.0 / 1.6
+
+
+@pytest.mark.parametrize("share", [0.9, 1.1])
+def test_a_run_beyond_passivity_delivers_energy(tmp_path, share):
+    """A carriage that hits a sampled wall of 2 b/T x share, all damping in its bearings."""
+    b, period = 2.0, 0.01
+    tables = merge(
+        slider(
+            duration_s=1.0,
+            computer={
+                "period_s": period, "method": "discrete", "analog_stiffness_n_per_m": 0.0,
+                "discrete_stiffness_n_per_m": share * 2.0 * b / period,
+            },
+            device={
+                "slider": {"mass_kg": 0.2, "viscous_n_m_s": b * RADIUS**2},
+                "start": {"q_rad": [0.02], "v_rad_per_s": [-2.0]},
+            },
+            effects={"viscous": True},
+            solver={"model": "ideal"},
+        ), {},
+    )  # fmt: skip
+    run = quick(tmp_path, tables)
+    found = delivered(run.signals, run.events, run.ledger)
+    assert found.contacts
+    # a held force is late by half a period: the display gives what the bearings then take
+    assert found.most_j > 0.0
+    assert not found.passive
+    viscous = -run.ledger["work_j"]["viscous"]
+    assert found.end_j < viscous
+
+
+def test_a_continuous_spring_delivers_nothing(tmp_path):
+    """What an ideal analog spring gives back it has been given: it is on between the same two samples only.
+
+    Contact begins at a sample inside the wall, so the spring finds itself compressed: energy from switching
+    on, k x^2/2, at most k (v T)^2/2 (theory), and nothing beyond.
+    """
+    tables = slider(
+        duration_s=0.3,
+        computer={"period_s": 0.002, "analog_stiffness_n_per_m": 100.0},
+        device={
+            "slider": {"mass_kg": 0.2},
+            "start": {"q_rad": [0.02], "v_rad_per_s": [-2.0]},
+        },
+        solver={"model": "ideal"},
+    )
+    run = quick(tmp_path, tables)
+    found = delivered(run.signals, run.events, run.ledger)
+    most = 0.5 * 100.0 * (2.0 * RADIUS * 0.002) ** 2
+    assert -found.doubt_j <= found.most_j <= most + found.doubt_j
+    # started inside, at rest on its spring, it has no switching on at all: e_spring pays for everything
+    inside = merge(
+        tables, {"device": {"start": {"q_rad": [-0.02], "v_rad_per_s": [0.0]}}, "duration_s": 0.02}
+    )
+    run = quick(tmp_path, inside)
+    assert delivered(run.signals, run.events, run.ledger).passive
