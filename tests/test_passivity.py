@@ -71,6 +71,33 @@ def test_the_certificate_against_a_dense_sweep(seed):
         assert needed[-1] == pytest.approx(found.value, abs=rounding)
 
 
+def test_a_peak_between_the_grids_points_is_found():
+    """A broad resonance, and one of width 1e-8 that is higher: 6e-3 lie between two points of the grid.
+
+    Near its pole p = (1 - w) exp(j t) the narrow one adds g/(2 (z - p)) to H, so -T Re{g/(2 (z - 1) (z - p))}
+    to the damping: a circle of diameter T g/(4 sin(t/2) w) that touches 0, in the direction of
+    -1/((z - 1) z), which has the cosine sin(3 t/2); its real part reaches (1 + sin(3 t/2))/2 of the diameter.
+    """
+
+    def resonance(radius, angle, gain):
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        return radius * turn, np.array([gain, 0.0]), np.array([1.0, 0.0])
+
+    angle, width, gain, period = np.pi * 100.5 / 512.0, 1e-8, 1e-4, 1e-3
+    (a, b, c), (a2, b2, c2) = resonance(0.9, 2.0, 1.0), resonance(1.0 - width, angle, gain)
+    zero = np.zeros((2, 2))
+    law = Law(
+        np.block([[a, zero], [zero, a2]]), np.concatenate([b, b2]), np.concatenate([c, c2]), 3.0, period
+    )
+    broad = needed_damping(Law(a, b, c, 3.0, period))
+    found = needed_damping(law)
+    peak = period * gain / (4.0 * math.sin(angle / 2.0) * width) * (1.0 + math.sin(1.5 * angle)) / 2.0
+    assert peak > 100.0 * broad.value
+    # what the broad one adds there is less than its own maximum
+    assert found.value == pytest.approx(peak, abs=2.0 * broad.value)
+    assert found.frequency_hz == pytest.approx(angle / (2.0 * np.pi * period), abs=1e-3)
+
+
 @pytest.mark.parametrize(("hz", "known"), [(10.0, 25.7), (100.0, 108.0), (1000.0, 159.2), (1e9, 168.0)])
 def test_a_damper_with_a_differentiator(hz, known):
     """c = 2, b = 0.1, one pole, T = 25 ms; the ideal damper gives 2 (b + c)/T = 168 N/m."""
@@ -102,6 +129,24 @@ def test_a_delay_of_less_than_a_period(share):
     found = share_used(wall(k, 0.0, period, lag_s=late), plain(1.0))
     assert found.value == pytest.approx(exact, rel=2e-5)
     assert found.value > k * half
+
+
+def test_the_sum_over_aliases_of_a_late_force():
+    """In the middle of the band, against a million aliases one by one and the integral over the others.
+
+    In the sum that turns they cancel to 1e-12.
+    """
+    period, share, theta, b = 1e-3, 0.3, 2.0, 0.8
+    law = wall(1000.0, 0.5, period, lag_s=share * period)
+    omega = (theta + 2.0 * np.pi * np.arange(-500_000, 500_001)) / period
+    over_t = law.response(np.array([np.exp(1j * theta)]))[0] / period
+    p = over_t * (1.0 - np.exp(-1j * theta)) / (1j * omega) * np.exp(-1j * omega * law.lag_s)
+    s = np.sum(p / (1j * omega)) / b
+    squares = np.sum(1.0 / omega**2) + period**2 / (2.0 * np.pi**2 * 500_000.5)
+    root = abs(over_t * (1.0 - np.exp(-1j * theta))) ** 2 * (squares / b) ** 2 - s.imag**2
+    exact = 0.5 * (math.sqrt(root) - s.real)
+    path = Device(np.ones(1), plain(b).damping, lambda x: np.ones((len(x), 1), complex))
+    assert _used(law, path, theta) == pytest.approx(exact, rel=1e-9)
 
 
 def test_a_path_of_its_own_that_does_nothing():
