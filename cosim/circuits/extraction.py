@@ -19,7 +19,7 @@ from cosim.circuits.statics import ControlPath, control_path, current_limits, of
 from cosim.errors import CosimError, InputError, Problem
 from cosim.ngspice.deck import Deck
 
-__all__ = ["extract", "linear"]
+__all__ = ["SWEEP", "extract", "extracted", "linear"]
 
 Array = NDArray[np.float64]
 Report = Callable[[dict[str, Any]], None]
@@ -65,11 +65,18 @@ def extract(payload: dict[str, Any], report: Report) -> LinearCircuit:
     report({"stage": "load"})
     session = Session(board)
     report({"stage": "measure"})
-    file = str(board.path)
-    circuit = _ideal(session, asked, file) if asked.model == "ideal" else _linear(session, asked, file)
+    circuit = extracted(session, asked)
     if kept:
         cache.store(asked, circuit)
     return circuit
+
+
+def extracted(session: Session, asked: cache.Asked, paths: Paths | None = None) -> LinearCircuit:
+    """Extract the board as it is in ngspice now; `paths` over `SWEEP` where they are known."""
+    file = str(session.board.path)
+    if asked.model == "ideal":
+        return _ideal(session, asked, file)
+    return _linear(session, asked, file, session.measure(SWEEP) if paths is None else paths)
 
 
 def _ideal(session: Session, asked: cache.Asked, file: str) -> LinearCircuit:
@@ -88,8 +95,7 @@ def _ideal(session: Session, asked: cache.Asked, file: str) -> LinearCircuit:
     return _finished(session, asked, circuit, low, promise)
 
 
-def _linear(session: Session, asked: cache.Asked, file: str) -> LinearCircuit:
-    paths = session.measure(SWEEP)
+def _linear(session: Session, asked: cache.Asked, file: str, paths: Paths) -> LinearCircuit:
     pre, post = networks(paths, file)
     full = linear(paths, pre.joined(), post.joined())
     circuit, bounds = full, None

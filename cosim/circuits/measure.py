@@ -73,6 +73,9 @@ class Session(Bench):
     def __init__(self, board: Deck, extra: Sequence[str] = ()) -> None:
         super().__init__(board, extra)
         self.together = self.joints > 1 and bool(self.multipliers)
+        before = [self.before(part) for part in self.multipliers]
+        #: For each multiplier the first one that is fed by the same node.
+        self._first = [before.index(node) for node in before]
 
     def groups(self) -> list[list[int]]:
         """Return the channels in sets that are driven together: one a motor, or each alone."""
@@ -81,20 +84,22 @@ class Session(Bench):
             return [[c] for c in range(m)]
         return [[kind + i * n + j for i in range(n)] for kind in (0, n * n) for j in range(n)]
 
-    def measure(self, sweep: str, sure: bool = False) -> Paths:
+    def measure(self, sweep: str, gain: Array | None = None) -> Paths:
         """Measure all paths over a sweep such as ``dec 20 0.1 100meg``.
 
         Parameters
         ----------
-        sure
-            That joints do not reach each other is known and not looked at again.
+        gain
+            What is known of the multipliers from before [m], 1/V. Nothing is then looked at again that a
+            change of values leaves alone, cmd, vel are driven along with pot, u, and gain pins stay at
+            `v_fs`.
         """
         if not self.multipliers:
             return self._lumped(sweep)
-        paths = self._apart(sweep)
-        if self.together and not sure and self._crosstalk(paths, sweep):
+        paths = self._apart(sweep, gain)
+        if self.together and gain is None and self._crosstalk(paths, sweep):
             self.together = False
-            paths = self._apart(sweep)
+            paths = self._apart(sweep, gain)
         return paths
 
     def _sets(self, pins: list[str]) -> list[list[int]]:
@@ -102,16 +107,25 @@ class Session(Bench):
         n = self.joints
         return [[*range(n)], [*range(n, 2 * n)]] if self.together else [[k] for k in range(len(pins))]
 
-    def _apart(self, sweep: str) -> Paths:
+    def _apart(self, sweep: str, known: Array | None) -> Paths:
         n, m = self.joints, len(self.channels)
         channel = np.arange(m)
         joint, motor = channel % n, channel // n % n
-        nodes = [part.x_node for part in self.multipliers] + self._outputs
+        inside = [part.x_node for part in self.multipliers]
+        first = self._first
         self.hold(dict.fromkeys(self.channels, self.v_fs))
         sets, groups = self._sets(self.signals), self.groups()
-        sides = [
-            self.respond(dict.fromkeys([self.signals[k] for k in one], 1.0), sweep, nodes) for one in sets
-        ]
+        driving = [[self.signals[k] for k in one] for one in sets]
+        if known is not None:
+            driving = [
+                pins + [self.commands[k] for k in one] for pins, one in zip(driving, sets, strict=True)
+            ]
+        # multipliers that are fed by one node have one X, as long as no probe is driven
+        fed = sorted(set(first))
+        nodes = [inside[c] for c in fed] + self._outputs
+        place = [fed.index(c) for c in first] + list(range(len(fed), len(nodes)))
+        sides = [self.respond(dict.fromkeys(pins, 1.0), sweep, nodes)[:, place] for pins in driving]
+        nodes = inside + self._outputs
         hz, size = self.hz, len(self.hz)
         x = np.zeros((size, m, 2 * n), complex)
         driven = np.zeros((2 * n, len(sets)))
@@ -133,16 +147,21 @@ class Session(Bench):
         for i in range(n):
             own = np.flatnonzero(motor == i) if self.together else channel
             share[:, i, own] = np.linalg.solve(probed[:, :, own], probed[:, :, m + i, None])[:, :, 0]
-        gain = self._gains(share[0], hz[0], groups)
+        gain = self._gains(share[0], hz[0], groups) if known is None else known
         post = np.zeros((size, n, m + 2 * n), complex)
         post[:, :, :m] = share / (gain * self.v_fs)
-        for one in self._sets(self.commands):
-            found = self.respond(dict.fromkeys([self.commands[k] for k in one], 1.0), sweep, self._outputs)
+        for run, one in enumerate(sets):
+            if known is None:
+                pins = dict.fromkeys([self.commands[k] for k in one], 1.0)
+                direct = self.respond(pins, sweep, self._outputs)
+            else:  # what came through the multipliers is known apart
+                direct = sides[run][:, m:] - (share @ sides[run][:, :m, None])[:, :, 0]
             if self.together:
-                post[:, range(n), [m + k for k in one]] = found
+                post[:, range(n), [m + k for k in one]] = direct
             else:
-                post[:, :, m + one[0]] = found
-        self.hold(dict.fromkeys(self.channels, 0.0))
+                post[:, :, m + one[0]] = direct
+        if known is None:
+            self.hold(dict.fromkeys(self.channels, 0.0))
         total = np.stack([side[:, m:] for side in sides], axis=2)
         return Paths(hz, x, gain, post, total, driven, False, self.v_fs)
 

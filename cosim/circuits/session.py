@@ -64,6 +64,8 @@ class Bench:
             ]
         )
         self._saved: tuple[str, ...] = ()
+        self._held: dict[str, float] = {}
+        self._hz: dict[str, Array] = {}
         self.simulator = Simulator()
         self.simulator.load(text + "\n", lines=board.lines, name=str(board.path))
         self.v_fs = self.simulator.constant("v_fs")
@@ -74,7 +76,21 @@ class Bench:
     def hold(self, pins: Mapping[str, float]) -> None:
         """Set the DC voltage of some pins or probes [V]."""
         for pin, volts in pins.items():
-            self.simulator.command(f"alter {self._source.get(pin, pin)} dc = {volts!r}")
+            if self._held.get(pin, 0.0) != volts:
+                self.simulator.command(f"alter {self._source.get(pin, pin)} dc = {volts!r}")
+                self._held[pin] = volts
+
+    def alter(self, elements: Mapping[str, float]) -> None:
+        """Give elements other values, by ngspice's names; a later `parameters` takes them back."""
+        for name, value in elements.items():
+            self.simulator.command(f"alter {name} = {value!r}")
+
+    def parameters(self, values: Mapping[str, float]) -> None:
+        """Give `.param`s other values and read the deck again: all that was altered is undone."""
+        for name, value in values.items():
+            self.simulator.command(f"alterparam {name} = {value!r}")
+        self.simulator.command("reset")
+        self._saved, self._held = (), {}
 
     def operating_point(self, nodes: Sequence[str]) -> Array:
         """Return DC voltages [V]."""
@@ -106,11 +122,12 @@ class Bench:
             run(f"alter @{name}[acmag] = {volts!r}")
         try:
             run(f"ac {sweep}")
-            self.hz = np.real(self.simulator.vector("frequency")).astype(float)
+            if sweep not in self._hz:
+                self._hz[sweep] = np.real(self.simulator.vector("frequency")).astype(float)
+            self.hz = self._hz[sweep]
             found: Complex = np.zeros((len(self.hz), len(nodes)), np.complex128)
-            for k, node in enumerate(nodes):
-                if node != "0":
-                    found[:, k] = self.simulator.vector(node)
+            alive = [k for k, node in enumerate(nodes) if node != "0"]
+            found[:, alive] = self.simulator.vectors([nodes[k] for k in alive])
         finally:
             for name in names:
                 run(f"alter @{name}[acmag] = 0")

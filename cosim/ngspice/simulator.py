@@ -143,6 +143,18 @@ class Simulator:
         SimulationError
             When a value is not finite.
         """
+        values = self._peek(name).copy()
+        self._refuse_non_numbers(values, [name])
+        return values
+
+    def vectors(self, names: Sequence[str]) -> NDArray[np.complex128]:
+        """Return vectors of one length as columns; see `vector`."""
+        values = np.stack([self._peek(name) for name in names], axis=1).astype(complex)
+        self._refuse_non_numbers(values, names)
+        return values
+
+    def _peek(self, name: str) -> NDArray[Any]:
+        """Return a vector in ngspice's own memory, gone with the next command."""
         ffi, api = self._library.ffi, self._library.api
         self._alive()
         self._library.lines.clear()
@@ -152,15 +164,17 @@ class Simulator:
             hint = f"; nearest is {near}" if near else ""
             raise InputError(Problem(f"ngspice has no such vector{hint}", key=name))
         count = info.v_length
-        values: NDArray[np.float64] | NDArray[np.complex128]
         if info.v_flags & 1:
-            values = np.frombuffer(ffi.buffer(info.v_realdata, 8 * count), np.float64).copy()
-        else:
-            values = np.frombuffer(ffi.buffer(info.v_compdata, 16 * count), np.complex128).copy()
+            return np.frombuffer(ffi.buffer(info.v_realdata, 8 * count), np.float64)
+        return np.frombuffer(ffi.buffer(info.v_compdata, 16 * count), np.complex128)
+
+    def _refuse_non_numbers(self, values: NDArray[Any], names: Sequence[str]) -> None:
         if not np.isfinite(values).all():
-            where = int(np.flatnonzero(~np.isfinite(values))[0])
-            raise SimulationError(f"{name} is not a number at point {where} of {count}", deck=self._deck)
-        return values
+            where = np.argwhere(~np.isfinite(values))[0]
+            name = names[where[1]] if len(where) > 1 else names[0]
+            raise SimulationError(
+                f"{name} is not a number at point {where[0]} of {len(values)}", deck=self._deck
+            )
 
     def constant(self, name: str) -> float:
         """Return a design constant that the deck states by ``.csparam``.
@@ -313,6 +327,8 @@ class Simulator:
             failure, library.failure = library.failure, None
             self._forget_stops()
             raise failure
+        if not (library.lines or status or library.exited):
+            return []
         said = self._said()
         problem = operating_point_problem(said, settles=command.split()[0].lower() == "tran")
         if problem:

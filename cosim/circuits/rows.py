@@ -1,0 +1,168 @@
+"""Fits of known order: the paths to one place share their poles, and many such rows are fitted at once.
+
+One step of vector fitting (Gustavsen and Semlyen, IEEE Trans. Power Delivery 14, 1052, 1999) from near poles
+is exact but for rounding where the order is right. The states are a chain from the fastest pole to the
+slowest, sound for equal poles as well; points come with their conjugates: complex algebra, real systems.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Fractions", "fractions", "realised", "relocated", "shortened", "weight"]
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Fractions:
+    """H = d + sum residue/(s - pole) of R rows with P paths and N poles each.
+
+    Attributes
+    ----------
+    poles
+        [R, N] rad/s.
+    d, residues
+        [R, P], [R, P, N].
+    misfit
+        [R], largest error at the points that it was not fitted to as well, relative to each path's measure.
+    """
+
+    poles: Complex
+    d: Array
+    residues: Complex
+    misfit: Array
+
+    def at(self, s: Complex) -> Complex:
+        """Return H at the points; shape [R, P, F]."""
+        away = 1.0 / (s[None, :, None] - self.poles[:, None, :])
+        out: Complex = self.residues @ away.transpose(0, 2, 1) + self.d[:, :, None]
+        return out
+
+    def of(self, rows: list[int]) -> Fractions:
+        """Return some of the rows."""
+        return Fractions(self.poles[rows], self.d[rows], self.residues[rows], self.misfit[rows])
+
+
+def relocated(s: Complex, f: Complex, poles: Complex) -> Complex:
+    """Return the poles of the rows after one step.
+
+    Parameters
+    ----------
+    s
+        [F], points jw and their conjugates [rad/s].
+    f
+        [R, P, F], paths divided by their measure.
+    poles
+        [R, N], closed under conjugation, the fastest first.
+    """
+    count = poles.shape[1]
+    if count == 0:
+        return poles
+    size = np.abs(poles)
+    chain = np.cumprod(size[:, None, :] / (s[None, :, None] - poles[:, None, :]), axis=2)
+    rows, paths, points = f.shape
+    table = np.empty((rows, paths, points, 2 * count + 2), complex)
+    table[..., 0] = 1.0
+    table[..., 1 : count + 1] = chain[:, None]
+    table[..., count + 1 : -1] = -f[..., None] * chain[:, None]
+    table[..., -1] = f
+    upper: Complex = np.asarray(np.linalg.qr(table, mode="r"))[:, :, count + 1 :, count + 1 :]
+    upper = np.asarray(np.linalg.qr(upper.reshape(rows, -1, count + 1), mode="r"))
+    shift = np.linalg.solve(upper[:, :count, :count], upper[:, :count, count:])[:, :, 0]
+    a = np.zeros((rows, count, count), complex)
+    each = np.arange(count)
+    a[:, each, each] = poles
+    a[:, each[1:], each[:-1]] = size[:, 1:]
+    a[:, 0] -= size[:, :1] * shift
+    return _closed(np.linalg.eigvals(a).astype(complex))
+
+
+def _closed(poles: Complex) -> Complex:
+    """Return poles [R, N] that are real or have their conjugates exactly, the fastest first."""
+    partner = np.argmin(np.abs(poles[:, :, None] - poles.conj()[:, None, :]), axis=2)
+    poles = 0.5 * (poles + np.take_along_axis(poles.conj(), partner, axis=1))
+    # of a pair, the half with the positive imaginary part comes first, whatever rounding says of their sizes
+    order = np.lexsort((poles.imag < 0.0, -np.abs(poles)), axis=1)
+    out: Complex = np.take_along_axis(poles, order, axis=1)
+    return out
+
+
+def fractions(s: Complex, f: Complex, measure: Array, poles: Complex, used: NDArray[np.bool_]) -> Fractions:
+    """Return partial fractions with given poles, fitted to the points that are `used` [F].
+
+    `f` [R, P, F] are paths divided by `measure` [R, P].
+    """
+    rows, _, points = f.shape
+    size = np.abs(poles)
+    basis = np.ones((rows, points, poles.shape[1] + 1), complex)
+    basis[..., 1:] = size[:, None, :] / (s[None, :, None] - poles[:, None, :])
+    q, r = np.linalg.qr(basis[:, used])
+    weights = np.linalg.solve(r, q.conj().transpose(0, 2, 1) @ f[:, :, used].transpose(0, 2, 1))
+    misfit: Array = np.abs(basis @ weights - f.transpose(0, 2, 1)).max(axis=(1, 2))
+    weights = weights.transpose(0, 2, 1) * measure[:, :, None]
+    residues = (weights[..., 1:] * size[:, None, :]).astype(complex)
+    return Fractions(poles, weights[..., 0].real.astype(float), residues, misfit)
+
+
+def weight(full: Fractions, omega: float) -> Array:
+    """Return how far each pole moves its row from its gain at rest, at most, at `omega` [rad/s]; [R, N]."""
+    size = np.abs(full.poles)
+    near = np.minimum(np.abs(1j * omega - full.poles), np.abs(1j * omega + full.poles))
+    peak = np.abs(full.at(np.array([0.0, 1j * omega]))).max(axis=2)
+    peak = np.maximum(peak, 1e-4 * peak.max(axis=1, keepdims=True))
+    share = np.abs(full.residues) / np.where(peak > 0.0, peak, 1.0)[:, :, None]
+    out: Array = share.max(axis=1) * omega / (size * near)
+    return out
+
+
+def shortened(full: Fractions, chosen: NDArray[np.int64], s: Complex) -> tuple[Fractions, Array]:
+    """Return what comes nearest to `full` at the points with some of its poles, and its errors [R].
+
+    `chosen` [R, keep] are the poles' places.
+
+    The gain at rest is kept exactly; errors are relative to the maximum of each path at the points, or to a
+    ten-thousandth of the strongest path's. `s` [F] are points with their conjugates.
+    """
+    keep = chosen.shape[1]
+    poles = np.take_along_axis(full.poles, chosen, axis=1)
+    target = full.at(s)
+    rest = full.d - (full.residues / full.poles[:, None, :]).sum(axis=2).real
+    weights = np.zeros((*full.d.shape, keep), complex)
+    if keep:
+        away = 1.0 / (s[None, :, None] - poles[:, None, :]) + (1.0 / poles)[:, None, :]
+        size = np.abs(away).max(axis=1)
+        q, r = np.linalg.qr(away / size[:, None, :])
+        found = np.linalg.solve(
+            r, q.conj().transpose(0, 2, 1) @ (target - rest[:, :, None]).transpose(0, 2, 1)
+        )
+        weights = found.transpose(0, 2, 1) / size[:, None, :]
+    d = rest + (weights / poles[:, None, :]).sum(axis=2).real
+    small = Fractions(poles, d, weights, full.misfit)
+    peak = np.abs(target).max(axis=2)
+    peak = np.maximum(peak, 1e-4 * peak.max(axis=1, keepdims=True))
+    error = (np.abs(small.at(s) - target).max(axis=2) / np.where(peak > 0.0, peak, 1.0)).max(axis=1)
+    return small, error
+
+
+def realised(row: Fractions, k: int) -> tuple[Array, Array, Array, Array] | None:
+    """Return A, B, C, D of row `k`, one state a pole; ``None`` where a complex pole lacks its partner."""
+    poles, residues = row.poles[k], row.residues[k]
+    real = poles.imag == 0.0
+    upper = np.flatnonzero(~real & (poles.imag > 0.0))
+    alone = np.flatnonzero(real)
+    if len(alone) + 2 * len(upper) != len(poles):
+        return None
+    count, first = len(poles), len(alone)
+    a, b, c = np.zeros((count, count)), np.zeros((count, len(row.d[k]))), np.zeros(count)
+    each = np.arange(first)
+    a[each, each], b[:first], c[:first] = poles[alone].real, residues[:, alone].real.T, 1.0
+    one = np.arange(first, count, 2)
+    a[one, one] = a[one + 1, one + 1] = poles[upper].real
+    a[one, one + 1], a[one + 1, one] = -poles[upper].imag, poles[upper].imag
+    b[one], b[one + 1], c[one] = residues[:, upper].real.T, residues[:, upper].imag.T, 2.0
+    return a, b, c, row.d[k]
