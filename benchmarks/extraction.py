@@ -1,4 +1,4 @@
-"""Extraction of board2: from cold against one run of ngspice on the same board, and from the cache."""
+"""Extraction of board2, cold, after changed values and from the cache, against one run of ngspice on it."""
 
 from __future__ import annotations
 
@@ -11,9 +11,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from benchmarks.figure import Figure, figure, interleaved
 from benchmarks.rig import slope
+from cosim.circuits.alter import altered
 from cosim.circuits.extraction import extract
+from cosim.circuits.linear import LinearCircuit
+from cosim.circuits.reextraction import Reextraction
 from cosim.circuits.spice import Drive, testbench
 from cosim.ngspice.child import Child
 from cosim.ngspice.deck import Deck
@@ -61,33 +66,79 @@ def _in_fresh_process(asked: dict[str, Any], times: int) -> list[float]:
     return found
 
 
-def cold(repetitions: int) -> list[Figure]:
-    """Extract in a process that has imported everything but extracted nothing; compare with `ngspice -b`."""
-    plan = slope()
+#: Parts of the board with a tolerance, and a parameter that stands in expressions too.
+_PARTS = {
+    "r_diff_in": 10e3, "r_diff_fb": 169e3, "c_der_in": 1e-6, "r_der_fb": 100e3, "r_der_in": 1.58e3,
+    "c_der_fb": 1e-9, "r_sum_fb": 10e3, "r_sum_spring": 24.3e3, "r_sum_damper": 6.19e3, "r_sum_cmd": 20e3,
+    "r_drv_in": 10e3, "r_drv_fb": 20e3, "motor_l": 1.5e-3,
+}  # fmt: skip
+_PARAMETER = {"motor_r": 5.0}
+_DRAWS = 20
+
+
+def again_seconds(payload: dict[str, Any], report: Report) -> dict[str, Any]:
+    """Return the wall times [s] of extractions after changed values, and how far they are from full ones."""
+    asked = payload["asked"]
+    board: Deck = asked["board"]
+    session = Reextraction(board, asked["band_hz"], asked["tolerance"])
+    rng = np.random.default_rng(payload["seed"])
+    times: dict[str, list[float]] = {"parts": [], "with_a_parameter": []}
+    kept: list[tuple[dict[str, float], LinearCircuit]] = []
+    anew = 0
+    for name, nominal in (("parts", _PARTS), ("with_a_parameter", _PARTS | _PARAMETER)):
+        for draw in range(_DRAWS + 2):
+            values = {key: value * rng.uniform(0.95, 1.05) for key, value in nominal.items()}
+            begun = time.perf_counter()
+            circuit = session.at(values)
+            if draw >= 2:  # ngspice orders its matrix in the first
+                times[name].append(time.perf_counter() - begun)
+            anew += "extracted_anew" in circuit.certificate
+        kept.append((values, circuit))
+    s = 2j * np.pi * np.geomspace(0.1, asked["band_hz"], 200)
+    worst = 0.0
+    for values, circuit in kept:
+        deck = altered(board, {key: repr(value) for key, value in values.items()})
+        full = extract({"board": deck, "model": "linear", "cache": False}, report)
+        held = np.full(len(full.gain), 10.0)
+        want, got = full.response(s, held), circuit.response(s, held)
+        peak = np.abs(want).max(axis=0)
+        worst = max(worst, float((np.abs(got - want).max(axis=0) / np.where(peak > 1e-12, peak, 1.0)).max()))
+    return {"times": times, "difference": worst, "anew": anew}
+
+
+def _peer(board: Deck, folder: str) -> Callable[[], float]:
+    """Return a function that runs `ngspice -b` on one `.ac` and tells its wall time [s]."""
     program = shutil.which("ngspice")
     if program is None:
         raise RuntimeError("the program ngspice is not installed")
+    file = Path(folder) / "board2.cir"
+    file.write_text(deck(board), encoding="utf-8")
+    command = [program, "-n", "-b", "-r", str(file.with_suffix(".raw")), str(file)]
+
+    def peer() -> float:
+        begun = time.perf_counter()
+        subprocess.run(command, check=True, capture_output=True, cwd=folder)
+        return time.perf_counter() - begun
+
+    peer()
+    if b"No. Points: 181" not in file.with_suffix(".raw").read_bytes()[:1000]:
+        raise RuntimeError("ngspice did not write 181 points")
+    return peer
+
+
+def cold(repetitions: int) -> list[Figure]:
+    """Extract in a process that has imported everything but extracted nothing; compare with `ngspice -b`."""
+    plan = slope()
     asked = _asked(plan, False)
     again: list[float] = []
+
+    def ours() -> float:
+        first, *rest = _in_fresh_process(asked, 3)
+        again.extend(rest)
+        return first
+
     with tempfile.TemporaryDirectory(prefix="cosim-bench-") as folder:
-        file = Path(folder) / "board2.cir"
-        file.write_text(deck(plan.board), encoding="utf-8")
-        command = [program, "-n", "-b", "-r", str(file.with_suffix(".raw")), str(file)]
-
-        def peer() -> float:
-            begun = time.perf_counter()
-            subprocess.run(command, check=True, capture_output=True, cwd=folder)
-            return time.perf_counter() - begun
-
-        def ours() -> float:
-            first, *rest = _in_fresh_process(asked, 3)
-            again.extend(rest)
-            return first
-
-        walls = interleaved(repetitions, ours, peer)
-        raw = file.with_suffix(".raw").read_bytes()
-    if b"No. Points: 181" not in raw[:1000]:
-        raise RuntimeError("ngspice did not write 181 points")
+        walls = interleaved(repetitions, ours, _peer(plan.board, folder))
     details = {
         "ours_ms": 1e3 * statistics.median(walls[0]),
         "ngspice_ms": 1e3 * statistics.median(walls[1]),
@@ -95,6 +146,40 @@ def cold(repetitions: int) -> list[Figure]:
     }
     ratios = [a / b for a, b in zip(*walls, strict=True)]
     return [figure("extraction_vs_ac", ratios, details=details)]
+
+
+def after_changes(repetitions: int) -> list[Figure]:
+    """Extract again in one process after 13 values changed by up to 5 %; compare with `ngspice -b`."""
+    plan = slope()
+    asked = _asked(plan, False)
+    answers: list[dict[str, Any]] = []
+    with tempfile.TemporaryDirectory(prefix="cosim-bench-") as folder, Child() as child:
+
+        def ours() -> float:
+            payload = {"asked": asked, "seed": len(answers)}
+            answers.append(child.call("benchmarks.extraction:again_seconds", payload))
+            return statistics.median(answers[-1]["times"]["parts"])
+
+        walls = interleaved(repetitions, ours, _peer(plan.board, folder))
+    longer = [t for answer in answers[1:] for t in answer["times"]["with_a_parameter"]]
+    details = {
+        "ours_ms": 1e3 * statistics.median(walls[0]),
+        "ngspice_ms": 1e3 * statistics.median(walls[1]),
+        "ours_with_a_parameter_ms": 1e3 * statistics.median(longer),
+        "extracted_anew": sum(answer["anew"] for answer in answers),
+    }
+    ratios = [a / b for a, b in zip(*walls, strict=True)]
+    return [
+        figure(
+            "reextraction_vs_ac",
+            ratios,
+            error_ours=max(answer["difference"] for answer in answers),
+            error_peer=0.0,
+            error_unit="of each path's maximum in the band; against a full extraction, tolerance "
+            f"{asked['tolerance']:g}",
+            details=details,
+        )
+    ]
 
 
 def cached(repetitions: int) -> list[Figure]:

@@ -24,6 +24,11 @@ TARGETS: dict[str, tuple[float, str, str]] = {
     "linear_vs_monolithic_drop": (1 / 1000, "", "wall: our loop on `linear` / linkage as elements, drop"),
     "linear_vs_stiff_solvers": (1 / 20, "", "wall: our loop / the fastest stiff solver, same linear system"),
     "extraction_vs_ac": (20.0, "", "wall: extraction of board2 / one `ngspice -b`, 181 points of .ac"),
+    "reextraction_vs_ac": (
+        0.5,
+        "",
+        "wall: extraction of board2 after changed values / one `ngspice -b` as above",
+    ),
     "extraction_cached_ms": (50.0, "ms", "wall: extraction of an unchanged board2"),
 }
 

@@ -233,5 +233,6 @@ SUITE: dict[tuple[str, ...], Callable[[int], list[Figure]]] = {
     ("linear_vs_monolithic_drop",): models.linear_drop,
     ("linear_vs_stiff_solvers",): stiff.solvers,
     ("extraction_vs_ac",): extraction.cold,
+    ("reextraction_vs_ac",): extraction.after_changes,
     ("extraction_cached_ms",): extraction.cached,
 }

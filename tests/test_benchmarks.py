@@ -29,6 +29,7 @@ STATED = {
     "linear_vs_monolithic_drop": 1 / 1000,
     "linear_vs_stiff_solvers": 1 / 20,
     "extraction_vs_ac": 20.0,
+    "reextraction_vs_ac": 0.5,
     "extraction_cached_ms": 50.0,
 }
 

@@ -95,7 +95,7 @@ def test_one_instance_alone():
     deck = shipped(2, "gbw")
     (found,) = again(deck, [{"xdiff1.r12": 150e3}])
     before, after = (circuit.before(0.1j)[0].real for circuit in (extract(deck), found))
-    # pot: -r12/r11; u: r14/(r13 + r14) (1 + r12/r11); op-amp gain 2e5 with noise gain 17.9: 1e-4, its change 1e-5
+    # pot: -r12/r11; u: r14/(r13 + r14) (1 + r12/r11); op-amp gain 2e5, noise gain 17.9: 1e-4, changes by 1e-5
     assert after[0, 0] / before[0, 0] == pytest.approx(150 / 169, rel=2e-5)
     assert after[0, 2] / before[0, 2] == pytest.approx(160 / 179, rel=2e-5)
     assert after[1, 1] == pytest.approx(before[1, 1], rel=1e-9)
