@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from cosim.circuits.port import DesignConstants
 from cosim.errors import InputError, Problem
 from cosim.measures import chosen, headroom, standard
+from cosim.ngspice import stored
 from cosim.ngspice.child import Child, call
 from cosim.plan import Plan, resolve
 from cosim.rawfile import read_raw
 from cosim.results import RAW, RECORD, Run, provenance
-from cosim.staging import Staging
+from cosim.staging import Staging, disk_errors
 
 __all__ = ["resolve", "run"]
 
@@ -125,6 +126,8 @@ def run(
             ),
         )
         result.write_into(stage.path, formats)
+        with disk_errors(stage.path):
+            stored.save(plan.board, stage.path)
         stage.publish()
     return Run.load(target)
 

@@ -2,55 +2,140 @@
 
 import json
 import shutil
+from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from cosim.assets import netlists_folder, scenes_folder
+from cosim.circuits.port import Stated
+from cosim.circuits.spice import SUPPLY_V
 from cosim.cli import main
-from cosim.studies.compare import figures
+from cosim.errors import InputError
+from cosim.ngspice import stored
+from cosim.ngspice.deck import load_deck
+from cosim.ngspice.lines import Line
+from cosim.settings import Variant
+from cosim.studies.compare import sides_of
+from cosim.studies.dissipation import dissipation
+
+DROP = str(scenes_folder() / "drop.toml")
+BOARD = str(netlists_folder() / "board1.cir")
+SHORT = ["--set", "duration_s=0.1"]
 
 
-def test_figures_are_named_by_what_they_are_about():
-    check = {
-        "joints": 2,
-        "file": "x",
-        "loops": ({"path": "xboard.xsum1.xop", "stable": True, "crossover_hz": 5.0, "gain_margin_db": None},),
-        "admittance_a_s": [[1.0, 2.0], [3.0, 4.0]],
-    }
-    assert figures(check) == {
-        "joints": 2.0,
-        "loops xboard.xsum1.xop crossover_hz": 5.0,
-        "admittance_a_s 1 1": 1.0,
-        "admittance_a_s 1 2": 2.0,
-        "admittance_a_s 2 1": 3.0,
-        "admittance_a_s 2 2": 4.0,
-    }
+def compared(capsys, *words):
+    """Run the command and return what it found, the rows by (quantity, place)."""
+    assert main(["compare", *map(str, words), "--json"]) == 0, capsys.readouterr().err
+    found = json.loads(capsys.readouterr().out)
+    rows = {(row["quantity"], place): row for row in found["changed"] for place in row["places"] or [""]}
+    return found, rows
 
 
-def test_compare_shows_the_share_of_an_edited_resistor(tmp_path, capsys):
-    edited = tmp_path / "netlists"
-    shutil.copytree(netlists_folder(), edited)
-    block = edited / "blocks" / "summer.cir"
+@pytest.fixture
+def edited(tmp_path):
+    """The shipped board with one resistor of the summing amplifier changed."""
+    folder = tmp_path / "edited"
+    shutil.copytree(netlists_folder(), folder)
+    block = folder / "blocks" / "summer.cir"
     text = block.read_text()
     assert "r_sum_spring=24.3k" in text
     block.write_text(text.replace("r_sum_spring=24.3k", "r_sum_spring=27k"))
-    code = main(
-        [
-            "compare",
-            str(netlists_folder() / "board1.cir"),
-            str(edited / "board1.cir"),
-            str(scenes_folder() / "drop.toml"),
-            "--out",
-            str(tmp_path / "out"),
-            "--json",
-        ]
-    )
-    assert code == 0
-    result = json.loads(capsys.readouterr().out)
-    before, after = result["changed"]["constants k_fs 11 measured"]
+    return folder / "board1.cir"
+
+
+def test_compare_shows_the_share_of_an_edited_resistor(tmp_path, edited, capsys):
+    found, rows = compared(capsys, BOARD, edited, DROP, "--out", tmp_path / "out")
+    before, after = rows["spring at full-scale gain", "motor 1 from joint 1"]["values"]
     # the summing amplifier weighs a spring with r_sum_fb / r_sum_spring
     assert after / before == pytest.approx(24.3 / 27.0, rel=1e-4)
-    assert (tmp_path / "out" / "report" / "report.html").is_file()
+    # the feedback share at its inverting input grows with the leg: the loop is faster, its margin smaller
+    before, after = rows["crossover", "xsum1.xop (tl072)"]["values"]
+    assert after > before
+    assert found["boards"] == ["A netlists/board1", "B edited/board1"]
+    assert {"clips first at rated torque", "clips first in this scene"} <= set(found["said"][0])
+    assert any(quantity.startswith("heat of the winding") for quantity, _ in rows)
+    shown = [word for row in found["changed"] for word in (row["quantity"], *row["places"])]
+    assert not [word for word in shown if "_" in word or "xboard" in word]  # names are for people
+    page = tmp_path / "out" / "report"
+    for name in ("changed", "paths", "poles", "compare"):
+        assert (page / "figures" / f"{name}.png").stat().st_size > 10_000
+    html = (page / "report.html").read_text()
+    assert "http" not in html.replace("http://www.w3.org", "")
+
+
+def test_compare_with_a_value_and_with_the_last_run(tmp_path, edited, capsys):
+    last = tmp_path / "last"
+    assert main(["run", DROP, *SHORT, "--out", str(last)]) == 0
+    capsys.readouterr()
+    # a run holds its board: what happens to the netlists later does not change it
+    same, rows = compared(capsys, BOARD, DROP, "--last", last, "--out", tmp_path / "a")
+    assert same["boards"] == ["A run last", "B board1"]
+    assert not [row for row in same["changed"] if row["section"] not in ("measures", "dissipation")]
+    assert rows  # the stored run lasted a tenth of a second only, and that is shown
+    _, by_edit = compared(capsys, edited, DROP, "--last", last, "--out", tmp_path / "b")
+    _, by_value = compared(capsys, BOARD, DROP, "--set", "r_sum_spring=27k", "--out", tmp_path / "c")
+    place = ("spring at full-scale gain", "motor 1 from joint 1")
+    assert by_edit[place]["values"] == by_value[place]["values"]
+
+
+def test_what_can_be_compared(tmp_path, capsys):
+    plain, tried = Variant((), (), ""), Variant((("R12", "8k"),), ("device.values.R12=8k",), "")
+    assert [side.label for side in sides_of([], [tried], None)] == ["A as it stands", "B R12=8k"]
+    assert [side.label for side in sides_of(["x.cir"], [tried], tmp_path)] == [
+        f"A run {tmp_path.name}",
+        "B R12=8k",
+    ]
+    for boards, variants, last in (
+        ([], [plain], None),
+        (["a", "b"], [tried], None),
+        (["a", "b"], [plain], tmp_path),
+    ):
+        with pytest.raises(InputError):
+            sides_of(boards, variants, last)
+    assert main(["compare", DROP, "--last", str(tmp_path / "nothing"), "--out", str(tmp_path / "o")]) == 2
+    assert "not a result folder" in capsys.readouterr().err
+
+
+def test_a_stored_board_is_the_same_and_is_checked_like_any_netlist(tmp_path):
+    board = load_deck(BOARD, levels={"opamp": "full"})
+    stored.save(board, tmp_path)
+    assert stored.load(tmp_path) == board
+    record = json.loads((tmp_path / stored.FILE).read_text())
+    for line, reason in ((".include /etc/passwd", "not allowed"), ("shell rm x", "not allowed")):
+        bad = replace(board, lines=(*board.lines, Line(line)))
+        stored.save(bad, tmp_path)
+        with pytest.raises(InputError, match=reason):
+            stored.load(tmp_path)
+    record["lines"][3]["text"] += " "
+    (tmp_path / stored.FILE).write_text(json.dumps(record))
+    with pytest.raises(InputError, match="was changed"):
+        stored.load(tmp_path)
+    (tmp_path / stored.FILE).write_text("{}")
+    with pytest.raises(InputError, match="cannot be read"):
+        stored.load(tmp_path)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_heat_of_motor_and_driver(sign):
+    ohm, kt, gear, current, speed = 3.0, 0.025, 8.0, 0.5, 2.0
+    constants = dict.fromkeys(Stated.names(), 1.0) | {"kt": kt, "gear": gear}
+    stated = Stated(**constants, numbers={"m_r": ohm}, parts={"motor": ("m",)})
+    run = SimpleNamespace(
+        scene=SimpleNamespace(joints=1),
+        signals={
+            "time": np.array([0.0, 1.0, 3.0]),
+            "imot1": sign * np.full(3, current),
+            "v1": sign * np.full(3, speed),
+        },
+    )
+    (heat,) = dissipation(run, stated)
+    # what the supply gives, V I, is what winding and driver heat and what the shaft takes, kt gear w I
+    shaft = kt * gear * speed * current
+    assert heat.motor_mean_w == pytest.approx(ohm * current**2, rel=1e-12)
+    assert heat.driver_peak_w + heat.motor_peak_w + shaft == pytest.approx(SUPPLY_V * current, rel=1e-12)
+    assert dissipation(run, Stated(**constants)) == []
 
 
 def test_effects_of_a_misspelt_measure(capsys):

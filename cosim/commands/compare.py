@@ -1,21 +1,45 @@
 """``cosim compare``: what an edit of the board did."""
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cosim.commands.command import Command
+
+if TYPE_CHECKING:
+    from cosim.studies.compare import Row, Side
+
+#: Results of `cosim run SCENE` without a folder of their own.
+_USUAL = Path("out")
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "boards", nargs=2, metavar="BOARD.cir", help="the two boards; the first is the reference"
+        "boards",
+        nargs="*",
+        metavar="BOARD.cir",
+        help="none (the scene's board), one or two; the first is the reference",
     )
-    parser.add_argument("scene", metavar="SCENE.toml", help="scene under which both are run")
+    parser.add_argument("scene", metavar="SCENE.toml", help="scene under which all are run")
     parser.add_argument(
-        "-o", "--out", metavar="FOLDER", help="folder for both runs and a page (default: out/compare)"
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=V1,V2,...",
+        help="compare with values of a netlist name (R12, xdiff1.r1) or a scene key; repeatable",
     )
-    parser.add_argument("--most", type=int, default=30, metavar="N", help="figures to show (default: 30)")
+    parser.add_argument(
+        "--last",
+        nargs="?",
+        const="",
+        metavar="FOLDER",
+        help="compare with a stored run, which becomes the reference (default: the last in out/SCENE)",
+    )
+    parser.add_argument(
+        "-o", "--out", metavar="FOLDER", help="folder for the runs and a page (default: out/compare)"
+    )
+    parser.add_argument("--most", type=int, default=40, metavar="N", help="figures to show (default: 40)")
     parser.add_argument(
         "--trust", action="store_true", help="let the netlists run commands and read files of their choice"
     )
@@ -25,40 +49,72 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
     with start_early("cosim.loop.simulate", "cosim.check.measure") as child:
-        from cosim.commands.run import measure_table
-        from cosim.studies.compare import changes, compare
+        from cosim.commands.progress import progress
+        from cosim.settings import parse_settings, variants
+        from cosim.studies.compare import changes, compare, sides_of
 
-        out = Path(args.out) if args.out else Path("out/compare")
-        sides = compare(args.scene, args.boards, out, child=child, trust=args.trust)
-    from reports.page import write_report
-    from reports.tables import Trial
+        last = _USUAL / Path(args.scene).stem if args.last == "" else Path(args.last) if args.last else None
+        asked = sides_of(args.boards, variants(parse_settings(args.set)), last)
+        out = Path(args.out) if args.out else _USUAL / "compare"
+        with progress("comparing") as show:
+            sides = compare(args.scene, asked, out, child=child, trust=args.trust, on_progress=show)
+    from reports.boards import write_comparison
 
-    page = write_report(
-        sides[0].run, out / "report", [Trial(side.label, side.run.measures, side.run) for side in sides]
-    )
     rows = changes(sides)
-    lines = [measure_table([(side.label, side.run.measures) for side in sides]), ""]
-    if rows:
-        width = max(len(name) for name, _ in rows[: args.most])
-        lines.append(
-            f"{'figures of the board that changed':{width}}  {sides[0].label:>13}  {sides[1].label:>13}"
-        )
-        lines += [
-            f"{name:{width}}  " + "  ".join(f"{'-':>13}" if v is None else f"{v:>13.5g}" for v in values)
-            for name, values in rows[: args.most]
-        ]
-        if len(rows) > args.most:
-            lines.append(f"and {len(rows) - args.most} more (--most, --json)")
-    else:
-        lines.append("the boards do not differ in any figure of cosim check")
-    lines.append(f"wrote {page}")
+    page = write_comparison(sides, rows, out / "report")
+    text = "\n".join([*_table(sides, rows, args.most), *_told(sides), f"wrote {page}"])
     result = {
         "boards": [side.label for side in sides],
         "measures": [dict(side.run.measures) for side in sides],
-        "changed": {name: values for name, values in rows},
+        "said": [dict(side.said) for side in sides],
+        "changed": [vars(row) for row in rows],
         "page": str(page),
     }
-    return result, "\n".join(lines)
+    return result, text
 
 
-COMMAND = Command("compare", "run two boards under one scene and show what differs", _arguments, _run)
+def _table(sides: "Sequence[Side]", rows: "Sequence[Row]", most: int) -> list[str]:
+    """Return what changed, by section, as far as there is room for the largest changes."""
+    from cosim.studies.figures import SECTIONS
+    from reports.boards import cells
+
+    if not rows:
+        return ["no figure differs"]
+    shown = rows[: max(most, 0)]
+    table = [["", "", *(side.label for side in sides)]]
+    lines: list[str | None] = [None]
+    for section in SECTIONS:
+        inside = [row for row in shown if row.section == section]
+        if inside:
+            lines.append(section)
+        for row in inside:
+            table.append([f"  {row.quantity}", row.where, *cells(row)])
+            lines.append(None)
+    widths = [max(len(row[k]) for row in table) for k in range(len(table[0]))]
+    formed = iter(
+        "  ".join(
+            c.ljust(w) if k < 2 else c.rjust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True))
+        )
+        for row in table
+    )
+    text = [next(formed).rstrip() if line is None else line for line in lines]
+    if len(rows) > len(shown):
+        text.append(f"and {len(rows) - len(shown)} smaller changes (--most, --json)")
+    return text
+
+
+def _told(sides: "Sequence[Side]") -> list[str]:
+    """Return what is said in words, once where all sides say the same."""
+    lines = [""]
+    for name in dict.fromkeys(name for side in sides for name, _ in side.said):
+        words = [dict(side.said).get(name, "not known") for side in sides]
+        if len(set(words)) == 1:
+            lines.append(f"{name}: {words[0]} (all)")
+        else:
+            lines += [f"{name}, {side.label}: {said}" for side, said in zip(sides, words, strict=True)]
+    return lines
+
+
+COMMAND = Command(
+    "compare", "show what an edit did: boards, values or an earlier run under one scene", _arguments, _run
+)
