@@ -50,7 +50,7 @@ def test_compare_shows_the_share_of_an_edited_resistor(tmp_path, edited, capsys)
     before, after = rows["spring at full-scale gain", "motor 1 from joint 1"]["values"]
     # the summing amplifier weighs a spring with r_sum_fb / r_sum_spring
     assert after / before == pytest.approx(24.3 / 27.0, rel=1e-4)
-    # the feedback share at its inverting input grows with the leg: the loop is faster, its margin smaller
+    # more of its output comes back to the inverting input past a larger leg: the loop is faster
     before, after = rows["crossover", "xsum1.xop (tl072)"]["values"]
     assert after > before
     assert found["boards"] == ["A netlists/board1", "B edited/board1"]
