@@ -271,6 +271,17 @@ def begin(s: Record) -> None:
 
 
 @njit(cache=True, error_model="numpy")
+def _watch_rest(s: Record, t: float) -> None:
+    """End the run when the joints have been at rest for long enough."""
+    for j in range(s.n):
+        if not abs(s.v[j]) < s.rest_speed:
+            s.moved = t
+    if t - s.moved >= s.rest_time:
+        s.rested = 1
+        s.t_end = t
+
+
+@njit(cache=True, error_model="numpy")
 def process_events(s: Record, t: float) -> bool:
     """Do everything due at the accepted time `t`: noise grid, ramp ends, samples, DACs."""
     now = t + s.delta_min
@@ -290,6 +301,8 @@ def process_events(s: Record, t: float) -> bool:
     if s.tick <= s.last_tick and instant(s, s.tick) <= now:
         compute_sample(s)
         announce(s, now)
+        if s.rest_time > 0.0:
+            _watch_rest(s, t)
     jumped = False
     for group in range(2):
         while s.queue_out[group] < s.queue_in:

@@ -18,10 +18,17 @@ from cosim.plan import Plan
 __all__ = ["circuit_of"]
 
 
-def circuit_of(plan: Plan, *, child: Child | None = None) -> tuple[LinearCircuit, DesignConstants]:
-    """Return the linear circuit of a plan, unreduced, and its board's constants.
+def circuit_of(
+    plan: Plan, *, reduced: bool = False, child: Child | None = None
+) -> tuple[LinearCircuit, DesignConstants]:
+    """Return the linear circuit of a plan and its board's constants.
 
     A plan for `spice` is studied with the `linear` model of the same parts.
+
+    Parameters
+    ----------
+    reduced
+        Whether it is reduced to the order that the scene's solver asks for, as it is in runs; whole otherwise.
 
     Raises
     ------
@@ -34,6 +41,9 @@ def circuit_of(plan: Plan, *, child: Child | None = None) -> tuple[LinearCircuit
         "scene": plan.scene,
         "tolerances": plan.tolerances,
     }
+    if reduced:
+        solver = plan.scene.solver
+        payload |= {"band_hz": solver.band_hz, "tolerance": solver.reduction_tolerance}
     found: tuple[LinearCircuit, DesignConstants] = call(
         "cosim.studies.model:ask", payload, deck=str(plan.board.path), child=child
     )
@@ -45,7 +55,8 @@ def ask(
 ) -> tuple[LinearCircuit, DesignConstants]:
     """Extract the circuit and read the constants; runs in the child."""
     board = payload["board"]
-    circuit = extract({"board": board, "model": payload["model"]}, report)
+    asked = {k: payload[k] for k in ("board", "model", "band_hz", "tolerance") if k in payload}
+    circuit = extract(asked, report)
     simulator = Simulator()
     deck = lockstep_deck(board, drive(payload["scene"]), payload["tolerances"], ())
     simulator.load(deck, lines=board.lines, name=str(board.path))

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Self, TextIO
 
@@ -70,6 +74,38 @@ class Points:
             self._write({"key": key, "value": value, "seconds": time.perf_counter() - begun})
         return self._known[key]
 
+    def map(
+        self, compute: Callable[[Any], Any], arguments: Mapping[str, Any], workers: int | None = None
+    ) -> list[Any]:
+        """Return ``compute(argument)`` for every key, the known ones from disk, the others in parallel.
+
+        `compute` is a function of a module; values do not depend on the number of workers (default: one for
+        each processor). Raises what `compute` raises; finished points are kept.
+        """
+        self.expect(len(arguments))
+        missing = {key: argument for key, argument in arguments.items() if key not in self._known}
+        self._done += len(arguments) - len(missing)
+        count = min(workers or os.cpu_count() or 1, len(missing))
+        if count <= 1:
+            for key, argument in missing.items():
+                self.get(key, partial(compute, argument))
+            return [self._known[key] for key in arguments]
+        # spawn: a fork would copy the threads of numerical libraries in whatever state they are
+        with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
+            under_way = {pool.submit(_timed, compute, argument): key for key, argument in missing.items()}
+            try:
+                for future in as_completed(under_way):
+                    key = under_way[future]
+                    value, seconds = future.result()
+                    self._done += 1
+                    self._known[key] = value
+                    self._write({"key": key, "value": value, "seconds": seconds})
+                    if self._on_progress is not None:
+                        self._on_progress(self._done, self._total, key)
+            finally:
+                pool.shutdown(wait=False, cancel_futures=True)
+        return [self._known[key] for key in arguments]
+
     def _write(self, line: dict[str, Any]) -> None:
         if self._stream is not None:
             self._stream.write(json.dumps(line, allow_nan=False) + "\n")
@@ -81,6 +117,12 @@ class Points:
     def __exit__(self, *_: object) -> None:
         if self._stream is not None:
             self._stream.close()
+
+
+def _timed(compute: Callable[[Any], Any], argument: Any) -> tuple[Any, float]:
+    """Run in a worker: the value and its seconds."""
+    begun = time.perf_counter()
+    return compute(argument), time.perf_counter() - begun
 
 
 def _whole_lines(path: Path) -> list[dict[str, Any]]:

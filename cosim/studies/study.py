@@ -35,6 +35,7 @@ RECORD, POINTS = "study.json", "points.jsonl"
 #: The analyses by name, and the module of each; its `STUDY` says the rest.
 STUDIES = {
     "congruence": "cosim.studies.congruence",
+    "drop": "cosim.studies.drop",
 }
 
 

@@ -1,0 +1,339 @@
+"""Drop test (Figs 12 to 14): how stiff may a floor be before a mass that is dropped on it never rests?
+
+For each sampling period the discrete stiffness is scanned geometrically from below; at each stiffness the mass
+falls once for every phase of the samples against the impact. The answer is the first stiffness at which fewer
+than a stated share of the phases comes to rest; the share need not fall monotonically, so its band is told
+too. The exact limit of the held contact (`cosim.studies.stability`) stands beside it: a bouncing mass may give
+up a little below it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any, Literal
+
+import numpy as np
+
+from cosim.circuits.linear import LinearCircuit
+from cosim.circuits.port import DesignConstants
+from cosim.errors import CosimError, fail
+from cosim.loop.propagate_run import Propagation, prepare
+from cosim.loop.setup import shift_samples
+from cosim.loop.state import Fault
+from cosim.plan import resolve
+from cosim.scene import Scene
+from cosim.scene.parameters import Field, Parameters, Unit
+from cosim.scene.schema import Period
+from cosim.studies.model import circuit_of
+from cosim.studies.points import Points
+from cosim.studies.stability import border, held, with_computer
+from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
+
+__all__ = ["STUDY", "Dropped", "Job", "Rest", "drop", "limit", "scan"]
+
+#: Bisections of the last step of the scan.
+_REFINED = 3
+#: A scan ends after so many stiffnesses in a row at which no phase rests.
+_HOPELESS = 2
+#: ... and at so many times the exact limit in any case.
+_FAR = 4.0
+
+
+class Family(Parameters):
+    """One curve: its name and what it changes in the scene."""
+
+    name: str
+    kind: Literal["curve", "sensitivity"] = "curve"
+    set: tuple[str, ...] = ()
+    periods_s: tuple[Period, ...] = ()
+    phases: int | None = Field(default=None, ge=1, le=1024)
+
+
+class DropParameters(Parameters):
+    """``[parameters]`` of the drop test. A family's own periods and phases win."""
+
+    families: tuple[Family, ...] = Field(min_length=1)
+    periods_s: tuple[Period, ...] = Field(min_length=1)
+    phases: int = Field(default=32, ge=1, le=1024)
+    window_s: Annotated[float, Field(gt=0, le=1e4), Unit("s")] = 30.0
+    rest_speed_m_per_s: Annotated[float, Field(gt=0, le=1), Unit("m/s")] = 1e-3
+    rest_time_s: Annotated[float, Field(gt=0, le=100), Unit("s")] = 1.0
+    rest_share: Annotated[float, Field(gt=0, le=1)] = 0.95
+    from_share: Annotated[float, Field(gt=0, lt=1)] = 0.6
+    ratio: Annotated[float, Field(gt=1, le=2)] = 1.05
+
+
+@dataclass(frozen=True)
+class Rest:
+    """What counts as rest: tip speeds below `speed_m_per_s` at the samples over `time_s`, within `window_s`."""
+
+    window_s: float
+    speed_m_per_s: float
+    time_s: float
+    share: float
+    phases: int
+    from_share: float
+    ratio: float
+
+
+@dataclass(frozen=True)
+class Job:
+    """One point of a curve: a scene at one sampling period, with its circuit."""
+
+    scene: Scene
+    constants: DesignConstants
+    circuit: LinearCircuit
+    rest: Rest
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """The floor's limits at one sampling period.
+
+    Attributes
+    ----------
+    exact_n_per_m : limit of the held contact, from the eigenvalues of one period
+    first_n_per_m : first stiffness at which fewer than the stated share of the phases rest
+    all_n_per_m, none_n_per_m : largest stiffness scanned below which every phase rests; smallest above which
+        none does
+    stiffness_n_per_m, share : all that was tried, in rising order
+    runs, samples : drops simulated, and sampling periods in all of them
+    """
+
+    exact_n_per_m: float
+    first_n_per_m: float
+    all_n_per_m: float
+    none_n_per_m: float
+    stiffness_n_per_m: list[float]
+    share: list[float]
+    runs: int
+    samples: int
+
+
+def limit(scene: Scene, constants: DesignConstants, circuit: LinearCircuit) -> float:
+    """Return the largest stable discrete stiffness of the held contact [N/m]; see `stability.border`."""
+
+    def at(stiffness: float) -> Any:
+        return held(with_computer(scene, discrete_stiffness_n_per_m=stiffness), constants, circuit)
+
+    return border(at, 1.0, 1e5, rtol=1e-9).value
+
+
+class _Falls:
+    """Drops of one scene: packed once, its maps kept, only stiffness and phase change."""
+
+    def __init__(self, job: Job) -> None:
+        scene = job.scene
+        self._packed: Propagation = prepare(
+            scene, job.constants, job.circuit, record=False,
+            sample_capacity=math.ceil(scene.duration_s / scene.computer.period_s) + 8,
+        )  # fmt: skip
+        memory = self._packed.memory
+        state = memory.state[0]
+        state["rest_speed"] = job.rest.speed_m_per_s / _reach(scene)
+        state["rest_time"] = job.rest.time_s
+        self._fresh = memory.state.copy()
+        self._phases = job.rest.phases
+        self.runs = self.samples = 0
+
+    def share(self, stiffness: float) -> float:
+        """Return the share of the phases that come to rest."""
+        rested = 0
+        for phase in range(self._phases):
+            memory = self._packed.memory
+            memory.state[:] = self._fresh
+            state = memory.state[0]
+            state["c"]["kp"] = stiffness
+            shift_samples(memory, phase / self._phases)
+            self._packed.run()
+            if state["fault"] not in (Fault.NONE, Fault.RAN_AWAY):
+                raise CosimError(f"a drop at {stiffness:.6g} N/m ended with fault {state['fault']}")
+            rested += int(state["rested"])
+            self.runs += 1
+            self.samples += int(state["tick"])
+        return rested / self._phases
+
+
+def _reach(scene: Scene) -> float:
+    """Tip speed for a joint speed [m]."""
+    if scene.device.slider is None:
+        fail("the drop test needs the slider of Fig. 12", file=str(scene.file), key="device.linkage")
+    return scene.device.slider.radius_m
+
+
+def scan(job: Job) -> Dropped:
+    """Find the limits of one scene; see the module."""
+    exact = limit(job.scene, job.constants, job.circuit)
+    if not 0.0 < exact < math.inf:
+        raise CosimError(f"the held contact has no stability limit: {exact} N/m")
+    falls, rest = _Falls(job), job.rest
+    found: dict[float, float] = {}
+    stiffness, hopeless = rest.from_share * exact, 0
+    while hopeless < _HOPELESS and stiffness < _FAR * exact:
+        found[stiffness] = falls.share(stiffness)
+        hopeless = hopeless + 1 if found[stiffness] == 0.0 else 0
+        stiffness *= rest.ratio
+    tried = sorted(found)
+    below = next((k for k in tried if found[k] < rest.share), math.nan)
+    if below == tried[0]:
+        raise CosimError(f"no rest even at {tried[0]:.4g} N/m: lower from_share")
+    if math.isfinite(below):
+        low, high = tried[tried.index(below) - 1], below
+        for _ in range(_REFINED):
+            middle = math.sqrt(low * high)
+            found[middle] = falls.share(middle)
+            low, high = (low, middle) if found[middle] < rest.share else (middle, high)
+        below = high
+    tried = sorted(found)
+    partial = next((i for i, k in enumerate(tried) if found[k] < 1.0), len(tried))
+    some = max((i for i, k in enumerate(tried) if found[k] > 0.0), default=-1)
+    return Dropped(
+        exact_n_per_m=exact,
+        first_n_per_m=below,
+        all_n_per_m=tried[partial - 1] if partial else math.nan,
+        none_n_per_m=tried[some + 1] if some + 1 < len(tried) else math.nan,
+        stiffness_n_per_m=tried,
+        share=[found[k] for k in tried],
+        runs=falls.runs,
+        samples=falls.samples,
+    )
+
+
+def drop(job: Job) -> dict[str, Any]:
+    """Run `scan` and return its result JSON-ready; infinite and missing limits as None."""
+    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in asdict(scan(job)).items()}
+
+
+def jobs(spec: StudyFile, family: Family) -> dict[float, Job]:
+    """Return the jobs of one curve by period; the circuit is extracted once for all of them."""
+    given: DropParameters = spec.parameters
+    rest = Rest(
+        given.window_s, given.rest_speed_m_per_s, given.rest_time_s, given.rest_share,
+        family.phases or given.phases, given.from_share, given.ratio,
+    )  # fmt: skip
+    changes = (*family.set, f"duration_s={given.window_s!r}")
+    plan = resolve(spec.scene(*changes))
+    if plan.model == "spice":
+        fail(
+            "thousands of drops need the circuit model ideal or linear",
+            file=str(spec.file), key=f"parameters.families.{family.name}", value="spice",
+        )  # fmt: skip
+    circuit, constants = circuit_of(plan, reduced=True)
+    return {
+        period: Job(spec.scene(*changes, f"computer.period_s={period!r}"), constants, circuit, rest)
+        for period in family.periods_s or given.periods_s
+    }
+
+
+def analyse(spec: StudyFile, points: Points) -> StudyResult:
+    """Scan every curve at every period; verdicts on the rows of the paper that its curves allow."""
+    given: DropParameters = spec.parameters
+    asked: dict[str, Job] = {}
+    names: list[tuple[str, float]] = []
+    scenes: dict[str, Scene] = {}
+    for family in given.families:
+        for period, job in jobs(spec, family).items():
+            scenes[family.name] = job.scene
+            asked[f"{family.name} at {1e3 * period:.4g} ms"] = job
+            names.append((family.name, period))
+    found = dict(zip(names, points.map(drop, asked), strict=True))
+    kinds = {family.name: family.kind for family in given.families}
+    keys = ("exact_n_per_m", "first_n_per_m", "all_n_per_m", "none_n_per_m", "runs", "samples")
+    limits = Table(
+        "limits",
+        "Largest discrete stiffness",
+        {
+            "curve": [name for name, _ in found],
+            "period [ms]": [1e3 * period for _, period in found],
+            "exact, contact held [N/m]": [row[keys[0]] for row in found.values()],
+            f"first below {100 * given.rest_share:g} % at rest [N/m]": [row[keys[1]] for row in found.values()],
+            "all rest below [N/m]": [row[keys[2]] for row in found.values()],
+            "none rests above [N/m]": [row[keys[3]] for row in found.values()],
+            "kind": [kinds[name] for name, _ in found],
+            "drops": [row[keys[4]] for row in found.values()],
+            "samples": [row[keys[5]] for row in found.values()],
+        },
+        f"Rest: below {1e3 * given.rest_speed_m_per_s:g} mm/s for {given.rest_time_s:g} s within "
+        f"{given.window_s:g} s; {given.phases} phases of the samples against the impact.",
+    )
+    shares = Table(
+        "shares",
+        "Share of the phases at rest",
+        {
+            "curve": [name for (name, _), row in found.items() for _ in row["share"]],
+            "period [ms]": [1e3 * period for (_, period), row in found.items() for _ in row["share"]],
+            "stiffness [N/m]": [k for row in found.values() for k in row["stiffness_n_per_m"]],
+            "share": [share for row in found.values() for share in row["share"]],
+        },
+    )
+    return spec.result(limits, shares, verdicts=verdicts(found, given.families, scenes))
+
+
+Found = Mapping[tuple[str, float], Mapping[str, Any]]
+
+
+def curve(found: Found, name: str, key: str = "first_n_per_m") -> dict[float, float]:
+    """Return a curve: limit by period, where there is one."""
+    return {period: row[key] for (other, period), row in found.items() if other == name and row[key]}
+
+
+def slope(values: Mapping[float, float]) -> float:
+    """Log-log slope of a limit over the period."""
+    return float(np.polyfit(np.log(list(values)), np.log(list(values.values())), 1)[0])
+
+
+def verdicts(found: Found, families: Sequence[Family], scenes: Mapping[str, Scene]) -> list[Verdict]:
+    """Judge F13a on every curve, and F13b, F13c and F14 on those that add an analog spring or damper to the first."""
+    out = []
+    first = families[0].name
+    base = curve(found, first)
+    for family in families:
+        values = curve(found, family.name)
+        exact = {period: curve(found, family.name, "exact_n_per_m")[period] for period in values}
+        if family.kind != "curve" or len(values) < 3:
+            continue
+        computer = scenes[family.name].computer
+        spring, damper = computer.analog_stiffness_n_per_m, computer.analog_damping_n_s_per_m
+        shared = sorted(base.keys() & values.keys())
+        if not spring and not damper:
+            seen, theory = slope(values), slope(exact)
+            steep = family.name != first or abs(seen + 1.0) <= 0.15
+            out.append(
+                Verdict(
+                    "F13a", f"k_max ~ 1/T: {family.name}",
+                    "log-log slope -1.0 +- 0.15, and of the exact limit +- 0.05" if family.name == first
+                    else "log-log slope of the exact limit +- 0.05",
+                    f"slope {seen:.3f}; of the exact limit {theory:.3f}", steep and abs(seen - theory) <= 0.05,
+                )
+            )  # fmt: skip
+        if spring and shared:
+            drift = {period: values[period] / base[period] - 1.0 for period in shared}
+            short = [abs(drift[period]) for period in shared if period <= 0.0101]
+            told = ", ".join(f"{100 * drift[p]:+.1f} % at {1e3 * p:.3g} ms" for p in shared)
+            out.append(
+                Verdict("F13b", f"the discrete limit is 'almost identical': {family.name}",
+                        "<= 3 % for T <= 10 ms", told, max(short) <= 0.03 if short else None)
+            )  # fmt: skip
+            told = ", ".join(f"{values[p] + spring:.4g} at {1e3 * p:.3g} ms" for p in shared)
+            out.append(
+                Verdict("F13c", f"displayed is the discrete limit + {spring:g} N/m: {family.name}", "identity",
+                        f"{told} N/m", None)
+            )  # fmt: skip
+        if damper and shared:
+            period = shared[0]
+            gain, theory = values[period] - base[period], 2.0 * damper / period
+            sharp = found[family.name, period]["exact_n_per_m"] - found[first, period]["exact_n_per_m"]
+            out.append(
+                Verdict(
+                    "F14", f"analog damping raises the limit: {family.name}",
+                    f"by 2c/T = {theory:.4g} N/m at {1e3 * period:.3g} ms",
+                    f"{gain:+.4g} N/m dropped, {sharp:+.4g} N/m exact ({100 * gain / base[period]:+.3g} %)",
+                    abs(sharp / theory - 1.0) <= 0.1,
+                )
+            )  # fmt: skip
+    return out
+
+
+STUDY = Study("drop", "drop test: largest discrete stiffness over the sampling period", DropParameters, analyse)
