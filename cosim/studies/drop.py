@@ -1,10 +1,10 @@
-"""Drop test (Figs 12 to 14): how stiff may a floor be before a mass that is dropped on it never rests?
+"""Drop test (Figs 12 to 14): the stiffest floor on which a mass that is dropped comes to rest.
 
-For each sampling period the discrete stiffness is scanned geometrically from below; at each stiffness the mass
-falls once for every phase of the samples against the impact. The answer is the first stiffness at which fewer
-than a stated share of the phases comes to rest; the share need not fall monotonically, so its band is told
-too. The exact limit of the held contact (`cosim.studies.stability`) stands beside it: a bouncing mass may give
-up a little below it.
+For each sampling period the discrete stiffness is scanned geometrically from below; at each stiffness the
+mass falls once for every phase of the samples against the impact. The answer is the first stiffness at which
+fewer than a stated share of the phases comes to rest; the share need not fall monotonically, so its band is
+told too. The exact limit of the held contact (`cosim.studies.stability`) stands beside it: a bouncing mass
+may give up a little below it.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class DropParameters(Parameters):
 
 @dataclass(frozen=True)
 class Rest:
-    """What counts as rest: tip speeds below `speed_m_per_s` at the samples over `time_s`, within `window_s`."""
+    """What counts as rest: tip speeds below `speed_m_per_s` at the samples over `time_s`, within a window."""
 
     window_s: float
     speed_m_per_s: float
@@ -203,7 +203,9 @@ def scan(job: Job) -> Dropped:
 
 def drop(job: Job) -> dict[str, Any]:
     """Run `scan` and return its result JSON-ready; infinite and missing limits as None."""
-    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in asdict(scan(job)).items()}
+    return {
+        k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in asdict(scan(job)).items()
+    }
 
 
 def jobs(spec: StudyFile, family: Family) -> dict[float, Job]:
@@ -248,7 +250,9 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
             "curve": [name for name, _ in found],
             "period [ms]": [1e3 * period for _, period in found],
             "exact, contact held [N/m]": [row[keys[0]] for row in found.values()],
-            f"first below {100 * given.rest_share:g} % at rest [N/m]": [row[keys[1]] for row in found.values()],
+            f"first below {100 * given.rest_share:g} % at rest [N/m]": [
+                row[keys[1]] for row in found.values()
+            ],
             "all rest below [N/m]": [row[keys[2]] for row in found.values()],
             "none rests above [N/m]": [row[keys[3]] for row in found.values()],
             "kind": [kinds[name] for name, _ in found],
@@ -285,7 +289,7 @@ def slope(values: Mapping[float, float]) -> float:
 
 
 def verdicts(found: Found, families: Sequence[Family], scenes: Mapping[str, Scene]) -> list[Verdict]:
-    """Judge F13a on every curve, and F13b, F13c and F14 on those that add an analog spring or damper to the first."""
+    """Judge F13a on every curve, F13b, F13c and F14 on those that add a spring or damper to the first."""
     out = []
     first = families[0].name
     base = curve(found, first)
@@ -305,7 +309,8 @@ def verdicts(found: Found, families: Sequence[Family], scenes: Mapping[str, Scen
                     "F13a", f"k_max ~ 1/T: {family.name}",
                     "log-log slope -1.0 +- 0.15, and of the exact limit +- 0.05" if family.name == first
                     else "log-log slope of the exact limit +- 0.05",
-                    f"slope {seen:.3f}; of the exact limit {theory:.3f}", steep and abs(seen - theory) <= 0.05,
+                    f"slope {seen:.3f}; of the exact limit {theory:.3f}",
+                    steep and abs(seen - theory) <= 0.05,
                 )
             )  # fmt: skip
         if spring and shared:
@@ -318,8 +323,7 @@ def verdicts(found: Found, families: Sequence[Family], scenes: Mapping[str, Scen
             )  # fmt: skip
             told = ", ".join(f"{values[p] + spring:.4g} at {1e3 * p:.3g} ms" for p in shared)
             out.append(
-                Verdict("F13c", f"displayed is the discrete limit + {spring:g} N/m: {family.name}", "identity",
-                        f"{told} N/m", None)
+                Verdict("F13c", f"displayed is the limit + {spring:g} N/m", "identity", f"{told} N/m", None)
             )  # fmt: skip
         if damper and shared:
             period = shared[0]
@@ -336,4 +340,6 @@ def verdicts(found: Found, families: Sequence[Family], scenes: Mapping[str, Scen
     return out
 
 
-STUDY = Study("drop", "drop test: largest discrete stiffness over the sampling period", DropParameters, analyse)
+STUDY = Study(
+    "drop", "drop test: largest discrete stiffness over the sampling period", DropParameters, analyse
+)

@@ -28,14 +28,14 @@ def circuit_of(
     Parameters
     ----------
     reduced
-        Whether it is reduced to the order that the scene's solver asks for, as it is in runs; whole otherwise.
+        Whether it is reduced as the scene's solver asks for, as it is in runs; whole otherwise.
 
     Raises
     ------
     InputError
         For a board that has no such model.
     """
-    payload = {
+    payload: dict[str, Any] = {
         "board": plan.board,
         "model": "ideal" if plan.model == "ideal" else "linear",
         "scene": plan.scene,
@@ -55,7 +55,9 @@ def ask(
 ) -> tuple[LinearCircuit, DesignConstants]:
     """Extract the circuit and read the constants; runs in the child."""
     board = payload["board"]
-    asked = {k: payload[k] for k in ("board", "model", "band_hz", "tolerance") if k in payload}
+    asked: dict[str, Any] = {
+        k: payload[k] for k in ("board", "model", "band_hz", "tolerance") if k in payload
+    }
     circuit = extract(asked, report)
     simulator = Simulator()
     deck = lockstep_deck(board, drive(payload["scene"]), payload["tolerances"], ())

@@ -59,13 +59,15 @@ def _limits(table: Table) -> Drawn:
     for axis in (place.xaxis, place.yaxis):
         axis.set_major_formatter(ScalarFormatter())
         axis.set_minor_formatter(NullFormatter())
-    place.set_xticks([t for t in (1, 2, 3, 5, 10, 20, 30, 50, 100, 200) if periods[0] <= t <= 1.01 * periods[-1]])
+    place.set_xticks(
+        [t for t in (1, 2, 3, 5, 10, 20, 30, 50, 100, 200) if periods[0] <= t <= 1.01 * periods[-1]]
+    )
     place.set_xlabel("sampling period [ms]")
     place.set_ylabel("largest discrete stiffness [N/m]")
     legend(place, columns=3)
     caption = (
         "Marks: first stiffness at which the dropped mass no longer rests at enough phases of the samples. "
-        "Lines: exact limit of the held contact, from the eigenvalues of computer, circuit and mechanics over a period."
+        "Lines: exact limit of the held contact, from the eigenvalues of one period."
     )
     return Drawn(drawing, caption)
 
@@ -96,5 +98,7 @@ def _shares(limits: Table, table: Table) -> Drawn:
     place.set_xlabel("discrete stiffness, over the exact limit of the held contact")
     place.set_ylabel("phases that rest [%]")
     legend(place, columns=6)
-    caption = f"{name}: below the exact limit a bouncing mass may still not come to rest, depending on the phase."
+    caption = (
+        f"{name}: below the exact limit a bouncing mass may still not come to rest, depending on the phase."
+    )
     return Drawn(drawing, caption)
