@@ -33,7 +33,7 @@ def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
     drag = Drawn(
         drawing,
         "Tangential over normal force of a wall. Left: gains at the joints without cross terms drag to one "
-        "side or the other, by the pose. Right: with cross terms, but unequal multipliers (standard deviation).",
+        "side or the other, by the pose. Right: with cross terms but unequal multipliers (rms).",
     )
     drawing, axes = figure(4.2, columns=2, sharey=True)
     _map(
