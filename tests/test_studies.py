@@ -9,6 +9,7 @@ from support import SCENES
 from cosim.errors import InputError
 from cosim.studies.congruence import apparent, pressed
 from cosim.studies.points import Points
+from cosim.studies.poses import drag, gains, unevenness
 from cosim.studies.study import STUDIES, is_study, load_study, run_study, study_named
 from mech import Chain
 
@@ -94,3 +95,44 @@ def test_apparent_stiffness_is_what_pressing_finds(compensated):
         jac = CHAIN.jacobian(q)
         shift = np.linalg.inv(jac).T @ np.array([[0.24161234, 0.21121741], [0.21121741, 0.21121741]])
         assert k - found == pytest.approx(shift @ np.linalg.inv(jac), rel=1e-6)
+
+
+NORMAL = np.array([-1.0, 1.0]) / np.sqrt(2.0)
+
+
+@pytest.mark.parametrize(
+    ("q", "at_wall", "diagonal"), [((0.6, 1.1), 0.024, 0.95), ((1.0, 1.6), -0.010, -0.13)]
+)
+def test_joint_pd_drags_along_the_wall(q, at_wall, diagonal):
+    """Numbers of theory, given to their last digit: l = 0.1 m, slope 45 degrees, k = 100 N/m, 7.5 mm deep."""
+    found = drag(CHAIN, np.array(q), NORMAL, 100.0, 7.5e-3)
+    assert abs(found.coupled) < 1e-12
+    assert found.coupled_at_wall == pytest.approx(at_wall, abs=6e-4)
+    assert found.diagonal == pytest.approx(diagonal, abs=6e-3)
+
+
+def test_unequal_multipliers_drag_and_feed_energy():
+    """1 % at q = (0.6, 1.1): drag 2.3 %, curl about 1.5 N/m; energy of a small circle is curl times area."""
+    q, radius = np.array([0.6, 1.1]), 1e-3
+    found = unevenness(CHAIN, q, NORMAL, 100.0, 0.01, radius)
+    assert found.drag == pytest.approx(0.023, abs=5e-4)
+    assert found.curl_n_per_m == pytest.approx(1.5, abs=0.06)
+    # both are the antisymmetric part of one matrix, whose curvature over 1 mm in 0.1 m is 1e-4 of it; the
+    # polygon of 64 sides has 1.6e-3 less area than its circle
+    assert found.circle_j == pytest.approx(found.curl_n_per_m * np.pi * radius**2, rel=2e-3)
+
+
+def test_mismatch_is_what_drawing_it_gives():
+    """Standard deviations against 4000 draws: good to 1/sqrt(2 n), 1.1 %."""
+    q, rng = np.array([0.6, 1.1]), np.random.default_rng(1)
+    jac = CHAIN.jacobian(q)
+    inverse, ksp = np.linalg.inv(jac), gains(jac, NORMAL, 100.0)
+    tangent = np.array([NORMAL[1], -NORMAL[0]])
+    drags, curls = [], []
+    for _ in range(4000):
+        k = inverse.T @ (ksp * (1.0 + 0.01 * rng.standard_normal((2, 2)))) @ inverse
+        drags.append((tangent @ k @ NORMAL) / (NORMAL @ k @ NORMAL))
+        curls.append(k[0, 1] - k[1, 0])
+    found = unevenness(CHAIN, q, NORMAL, 100.0, 0.01, 1e-3)
+    assert found.drag == pytest.approx(np.std(drags), rel=0.04)
+    assert found.curl_n_per_m == pytest.approx(np.std(curls), rel=0.04)
