@@ -346,3 +346,14 @@ def _put_component(s: np.void, component: ComponentGrid) -> None:
     s["probe_name"][: len(names)] = [name_hash(name, len(name)) for name in names]
     s["probe_input"][: len(names)] = component.group[: len(names)]
     s["probe_sign"][: len(names)] = [sign for _, sign in component.probes]
+
+
+def shift_samples(memory: Memory, share: float) -> None:
+    """Let every sample but the first, at power-up, come early by a share of the period, 0 to 1.
+
+    This varies when between two samples something happens, and nothing else. In place of a period jitter.
+    """
+    state = memory.state[0]
+    memory.jitter = np.full(int(state["last_tick"]) + 2, -share * float(state["c"]["period"]))
+    memory.jitter[0] = 0.0
+    state["jitter"] = memory.jitter.ctypes.data

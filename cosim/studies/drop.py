@@ -37,8 +37,9 @@ __all__ = ["STUDY", "Dropped", "Job", "Rest", "drop", "limit", "scan"]
 _REFINED = 3
 #: A scan ends after so many stiffnesses in a row at which no phase rests.
 _HOPELESS = 2
-#: ... and at so many times the exact limit in any case.
-_FAR = 4.0
+#: ... and at so many times the exact limit in any case; where few rest at its begin it looks down to a
+#: share of it.
+_FAR, _NEAR = 4.0, 0.02
 
 
 class Family(Parameters):
@@ -95,7 +96,8 @@ class Dropped:
     Attributes
     ----------
     exact_n_per_m : limit of the held contact, from the eigenvalues of one period
-    first_n_per_m : first stiffness at which fewer than the stated share of the phases rest
+    first_n_per_m : first stiffness at which fewer than the stated share of the phases rest; NaN where they
+        do so at no stiffness
     all_n_per_m, none_n_per_m : largest stiffness scanned below which every phase rests; smallest above which
         none does
     stiffness_n_per_m, share : all that was tried, in rising order
@@ -171,14 +173,18 @@ def scan(job: Job) -> Dropped:
     falls, rest = _Falls(job), job.rest
     found: dict[float, float] = {}
     stiffness, hopeless = rest.from_share * exact, 0
+    lower = stiffness
+    while (found.setdefault(lower, falls.share(lower)) < rest.share) and lower > _NEAR * exact:
+        lower /= rest.ratio
     while hopeless < _HOPELESS and stiffness < _FAR * exact:
-        found[stiffness] = falls.share(stiffness)
+        if stiffness not in found:
+            found[stiffness] = falls.share(stiffness)
         hopeless = hopeless + 1 if found[stiffness] == 0.0 else 0
         stiffness *= rest.ratio
     tried = sorted(found)
     below = next((k for k in tried if found[k] < rest.share), math.nan)
-    if below == tried[0]:
-        raise CosimError(f"no rest even at {tried[0]:.4g} N/m: lower from_share")
+    if below == tried[0]:  # a mass that hops on and on whatever the floor
+        below = math.nan
     if math.isfinite(below):
         low, high = tried[tried.index(below) - 1], below
         for _ in range(_REFINED):

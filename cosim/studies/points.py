@@ -6,7 +6,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed, wait
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -92,7 +92,11 @@ class Points:
             return [self._known[key] for key in arguments]
         # spawn: a fork would copy the threads of numerical libraries in whatever state they are
         with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
-            under_way = {pool.submit(_timed, compute, argument): key for key, argument in missing.items()}
+            under_way: dict[Future[Any], str] = {}
+            for key, argument in missing.items():
+                under_way[pool.submit(_timed, compute, argument)] = key
+                if len(under_way) == 1:  # it may compile what the others then find compiled
+                    wait(under_way)
             try:
                 for future in as_completed(under_way):
                     key = under_way[future]
