@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from cosim.check.bench import Bench
+from cosim.check.components import ComponentBudget, component_budget
 from cosim.check.constants import Constant, Rest, measure_constants, measure_rest, table
 from cosim.check.headroom import Headroom, measure_headroom
 from cosim.check.loops import Loop, measure_loops
 from cosim.check.noise import Noise, PotNoise, measure_noise, measure_pot_noise
 from cosim.check.paths import Brake, Path, Step, brakes, measure_admittance, measure_paths, measure_steps
+from cosim.circuits.noise import component_noise
 from cosim.circuits.port import DesignConstants
 from cosim.ngspice.simulator import Simulator
 
@@ -31,6 +33,7 @@ class Measured:
     admittance_a_s: tuple[tuple[float, ...], ...]
     noise: tuple[Noise, ...]
     pot_noise: tuple[PotNoise, ...]
+    components: ComponentBudget
 
 
 def measure(payload: dict[str, Any], report: Callable[[dict[str, Any]], None]) -> Measured:
@@ -75,4 +78,6 @@ def measure(payload: dict[str, Any], report: Callable[[dict[str, Any]], None]) -
         pot_noise=tuple(
             measure_pot_noise(bench, stated, payload["noise_rad"], payload["noise_bandwidth_hz"])
         ),
+        # last: it loads a deck of its own
+        components=component_budget(component_noise({"board": payload["board"]}, report), stated),
     )

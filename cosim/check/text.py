@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 
 from cosim.check.bench import HIGHEST_HZ
 from cosim.check.check import Check
+from cosim.check.components import BAND_HZ as MECHANICAL_HZ
 from cosim.check.headroom import SOFT_N_PER_M
 from cosim.check.noise import BAND_HZ, Noise, PotNoise
 from cosim.check.paths import NAMES, Brake
@@ -15,12 +16,14 @@ from cosim.check.verdict import Severity
 Row = tuple[str, Sequence[str]]
 _LISTED = 4
 _NO_DELAY_S = 1e-12
+#: Devices below this share of the whole noise are counted, not listed.
+_LOUD = 0.05
 _PREFIX = {-12: "p", -9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M"}
 
 
 def describe(check: Check) -> str:
     """Return the whole check in words."""
-    sections = [_ports, _constants, _rest, _headroom, _loops, _paths, _noise, _coupling]
+    sections = [_ports, _constants, _rest, _headroom, _loops, _paths, _noise, _components, _coupling]
     lines = [line for section in sections for line in [*section(check), ""]]
     lines += [f"{finding.severity}: {finding.message}" for finding in check.findings]
     problems, warnings = check.count(Severity.PROBLEM), check.count(Severity.WARNING)
@@ -195,6 +198,30 @@ def _noise(check: Check) -> list[str]:
     for joints, cells in _grouped((str(p.joint), [_pot(p)]) for p in measured.pot_noise):
         lines.append(f"  joint {', '.join(joints)}: {cells[0]}")
     return lines
+
+
+def _components(check: Check) -> list[str]:
+    found = check.measured.components
+    lines = [
+        "Noise by component (parts at their data sheet's density at any level), rms from "
+        f"{MECHANICAL_HZ[0]:g} Hz to {_si(MECHANICAL_HZ[1], 'Hz')}",
+        f"  all of it: {_si(found.rest_n, 'N')} with all gains zero, {_si(found.spring_n, 'N')} with each "
+        f"joint's spring at k_fs, and {_si(found.above_n, 'N')} above, to {_si(found.top_hz, 'Hz')}",
+    ]
+    loud = [d for d in found.devices if d.spring_n > _LOUD * found.spring_n]
+    rows = [
+        (
+            _short(d.device),
+            [_si(d.rest_a, "A"), _si(d.rest_n, "N"), _si(d.spring_a, "A"), _si(d.spring_n, "N")],
+        )
+        for d in loud
+    ]
+    head = ("device", "gains zero", "at the tip", "springs at k_fs", "at the tip")
+    lines += _table(head, _merged(rows))
+    quiet = len(found.devices) - len(loud)
+    if quiet:
+        lines.append(f"  and {_count(quiet, 'device')} below {100 * _LOUD:g} % of the sum each")
+    return lines + [f"  note: {note}" for note in found.notes]
 
 
 def _below_full(check: Check, *roles: str) -> bool:

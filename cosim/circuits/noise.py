@@ -36,8 +36,8 @@ Report = Callable[[dict[str, Any]], None]
 #: Where noise is measured [Hz]: beyond what a finger or a motor follows, on both sides.
 BAND_HZ = (0.1, 1e5)
 _POINTS = 20
-#: A device below this share of the noise power of every output makes no noise worth a random number.
-_NONE = 1e-10
+#: A device below this share of the density [V/sqrt(Hz)] of every output is not worth a random number.
+_NONE = 1e-5
 #: `.noise` and `.ac` agree on a device to rounding; by more than this they do not see the same paths.
 _SAME = 1e-3
 #: As the share of a density.
@@ -193,6 +193,8 @@ def extract_noise(board: Deck, report: Report | None = None) -> ComponentNoise:
     inside = [part.x_node for part in session.multipliers]
     motors = [f"imot{i}" for i in range(1, n + 1)]
     nodes = [*dict.fromkeys(inside), *motors]
+    if not inside:  # what waits before the multipliers is heard through them only
+        session.hold(dict.fromkeys(session.channels, session.v_fs))
     heard = {node: session.noise(node, sweep) for node in nodes}
     total = {node: np.sqrt(sum(d**2 for d in found.values())) for node, found in heard.items()}
     sizes: list[Array] = []
@@ -209,7 +211,7 @@ def extract_noise(board: Deck, report: Report | None = None) -> ComponentNoise:
             float(np.max(np.abs(response[:, i]) * size / np.maximum(total[node], 1e-300)))
             for i, node in enumerate(nodes)
         )
-        if share**2 > _NONE:
+        if share > _NONE:
             kept.append((k, maker, size))
             sizes.append(size)
             responses.append(response)
@@ -223,6 +225,9 @@ def extract_noise(board: Deck, report: Report | None = None) -> ComponentNoise:
         groups = _grouped([session.before(part) for part in session.multipliers])
         probes = tuple((part.x, session.sign(part)) for part in session.multipliers)
     else:
+        session.hold(dict.fromkeys(session.channels, 0.0))
+        still = [session.respond(f"inoise{k}", sweep, motors) * size[:, None] for k, _, size in kept]
+        motor = np.stack(still, axis=1) if still else motor
         x = _lumped(session, sweep, [(k, size) for k, _, size in kept], motors, motor)
         groups, probes = tuple((c,) for c in range(m)), ()
     return ComponentNoise(
