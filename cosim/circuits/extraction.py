@@ -163,8 +163,15 @@ def networks(paths: Paths, file: str) -> tuple[Block, Block]:
     )
 
 
-def linear(paths: Paths, pre: Modes, post: Modes) -> LinearCircuit:
-    """Put both networks together, without limits."""
+def linear(
+    paths: Paths,
+    pre: Modes,
+    post: Modes,
+    limit: Array | None = None,
+    offset: Array | None = None,
+    certificate: dict[str, Any] | None = None,
+) -> LinearCircuit:
+    """Put both networks together, by default without limits and offsets."""
     m, n = len(paths.gain), paths.post.shape[1]
     return LinearCircuit(
         joints=n,
@@ -179,6 +186,7 @@ def linear(paths: Paths, pre: Modes, post: Modes) -> LinearCircuit:
         b_post=post.b,
         c_post=post.c,
         d_post=post.d,
-        offset=np.zeros(n),
-        limit=np.tile([-np.inf, np.inf], (n, 1)),
+        offset=np.zeros(n) if offset is None else offset,
+        limit=np.tile([-np.inf, np.inf], (n, 1)) if limit is None else limit,
+        certificate=certificate or {},
     )

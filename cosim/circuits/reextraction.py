@@ -126,13 +126,12 @@ class Reextraction:
             self._learn(whole)
             return circuit
         self._batches = found.batches
-        circuit = linear(paths, found.pre, found.post)
         limit, offset = self.circuit.limit, circuit.offset
         if np.isfinite(limit).any() or asked.offsets:
             session.hold(dict.fromkeys(session.channels, 0.0))
             limit = current_limits(session) if np.isfinite(limit).any() else limit
             offset = offsets(session) if asked.offsets else offset
-        return replace(circuit, limit=limit, offset=offset, certificate=self._certificate(circuit, found))
+        return linear(paths, found.pre, found.post, limit, offset, self._certificate(found))
 
     def _renew(self) -> None:
         """Load the board as it is."""
@@ -191,11 +190,11 @@ class Reextraction:
         self._batches = batches(paths, rows)
         self._sweep = points(self._batches)
 
-    def _certificate(self, circuit: LinearCircuit, found: Fitted) -> dict[str, Any]:
-        own = self.circuit.certificate
+    def _certificate(self, found: Fitted) -> dict[str, Any]:
+        own, order = self.circuit.certificate, len(found.pre.a) + len(found.post.a)
         told: dict[str, Any] = {
             "model": "linear",
-            "order": circuit.order,
+            "order": order,
             "full_order": len(found.poles),
             "poles_rad_per_s": [[float(p.real), float(p.imag)] for p in found.poles],
             "fit_error": found.error,
@@ -209,7 +208,7 @@ class Reextraction:
                 "band_hz": self._asked.band_hz,
                 "tolerance": self._asked.tolerance,
                 "error": error,
-                "sentence": f"up to {self._asked.band_hz:.6g} Hz the model of order {circuit.order} differs "
+                "sentence": f"up to {self._asked.band_hz:.6g} Hz the model of order {order} differs "
                 f"from the circuit (order {len(found.poles)}) by {100.0 * error:.3g} % of the path's "
                 f"maximum, looked at {GRID} frequencies",
             }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ _ROUNDING, _WEAK = 1e-13, 1e-6
 #: Rows that differ by less have the same poles.
 _EQUAL = 1e-12
 #: How far beyond the slowest and the fastest pole is measured, and points besides one and a half a pole.
-_BEYOND, _SPARE = 4.0, 5
+_BEYOND, _SPARE = 4.0, 3
 #: One point of so many is for checking only.
 _CHECK = 4
 #: Frequencies in the band at which a reduced row is compared with the whole one.
@@ -145,7 +146,7 @@ def fitted(paths: Paths, rows: Sequence[Batch], omega: float, share: float) -> F
         With the reason.
     """
     s = np.concatenate([paths.s, paths.s.conj()])
-    used = np.tile(np.arange(len(paths.s)) % _CHECK != 1, 2)
+    used = _used(len(paths.s))
     grid = _grid(omega)
     systems: tuple[list[_System], list[_System]] = ([], [])
     error, lost, poles, kept = 0.0, 0.0, [], []
@@ -180,6 +181,13 @@ def fitted(paths: Paths, rows: Sequence[Batch], omega: float, share: float) -> F
 _System = tuple[tuple[int, ...], tuple[int, ...], tuple[Array, Array, Array, Array]]
 
 
+@lru_cache(maxsize=8)
+def _used(count: int) -> NDArray[np.bool_]:
+    """Return which of so many points, and of their conjugates, the rows are fitted to."""
+    return np.tile(np.arange(count) % _CHECK != 1, 2)
+
+
+@lru_cache(maxsize=8)
 def _grid(omega: float) -> Complex:
     """Return points from 0 to `omega`, linear and logarithmic, and their conjugates."""
     half = GRID // 2
@@ -225,6 +233,8 @@ def _reduced(
     found: dict[int, tuple[Fractions, int]] = {}
     worst = 0.0
     for size in range(min(keep), count):
+        if len(found) == len(keep):
+            break
         left = [k for k in range(len(keep)) if keep[k] <= size and k not in found]
         chosen = order[:, :size]
         whole = np.abs(np.take_along_axis(row.poles, chosen, axis=1).imag.sum(axis=1))

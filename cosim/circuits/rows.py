@@ -65,14 +65,13 @@ def relocated(s: Complex, f: Complex, poles: Complex) -> Complex:
         return poles
     size = np.abs(poles)
     chain = np.cumprod(size[:, None, :] / (s[None, :, None] - poles[:, None, :]), axis=2)
-    rows, paths, points = f.shape
-    table = np.empty((rows, paths, points, 2 * count + 2), complex)
-    table[..., 0] = 1.0
-    table[..., 1 : count + 1] = chain[:, None]
-    table[..., count + 1 : -1] = -f[..., None] * chain[:, None]
-    table[..., -1] = f
-    upper: Complex = np.asarray(np.linalg.qr(table, mode="r"))[:, :, count + 1 :, count + 1 :]
-    upper = np.asarray(np.linalg.qr(upper.reshape(rows, -1, count + 1), mode="r"))
+    rows = len(f)
+    numerator = np.concatenate([np.ones((rows, len(s), 1)), chain], axis=2)
+    across = np.asarray(np.linalg.qr(numerator)[0])
+    # f (1 + w x) but for what a numerator takes up, all paths below each other
+    table = np.concatenate([f[..., None] * chain[:, None], -f[..., None]], axis=3)
+    table -= across[:, None] @ (across.conj().transpose(0, 2, 1)[:, None] @ table)
+    upper = np.asarray(np.linalg.qr(table.reshape(rows, -1, count + 1), mode="r"))
     shift = np.linalg.solve(upper[:, :count, :count], upper[:, :count, count:])[:, :, 0]
     a = np.zeros((rows, count, count), complex)
     each = np.arange(count)

@@ -216,6 +216,9 @@ class Library:
         return status
 
     def _on_init(self, info: Any, ident: int, user: Any) -> int:
+        self.vectors, self.names = [], []
+        if self.init is None:  # nobody would ask for them
+            return 0
         try:
             ffi = self.ffi
             self.vectors = [info.vecs[i].pdvec for i in range(info.veccount)]
