@@ -126,7 +126,7 @@ class Reextraction:
             self._learn(whole)
             return circuit
         self._batches = found.batches
-        limit, offset = self.circuit.limit, circuit.offset
+        limit, offset = self.circuit.limit, self.circuit.offset
         if np.isfinite(limit).any() or asked.offsets:
             session.hold(dict.fromkeys(session.channels, 0.0))
             limit = current_limits(session) if np.isfinite(limit).any() else limit
