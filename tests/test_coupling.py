@@ -391,7 +391,10 @@ def test_divergence_is_an_error(tmp_path: Path) -> None:
 # ---- inputs that jump
 
 
-def test_late_equilibrium_makes_the_torque_glitch_of_its_closed_form(tmp_path: Path) -> None:  # 47
+@pytest.mark.parametrize("model", ["ideal", "linear", "spice"])
+def test_late_equilibrium_makes_the_torque_glitch_of_its_closed_form(
+    tmp_path: Path, model: str
+) -> None:  # 47
     # Free until tick 1; then the gain comes at once and the equilibrium `skew` later. Meanwhile the spring
     # pulls to u = the pose of the last sample: torque = K (u_old - q), the closed form; afterwards K
     # (q_wall - q).
@@ -404,6 +407,7 @@ def test_late_equilibrium_makes_the_torque_glitch_of_its_closed_form(tmp_path: P
             device={"start": {"q_rad": [start], "v_rad_per_s": [-speed / RADIUS]}},
             computer={"dac": {"skew_s": skew, "bits": 32}},
             effects={"dac": True, "dac_skew": True},
+            solver={"model": model},
         ),
     )
     t, q, current = (np.asarray(run.signals[name]) for name in ("time", "q1", "imot1"))
@@ -414,7 +418,8 @@ def test_late_equilibrium_makes_the_torque_glitch_of_its_closed_form(tmp_path: P
     late = t > period + skew + 1e-9
     assert glitch.sum() > 3
     # the circuit sees the predicted angle: wrong by the defect at most
-    room = gain * run.stats["defect_max_rad"] + 1e-9
+    # and ideal op-amps have a gain of 1e9 only, over noise gains of 18 and a few others: 5e-8 of the torque
+    room = gain * run.stats["defect_max_rad"] + 5e-8 * np.abs(torque).max()
     assert np.abs(torque[t <= period]).max() < 1e-9
     assert np.abs(torque[glitch] - gain * (start * scale - q[glitch])).max() < room
     assert np.abs(torque[late] - gain * (0.0 - q[late])).max() < room

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from cosim.errors import InputError, Problem, fail, nearest
 from cosim.ngspice.flatten import Reader
-from cosim.ngspice.lines import Line, read_lines, tokens
+from cosim.ngspice.lines import Line, assignments, read_lines, tokens
 from cosim.ngspice.netlist import Block, Netlist, parse
 from cosim.ngspice.overrides import apply_overrides
 from cosim.ngspice.parts import Part, PartSwap, Shelf
@@ -22,6 +22,8 @@ __all__ = ["Amplifier", "Deck", "PartSwap", "board_pins", "load_deck"]
 _JOINT_PINS = ("pot{j}", "vel{j}", "u{j}", "cmd{j}", "imot{j}")
 _PAIR_PINS = ("ksp{i}{j}", "ksd{i}{j}")
 MOST_JOINTS = 6
+#: What is done about initial conditions, which need not agree with the circuit.
+_CONSISTENT = ": a run starts from the circuit's operating point"
 _NUMBERED_PIN = re.compile(r"(pot|vel|cmd|imot)\d+|ks[pd]\d\d")
 
 
@@ -330,7 +332,14 @@ def _notes(net: Netlist, blocks: list[Block]) -> list[str]:
             counts[key] = counts.get(key, 0) + 1
     notes = [
         f"{file}: ignored {count} {word} line{'s' if count > 1 else ''}"
+        + (_CONSISTENT if word == ".ic" else "")
         for (file, word), count in counts.items()
+    ]
+    notes += [
+        f"{line.file}: {tokens(line.text)[0]} in {block.name}: ic = {stated} is not used{_CONSISTENT}"
+        for block in blocks
+        for line in block.body
+        if (stated := assignments(tokens(line.text)).get("ic")) is not None
     ]
     outside: dict[str, list[str]] = {}
     for line in net.bench:

@@ -14,7 +14,7 @@ from cosim.ngspice.lines import Line, assignments, tokens
 __all__ = ["DROPPED", "KEPT", "refusal"]
 
 KEPT = frozenset(
-    ".param .params .csparam .func .model .options .option .opt .temp .global .ic .nodeset .subckt .ends "
+    ".param .params .csparam .func .model .options .option .opt .temp .global .nodeset .subckt .ends "
     ".eom .if .elseif .else .endif".split()
 )
 """Statements that describe a circuit."""
@@ -24,9 +24,10 @@ INLINED = frozenset({".include", ".inc", ".lib", ".endl"})
 
 DROPPED = frozenset(
     ".title .end .save .probe .tran .ac .dc .op .noise .tf .sens .pz .disto .sp .four .fourier .plot .print "
-    ".measure .meas .width .backanno .step .aliases .endaliases".split()
+    ".ic .measure .meas .width .backanno .step .aliases .endaliases".split()
 )
-"""Statements of a test bench: harmless, ignored with a word."""
+"""Statements of a test bench: harmless, ignored with a word. A run starts from the operating point, so that
+initial conditions can only contradict it."""
 
 _ELEMENTS = frozenset("abcdefghijklmopqrstuvwxyz")
 _FILE_MODELS = re.compile(
