@@ -63,6 +63,7 @@ def as_dict(ledger: "EffectsLedger") -> dict[str, Any]:
         "null": {"measures": dict(ledger.null), "wall_s": ledger.null_s},
         "full": {"measures": dict(ledger.full), "wall_s": ledger.full_s},
         "rows": [vars(row) for row in ledger.rows],
+        "not_applicable": dict(ledger.not_applicable),
     }
 
 
@@ -75,14 +76,20 @@ def table(ledger: "EffectsLedger", measure: str) -> str:
         f"{measure} [{unit}]: {first:.5g} with no effect ({1e3 * ledger.null_s:.3g} ms), "
         f"{last:.5g} with all ({1e3 * ledger.full_s:.3g} ms); {ledger.runs} runs",
         "",
-        f"{'effect':14} {'value':14} {'alone':>12} {'cost [ms]':>10} {'on top of all':>14} {'cost [ms]':>10}",
+        f"{'effect':19} {'value':14} {'alone':>12} {'cost [ms]':>10} {'on top of all':>14} {'cost [ms]':>10}",
     ]
     size = lambda r: max(abs(r.on.get(measure, 0.0)), abs(r.off.get(measure, 0.0)))  # noqa: E731
     for r in sorted(ledger.rows, key=size, reverse=True):
-        lines.append(
-            f"{r.effect:14} {r.value:14} {r.on.get(measure, 0.0):>+12.3g} {1e3 * r.on_s:>+10.3g} "
-            f"{r.off.get(measure, 0.0):>+14.3g} {1e3 * r.off_s:>+10.3g}"
-        )
+        sides = [
+            f"{changed[measure]:>+{wide}.3g} {1e3 * cost:>+10.3g}"
+            if measure in changed
+            else f"{'-':>{wide}} {'-':>10}"
+            for changed, cost, wide in ((r.on, r.on_s, 12), (r.off, r.off_s, 14))
+        ]
+        lines.append(f"{r.effect:19} {r.value:14} {' '.join(sides)}" + (f"  {r.note}" if r.note else ""))
+    if ledger.not_applicable:
+        lines += ["", "not applicable, not run:"]
+        lines += [f"  {name:19} {why}" for name, why in ledger.not_applicable.items()]
     return "\n".join(lines)
 
 

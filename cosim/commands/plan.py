@@ -53,7 +53,7 @@ def describe(plan: "Plan") -> str:
 def _line(row: "Mapping[str, Any]") -> str:
     """Return an effect in a line: what it is set to, and how large it is, or why it cannot apply."""
     words = f"not applicable: {row['not_applicable']}" if row["not_applicable"] else row["size"]["words"]
-    return f"    {row['name']:14} {row['value']!s:14} {words}"
+    return f"    {row['name']:19} {row['value']!s:12} {words}"
 
 
 COMMAND = Command("plan", "show what a run would simulate, leave out and cost", scene_arguments, _run)

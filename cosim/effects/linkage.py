@@ -107,5 +107,7 @@ LINKAGE = (
     ),
     Effect("rotor_inertia", False, (True,), "linkage", ALL, size=_rotor, lacks=_lacks_rotor),
     Effect("end_stops", False, (True,), "linkage", ALL, size=_stops, lacks=_lacks_stops),
-    Effect("operator_dynamics", False, (True,), "operator", ALL, size=_person, lacks=_lacks_hand),
+    Effect(
+        "operator_dynamics", False, (True,), "operator", ALL, size=_person, lacks=_lacks_hand, design=True
+    ),
 )  # fmt: skip
