@@ -106,6 +106,7 @@ COMPUTER = (
         "period_jitter", "none", ("uniform", "normal"), "computer", ALL, size=_jitter, cost=_jitter_cost
     ),
     Effect(
-        "geometric_stiffness", False, (True,), "computer", ALL, size=_geometric, lacks=_lacks_springs
+        "geometric_stiffness", False, (True,), "computer", ALL,
+        size=_geometric, lacks=_lacks_springs, design=True,
     ),
 )  # fmt: skip
