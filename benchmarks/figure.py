@@ -29,6 +29,7 @@ TARGETS: dict[str, tuple[float, str, str]] = {
         "",
         "wall: extraction of board2 after changed values / one `ngspice -b` as above",
     ),
+    "auto_vs_all_effects": (0.25, "", "processor time: effects chosen for 2 % / all effects on, worst scene"),
     "extraction_cached_ms": (50.0, "ms", "wall: extraction of an unchanged board2"),
 }
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import extraction, models, stiff
+from benchmarks import choice, extraction, models, stiff
 from benchmarks.chains import chain_plan
 from benchmarks.figure import Figure, figure, interleaved
 from benchmarks.rig import CURRENTS, ROOT, SLOPE, Outcome, error, instants, slope
@@ -234,5 +234,6 @@ SUITE: dict[tuple[str, ...], Callable[[int], list[Figure]]] = {
     ("linear_vs_stiff_solvers",): stiff.solvers,
     ("extraction_vs_ac",): extraction.cold,
     ("reextraction_vs_ac",): extraction.after_changes,
+    ("auto_vs_all_effects",): choice.chosen,
     ("extraction_cached_ms",): extraction.cached,
 }

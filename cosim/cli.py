@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from typing import Any, TextIO
 
 from cosim import __version__
-from cosim.commands import check, compare, effects, export, new, plan, report, run
+from cosim.commands import check, compare, effects, export, new, plan, report, run, sweep
 from cosim.errors import CosimError
 
 EXIT_FAILURE = 1
@@ -28,6 +28,7 @@ COMMANDS = (
     report.COMMAND,
     effects.COMMAND,
     compare.COMMAND,
+    sweep.COMMAND,
     export.COMMAND,
     new.COMMAND,
 )

@@ -1,12 +1,12 @@
 """``effects = "auto"``: the chosen effects meet the tolerance, nothing is chosen silently."""
 
 import json
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from benchmarks.choice import SCENES, compared
 from cosim.assets import scenes_folder
 from cosim.cli import main
 from cosim.effects import EFFECTS
@@ -14,15 +14,12 @@ from cosim.errors import InputError
 from cosim.measures import Tolerance, tolerances
 from cosim.plan import resolve
 from cosim.results import Run, effects_digest
-from cosim.run import run
 from cosim.scene import load_scene
 from cosim.studies import auto
 from cosim.studies.auto import choose
 from cosim.studies.candidates import Candidates, ladder
 
 DROP = scenes_folder() / "drop.toml"
-PRESS = scenes_folder() / "press.toml"
-SLOPE = scenes_folder() / "slope.toml"
 FREE = ("solver.model=auto", "effects=auto")
 
 
@@ -212,39 +209,10 @@ def test_a_chosen_run_is_a_scene_of_its_own(tmp_path, capsys):
     np.testing.assert_array_equal(again.signals["fy"], first.signals["fy"])
 
 
-def compared(scene: Path, overrides: tuple[str, ...], folder: Path) -> tuple[dict[str, float], float]:
-    """Return the change of each measure over the tolerance, and the chosen run's time over the full one's."""
-    plan, _ = choose(scene, (FREE[0], *overrides))
-    candidates = Candidates(scene, (FREE[0], *overrides))
-    full = candidates.plan(candidates.everything())
-    runs = {}
-    for name, each in (("chosen", plan), ("full", full)):
-        first, second = (run(each, folder / f"{name}{k}", formats=()) for k in range(2))
-        runs[name] = first, min(float(r.stats["cpu_s"]) for r in (first, second))
-    (chosen, fast), (whole, slow) = runs["chosen"], runs["full"]
-    share = {}
-    for name, tolerance in tolerances(candidates.scene).items():
-        last = float(whole.measures[name]["value"])
-        share[name] = abs(float(chosen.measures[name]["value"]) - last) / tolerance.allowed(last)
-    return share, fast / slow
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("scene", "stated"),
-    [
-        (PRESS, "gravity=false"),
-        (DROP, 'pot_noise="none"'),
-        (SLOPE, "gravity=false"),
-    ],
-)
-def test_the_chosen_effects_meet_the_tolerance_at_a_fraction_of_the_time(scene, stated, tmp_path):
-    overrides = (
-        f"effects={{auto=true, {stated}}}",
-        "tolerance.peak_force=0.02",
-        "tolerance.max_penetration=0.02",
-    )
-    share, time = compared(scene, overrides, tmp_path)
-    assert max(share.values()) <= 1.0
+@pytest.mark.parametrize("name", SCENES)
+def test_the_chosen_effects_meet_the_tolerance_at_a_fraction_of_the_time(name):
+    found = compared(name, 2)
+    assert max(found.share.values()) <= 1.0
     # without slew, saturation and nonlinearity the circuit is solved by our own loop, without ngspice
-    assert time < 0.3
+    assert min(found.ratios) < 0.25

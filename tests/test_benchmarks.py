@@ -30,6 +30,7 @@ STATED = {
     "linear_vs_stiff_solvers": 1 / 20,
     "extraction_vs_ac": 20.0,
     "reextraction_vs_ac": 0.5,
+    "auto_vs_all_effects": 0.25,
     "extraction_cached_ms": 50.0,
 }
 

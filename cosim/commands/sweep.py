@@ -1,0 +1,97 @@
+"""``cosim sweep``: measures of a scene over ranges of its values, with resume."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.commands.command import Command
+
+if TYPE_CHECKING:
+    from cosim.studies.sweep import Sweep
+
+
+def _arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("scene", help="scene file (TOML)")
+    parser.add_argument(
+        "ranges",
+        nargs="+",
+        metavar="NAME=RANGE",
+        help="scene key or netlist name, with FROM:TO:COUNT, FROM:TO:COUNT:log or V1,V2,...; several: a grid",
+    )
+    parser.add_argument(
+        "--measure", action="append", default=[], metavar="NAME", help="measure of the table; repeatable"
+    )
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="change a value for all; repeatable"
+    )
+    parser.add_argument(
+        "--trust", action="store_true", help="let the netlists run commands and read files of their choice"
+    )
+    parser.add_argument(
+        "-o",
+        "--out",
+        metavar="FOLDER",
+        help="folder for points, table and picture (default: out/sweep); finished points in it are kept",
+    )
+
+
+def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    from cosim.ngspice.child import start_early
+
+    with start_early("cosim.loop.simulate") as child:
+        from cosim.commands.progress import progress
+        from cosim.errors import fail
+        from cosim.settings import parse_settings
+        from cosim.studies.sweep import TABLE, parse_range, sweep
+
+        fixed = parse_settings(args.set)
+        if any(len(setting.values) > 1 for setting in fixed):
+            fail("is for all points: give the values to sweep as NAME=RANGE", key="--set", value=args.set)
+        overrides = tuple(setting.override(setting.values[0]) for setting in fixed)
+        settings = [parse_range(text) for text in args.ranges]
+        doubled = {s.name for s in settings if sum(s.name == other.name for other in settings) > 1}
+        if doubled:
+            fail("is swept twice", key="range", value=", ".join(sorted(doubled)))
+        out = Path(args.out) if args.out else Path("out/sweep")
+        measures = list(dict.fromkeys(args.measure)) or ["peak_force", "max_penetration"]
+        with progress("sweep") as show:
+            found = sweep(
+                args.scene, settings, measures, out,
+                overrides=overrides, child=child, trust=args.trust, on_progress=show,
+            )  # fmt: skip
+    from reports.sweep import write_sweep
+
+    picture = write_sweep(found, out)
+    result = {
+        "names": list(found.names),
+        "values": [list(row) for row in found.values],
+        "measures": {name: list(column) for name, column in found.measures.items()},
+        "failed": found.failed,
+        "table": str(out / TABLE),
+        "picture": str(picture) if picture else None,
+    }
+    return result, _text(found, out / TABLE, picture)
+
+
+def _text(found: "Sweep", table: Path, picture: Path | None) -> str:
+    rows = [[*found.names, *found.measures]]
+    for number, values in enumerate(found.values):
+        cells = ["-" if (v := column[number]) is None else f"{v:.5g}" for column in found.measures.values()]
+        rows.append([*values, *cells])
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    lines = ["  ".join(c.rjust(w) for c, w in zip(row, widths, strict=True)) for row in rows]
+    lines += [f"failed: {label}: {said}" for label, said in found.failed.items()]
+    return "\n".join([*lines, f"wrote {table}" + (f" and {picture}" if picture else "")])
+
+
+def _exit_code(args: argparse.Namespace, result: dict[str, Any]) -> int:
+    return int(bool(result["failed"]))
+
+
+COMMAND = Command(
+    "sweep",
+    "measures of a scene over ranges of its values; goes on where it was stopped",
+    _arguments,
+    _run,
+    _exit_code,
+)

@@ -1,0 +1,189 @@
+"""A sweep: measures of a scene over ranges of its values, kept point by point."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import cosim
+from cosim.errors import InputError, Problem, SimulationError, nearest
+from cosim.measures import UNITS
+from cosim.ngspice.child import Child
+from cosim.ngspice.lines import number
+from cosim.plan import Plan, resolve
+from cosim.run import run
+from cosim.scene import load_scene
+from cosim.settings import Setting, Variant, split_values, variants
+from cosim.staging import disk_errors
+from cosim.studies.candidates import all_measures
+from cosim.studies.points import Points, Progress
+
+POINTS, TABLE = "points.jsonl", "sweep.csv"
+#: A range of more points than this is a slip of the pen.
+MOST_POINTS = 10_000
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Measures over values.
+
+    Attributes
+    ----------
+    names : what was varied
+    values : one row a point, in the order of `names`, as written in the table
+    measures : name -> one value a point, ``None`` where a point has none
+    failed : label of a point -> what went wrong
+    """
+
+    names: tuple[str, ...]
+    values: tuple[tuple[str, ...], ...]
+    measures: dict[str, tuple[float | None, ...]]
+    failed: dict[str, str]
+
+
+def parse_range(text: str) -> Setting:
+    """Parse ``NAME=FROM:TO:COUNT``, ``NAME=FROM:TO:COUNT:log`` or ``NAME=V1,V2,...``.
+
+    Ends may be written as in a netlist (8.2k). Points of a range are shortest decimals, so that a value is
+    the same in the table, in the file and in a later call.
+
+    Raises
+    ------
+    InputError
+        For anything else.
+    """
+    name, _, written = text.partition("=")
+    parts = [part.strip() for part in written.split(":")]
+    if name.strip() and len(parts) in (3, 4):
+        first, last = number(parts[0]), number(parts[1])
+        spacing = parts[3] if len(parts) == 4 else "lin"
+        count = int(parts[2]) if parts[2].isdigit() else 0
+        logarithmic = spacing == "log" and first is not None and last is not None and first * last > 0.0
+        if first is not None and last is not None and first != last and 2 <= count <= MOST_POINTS:
+            if logarithmic:
+                ratio = (last / first) ** (1.0 / (count - 1))
+                return Setting(name.strip(), tuple(f"{first * ratio**k:.6g}" for k in range(count)))
+            if spacing == "lin":
+                step = (last - first) / (count - 1)
+                return Setting(name.strip(), tuple(f"{first + k * step:.6g}" for k in range(count)))
+    elif name.strip() and len(parts) == 1 and all(split_values(written)):
+        return Setting(name.strip(), tuple(split_values(written)))
+    raise InputError(
+        Problem(
+            "is no range",
+            key="range",
+            value=text,
+            allowed=f"NAME=FROM:TO:COUNT, NAME=FROM:TO:COUNT:log (both ends of one sign), or NAME=V1,V2,...; "
+            f"2 to {MOST_POINTS} points",
+        )
+    )
+
+
+def check_measures(names: Iterable[str]) -> None:
+    """Raise an `InputError` for every measure that there is not."""
+    problems = [
+        Problem(
+            "no such measure" + (f"; nearest is {near}" if (near := nearest(name, UNITS)) else ""),
+            key="--measure",
+            value=name,
+            allowed=", ".join(UNITS),
+        )
+        for name in names
+        if name not in UNITS
+    ]
+    if problems:
+        raise InputError(problems)
+
+
+def sweep(
+    path: str | Path,
+    settings: Sequence[Setting],
+    measures: Sequence[str],
+    folder: Path,
+    *,
+    overrides: tuple[str, ...] = (),
+    child: Child | None = None,
+    trust: bool = False,
+    on_progress: Progress | None = None,
+) -> Sweep:
+    """Run a scene at every combination of the values; what is already in `folder` is not run again.
+
+    Parameters
+    ----------
+    path, overrides, trust
+        The scene, as for `load_scene` and `resolve`.
+    settings
+        What is varied; the last one changes fastest.
+    measures
+        Names of the measures of the table, all are kept.
+    folder
+        Keeps the points; those of another scene, board or version are begun anew.
+
+    Raises
+    ------
+    InputError
+        For a value that the scene or the board does not take; all are checked before the first runs.
+    """
+    check_measures(measures)
+    every = variants(settings)
+    plans = [all_measures(_plan(path, overrides, variant, trust)) for variant in every]
+    failed: dict[str, str] = {}
+    found: list[Mapping[str, Any]] = []
+    with disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    with Points(folder / POINTS, _digest(path, overrides, trust), on_progress) as points:
+        points.expect(len(every))
+        for variant, plan in zip(every, plans, strict=True):
+            label = " ".join(f"{name}={value}" for name, value in variant.values)
+            try:
+                found.append(points.get(label, lambda plan=plan: _measured(plan, child)))  # type: ignore[misc]
+            except SimulationError as error:  # not kept: it is tried again when the sweep is resumed
+                failed[label] = str(error)
+                found.append({})
+    result = Sweep(
+        names=tuple(setting.name for setting in settings),
+        values=tuple(tuple(value for _, value in variant.values) for variant in every),
+        measures={name: tuple(_number(row.get(name)) for row in found) for name in measures},
+        failed=failed,
+    )
+    _write(result, folder / TABLE)
+    return result
+
+
+def _plan(path: str | Path, overrides: tuple[str, ...], variant: Variant, trust: bool) -> Plan:
+    return resolve(load_scene(path, [*overrides, *variant.overrides]), trust=trust)
+
+
+def _measured(plan: Plan, child: Child | None) -> dict[str, float]:
+    with TemporaryDirectory(prefix="cosim-sweep-") as folder:
+        result = run(plan, Path(folder) / "run", formats=(), child=child)
+        return {name: float(row["value"]) for name, row in result.measures.items()}
+
+
+def _digest(path: str | Path, overrides: tuple[str, ...], trust: bool) -> str:
+    """Return what the points depend on besides their own values: scene, board and version."""
+    plan = resolve(load_scene(path, overrides), trust=trust)
+    text = f"{cosim.__version__} {plan.scene.digest()} {plan.board.digest}"
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
+
+
+def _write(result: Sweep, file: Path) -> None:
+    with disk_errors(file), file.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow([*result.names, *(_heading(name) for name in result.measures)])
+        for number_, values in enumerate(result.values):
+            writer.writerow([*values, *(column[number_] for column in result.measures.values())])
+
+
+def _heading(name: str) -> str:
+    return f"{name} [{UNITS[name]}]" if UNITS[name] else name

@@ -1,0 +1,67 @@
+"""A sweep as a picture: each measure over the first range, one curve for each combination of the others."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cosim.measures import UNITS
+from cosim.ngspice.lines import number
+from cosim.staging import disk_errors
+from reports.style import JOINTS, Drawn, figure, legend, look
+from reports.text import scale
+
+if TYPE_CHECKING:
+    from cosim.studies.sweep import Sweep
+
+_DASHES = ("-", (0, (5, 2)), (0, (2, 1.5)), (0, (6, 1.5, 1, 1.5)), (0, (1, 1)), (0, (8, 2)))
+#: Steps of equal ratio, this far apart at least, ask for a logarithmic axis.
+_LOGARITHMIC = 8.0
+
+
+def write_sweep(found: "Sweep", folder: Path) -> Path | None:
+    """Write ``sweep.png`` and ``sweep.svg``; ``None`` where the first range is not of numbers."""
+    with look():
+        drawn = draw(found)
+        if drawn is None:
+            return None
+        with disk_errors(folder):
+            for ending in ("svg", "png"):
+                drawn.figure.savefig(folder / f"sweep.{ending}", dpi=150)
+    return folder / "sweep.png"
+
+
+def draw(found: "Sweep") -> Drawn | None:
+    """Return the figure."""
+    axis = [number(values[0]) for values in found.values]
+    known = [value for value in axis if value is not None]
+    if len(known) < len(axis) or len(set(known)) < 2:
+        return None
+    names = list(found.measures)
+    drawing, grid = figure(1.0 + 2.3 * len(names), rows=len(names), sharex=True)
+    groups = list(dict.fromkeys(values[1:] for values in found.values))
+    for row, name in enumerate(names):
+        axes, column = grid[row, 0], found.measures[name]
+        unit = UNITS[name]
+        largest = max((abs(value) for value in column if value is not None), default=0.0)
+        factor, shown = scale(largest, unit) if unit in ("N", "m", "A", "s") else (1.0, unit)
+        for place, group in enumerate(groups):
+            line = sorted(
+                (x, value * factor)
+                for x, values, value in zip(known, found.values, column, strict=True)
+                if values[1:] == group and value is not None
+            )
+            label = " ".join(f"{key}={value}" for key, value in zip(found.names[1:], group, strict=True))
+            axes.plot(
+                [x for x, _ in line],
+                [y for _, y in line],
+                color=JOINTS[place % len(JOINTS)],
+                linestyle=_DASHES[place % len(_DASHES)],
+                marker="o",
+                markersize=3.5,
+                label=label or None,
+            )
+        axes.set_ylabel(name.replace("_", " ") + (f" [{shown}]" if shown else ""))
+        if min(known) > 0.0 and max(known) / min(known) >= _LOGARITHMIC:
+            axes.set_xscale("log")
+    legend(grid[0, 0])
+    grid[-1, 0].set_xlabel(found.names[0])
+    return Drawn(drawing, "")
