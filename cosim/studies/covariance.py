@@ -322,7 +322,7 @@ def noise_covariance(
     if kind is PotNoise.STATIC:
         return _static(lifted, scene.device.potentiometer.noise_rad**2)
     grid = noise_grid(scene)
-    notes = []
+    notes = ["component noise is left out"] if scene.effects.component_noise else []
     if grid.shift > _SHIFTED:
         notes.append(
             f"the noise's bandwidth was shifted by {grid.shift:.2g} of itself, to meet the samples again"
