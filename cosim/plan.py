@@ -7,9 +7,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from cosim import effects
+from cosim.circuits import cache
 from cosim.circuits.port import Stated
 from cosim.circuits.spice import MOST_NODES, Drive, Tolerances
 from cosim.circuits.stated import kept
+from cosim.effects.prediction import predict
 from cosim.errors import InputError, Problem
 from cosim.loop.driven import drive
 from cosim.measures import check_names, tolerances
@@ -17,11 +19,6 @@ from cosim.ngspice.child import Child, call
 from cosim.ngspice.deck import Deck, load_deck
 from cosim.ngspice.parts import PartSwap
 from cosim.scene import Method, PartFile, Scene
-
-#: Points a sampling period costs beyond its longest steps: the restart behind a DAC step (see benchmarks).
-RESTART_POINTS = 18
-#: Microseconds a point: fixed, and per amplifier of the board (measured on one 2-core machine, benchmarks/).
-POINT_US, AMPLIFIER_US = {"spice": 2.0, "linear": 3.3, "ideal": 2.5}, 0.8
 
 
 @dataclass(frozen=True)
@@ -70,28 +67,39 @@ class Plan:
         return self._asked["stated"]
 
     def cost(self) -> dict[str, float]:
-        """Predicted points and seconds; noise apart, because it decides."""
-        scene = self.scene
-        step = min(scene.solver.max_step_s, scene.computer.period_s)
-        samples = scene.duration_s / scene.computer.period_s
-        quiet = samples * (RESTART_POINTS + scene.computer.period_s / step)
-        noisy = 0.0
-        for effect in effects.EFFECTS:
-            if effect.is_in_force(scene):
-                added = effect.cost(scene, self.stated()).points_per_s * scene.duration_s
-                if effect.name in ("pot_noise", "component_noise"):
-                    noisy += added
-                else:
-                    quiet += added
-        per_point = POINT_US[self.model] * 1e-6
-        if self.model == "spice":
-            per_point += AMPLIFIER_US * 1e-6 * len(self.board.amplifiers)
+        """Predicted points and seconds; see `cosim.effects.prediction.predict`."""
+        return predict(self.scene, self.stated(), self.model)
+
+    def extracted(self, child: Child | None = None) -> None:
+        """Extract the model `ideal` or `linear`, which tells its order; from the cache where it is there."""
+        if self.model != "spice":
+            call(
+                "cosim.circuits.extraction:extract",
+                self._asked_of_board(),
+                time_limit_s=self.scene.solver.time_limit_s,
+                deck=str(self.board.path),
+                child=child,
+            )
+
+    def _asked_of_board(self) -> dict[str, Any]:
+        solver = self.scene.solver
         return {
-            "points": round(quiet + noisy),
-            "seconds": (quiet + noisy) * per_point,
-            "noise_points": round(noisy),
-            "noise_seconds": noisy * per_point,
+            "board": self.board,
+            "model": self.model,
+            "band_hz": solver.band_hz,
+            "tolerance": solver.reduction_tolerance,
         }
+
+    def circuit_states(self) -> int | None:
+        """Return the circuit's states; ``None`` for a model whose order nobody has yet extracted."""
+        if self.model == "spice":
+            return self.board.reactances
+        if self.model == "ideal":
+            return 0
+        solver = self.scene.solver
+        asked = cache.Asked(self.board.text, self.model, solver.band_hz, solver.reduction_tolerance)
+        circuit, _ = cache.load(asked)
+        return None if circuit is None else circuit.order
 
     def _unseen(self) -> list[str]:
         if self.model == "spice":
@@ -113,6 +121,7 @@ class Plan:
             "effects": effects.in_force(self.scene, self.stated()),
             "left_out": effects.left_out(self.scene, self.stated()),
             "mechanical_states": 2 * self.scene.joints,
+            "circuit_states": self.circuit_states(),
             "predicted": self.cost(),
             **({"choice": self.choice} if self.choice else {}),
             "notes": [*self.board.notes, *slower_paths(self.scene), *self._unseen(), *self._unused()],

@@ -22,6 +22,8 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
             text = "\n".join(open_lines(scene, found))
         else:
             plan = resolve(scene, trust=args.trust)
+            if plan.circuit_states() is None:
+                plan.extracted()
             text, found = describe(plan), plan.as_dict()
         texts.append((f"{variant.label}\n" if variant.label else "") + text)
         facts.append({"set": dict(variant.values), **found})
@@ -35,7 +37,8 @@ def describe(plan: "Plan") -> str:
     lines = [
         f"{plan.scene.title}: {plan.scene.duration_s:g} s on circuit model '{plan.model}'",
         f"  board {facts['board']}, {facts['joints']} joint(s), {facts['amplifiers']} amplifiers, "
-        f"{len(facts['external_sources'])} driven pins, {facts['mechanical_states']} mechanical states",
+        f"{len(facts['external_sources'])} driven pins",
+        f"  states: {facts['mechanical_states']} of the mechanics, {_order(facts)} of the circuit",
         f"  predicted: {cost['points']:.0f} points, {cost['seconds']:.3g} s"
         + (
             f"; of these {cost['noise_points']:.0f} points and {cost['noise_seconds']:.3g} s for noise"
@@ -48,6 +51,11 @@ def describe(plan: "Plan") -> str:
         *(_line(row) for row in facts["left_out"]),
     ]
     return "\n".join([*lines, *(f"  note: {note}" for note in facts["notes"])])
+
+
+def _order(facts: "Mapping[str, Any]") -> str:
+    states = facts["circuit_states"]
+    return "an unknown number" if states is None else str(states)
 
 
 def _line(row: "Mapping[str, Any]") -> str:

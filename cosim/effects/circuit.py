@@ -12,8 +12,6 @@ from cosim.scene import Level, Scene
 
 #: Op-amps between potentiometer and summing point, and the summing amplifier.
 _STAGES = 3
-#: Points that a state which ngspice resolves adds behind each of a sample's two jumps.
-_POINTS_A_JUMP = 2.0
 
 
 def gain_before(constants: Stated) -> float:
@@ -63,9 +61,9 @@ def _driver_level(scene: Scene, constants: Stated) -> Size:
 
 
 def back_emf(constants: Stated, at: Scale) -> float:
-    """Return the viscosity [N s/m] that a shorted motor gives the tip: (kt gear / r)^2 / R."""
+    """Return the viscosity [N s/m] that shorted motors give the tip: (kt gear / r)^2 / R each."""
     r = constants.of("motor", "r")
-    return (constants.kt * constants.gear / at.reach_m) ** 2 / min(r) if r else 0.0
+    return at.joints * (constants.kt * constants.gear / at.reach_m) ** 2 / min(r) if r else 0.0
 
 
 def _motor(scene: Scene, constants: Stated) -> Size:
@@ -105,7 +103,7 @@ def _states(role: str, gbw: int, full: int) -> Callable[[Scene, Stated], Cost]:
         each = full if deep else gbw
         count = constants.count.get(role, 0)
         words = f"{each} state{'s' if each != 1 else ''} for each of {count}"
-        return Cost(_POINTS_A_JUMP / scene.computer.period_s, each * count, words)
+        return Cost(0.0, each * count, words)
 
     return cost
 

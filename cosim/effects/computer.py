@@ -27,7 +27,7 @@ def _settling(scene: Scene, constants: Stated) -> Size:
 
 
 def _settling_cost(scene: Scene, constants: Stated) -> Cost:
-    return Cost(1.0 / scene.computer.period_s, 0, "one more event a sample")
+    return Cost(0.0, 0, "a ramp for a jump")
 
 
 def _lacks_settling(scene: Scene) -> str:
@@ -41,7 +41,7 @@ def _skew(scene: Scene, constants: Stated) -> Size:
 
 
 def _skew_cost(scene: Scene, constants: Stated) -> Cost:
-    return Cost(2.0 / scene.computer.period_s, 0, "one more jump a sample")
+    return Cost(1.0 / scene.computer.period_s, 0, "one more jump a sample")
 
 
 def _lacks_skew(scene: Scene) -> str:
@@ -57,7 +57,7 @@ def _jitter(scene: Scene, constants: Stated) -> Size:
 
 def _jitter_cost(scene: Scene, constants: Stated) -> Cost:
     words = "intervals of ever new length: their maps are made anew in ideal and linear"
-    return Cost(1.0 / scene.computer.period_s, 0, words)
+    return Cost(0.0, 0, words)
 
 
 def _geometric(scene: Scene, constants: Stated) -> Size:

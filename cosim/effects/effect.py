@@ -44,12 +44,12 @@ class Cost:
 
     Attributes
     ----------
-    points_per_s : further points of the integration in a second of simulated time
+    events_per_s : further instants in a second of simulated time on which the integration must land
     states : further states of the circuit
     text : in words
     """
 
-    points_per_s: float
+    events_per_s: float
     states: int
     text: str
 

@@ -40,8 +40,8 @@ def _lacks_bends(scene: Scene) -> str:
 
 def _viscous(scene: Scene, constants: Stated) -> Size:
     at = scale(scene, constants)
-    b = _largest(_table(scene).viscous_n_m_s) / at.reach_m**2
-    return Size(b, "N s/m", b * at.speed_m_per_s, "of bearings at the tip", "b v")
+    b = at.joints * _largest(_table(scene).viscous_n_m_s) / at.reach_m**2
+    return Size(b, "N s/m", b * at.speed_m_per_s, "of bearings at the tip", "b v, of all joints")
 
 
 def _lacks_viscous(scene: Scene) -> str:
@@ -49,12 +49,13 @@ def _lacks_viscous(scene: Scene) -> str:
 
 
 def _coulomb(scene: Scene, constants: Stated) -> Size:
-    force = _largest(_table(scene).coulomb_n_m) / scale(scene, constants).reach_m
-    return Size(force, "N", force, "of dry friction at the tip", "f_c / r")
+    at = scale(scene, constants)
+    force = at.joints * _largest(_table(scene).coulomb_n_m) / at.reach_m
+    return Size(force, "N", force, "of dry friction at the tip", "f_c / r, of all joints")
 
 
 def _coulomb_cost(scene: Scene, constants: Stated) -> Cost:
-    return Cost(10.0, 0, "short steps near rest")
+    return Cost(0.0, 0, "short steps near rest")
 
 
 def _lacks_coulomb(scene: Scene) -> str:

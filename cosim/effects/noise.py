@@ -11,8 +11,6 @@ from cosim.scene import Scene
 
 #: Peak of a normal distribution over its rms that is passed once in some 400 values.
 _PEAK = 3.0
-#: Points that ngspice takes around a tick of the noise grid.
-_POINTS_A_TICK = 3.0
 #: Density at the multiplier's output [V/sqrt(Hz)] where its part states none: AD633 data sheet.
 _AD633 = 0.8e-6
 #: A damper's product weighs so much more than a spring's: r_sum_spring / r_sum_damper as shipped.
@@ -33,7 +31,7 @@ def _size(scene: Scene, constants: Stated) -> Size:
 
 def _cost(scene: Scene, constants: Stated) -> Cost:
     ticks = 2.0 * scene.device.component_noise_bandwidth_hz
-    return Cost(_POINTS_A_TICK * ticks, 0, "points at every 1 / (2 bandwidth)")
+    return Cost(ticks, 0, "points at every 1 / (2 bandwidth)")
 
 
 #: In the order in which a plan lists them.

@@ -35,6 +35,7 @@ class Scale:
     depth_m : deepest it is meant to sink into the wall
     limit_n : force of a motor at the driver's current limit
     period_s : sampling period
+    joints : how many motors add up at the tip
     """
 
     reach_m: float
@@ -49,6 +50,7 @@ class Scale:
     depth_m: float
     limit_n: float
     period_s: float
+    joints: int
 
     @property
     def stiffness_n_per_m(self) -> float:
@@ -106,6 +108,7 @@ def scale(scene: Scene, constants: Stated) -> Scale:
         depth_m=_depth(scene, stiffness, mass, speed),
         limit_n=constants.i_limit * constants.kt * constants.gear / reach,
         period_s=computer.period_s,
+        joints=scene.joints,
     )
 
 

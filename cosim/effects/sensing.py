@@ -11,8 +11,6 @@ from cosim.scene import PotNoise, Scene
 
 #: Peak of a normal distribution over its rms that is passed once in some 400 values.
 _PEAK = 3.0
-#: Points that ngspice takes around a tick of the noise grid.
-_POINTS_A_TICK = 3.0
 
 
 def _pot_noise(scene: Scene, constants: Stated) -> Size:
@@ -27,7 +25,7 @@ def _pot_cost(scene: Scene, constants: Stated) -> Cost:
     if scene.effects.pot_noise in (PotNoise.STATIC, PotNoise.POSITION):
         return Cost(0.0, 0, "a table over the angle")
     ticks = 2.0 * scene.device.potentiometer.noise_bandwidth_hz
-    return Cost(_POINTS_A_TICK * ticks, 0, "points at every 1 / (2 bandwidth)")
+    return Cost(ticks, 0, "points at every 1 / (2 bandwidth)")
 
 
 def _encoder(scene: Scene, constants: Stated) -> Size:

@@ -69,6 +69,8 @@ class Deck:
         What was ignored, in words.
     path
         The board file.
+    reactances
+        Capacitors and inductors, each a state; without those inside a vendor's nested subcircuits.
     """
 
     lines: tuple[Line, ...]
@@ -79,6 +81,7 @@ class Deck:
     parts: tuple[Part, ...]
     notes: tuple[str, ...]
     path: Path
+    reactances: int = 0
 
     @property
     def text(self) -> str:
@@ -160,6 +163,7 @@ def load_deck(
         tuple(shelf.used[name] for name in sorted(shelf.used) if name in net.blocks),
         tuple(_notes(net, blocks)),
         path,
+        _reactances(net, board),
     )
 
 
@@ -316,6 +320,13 @@ def _amplifiers(net: Netlist, board: Block, shelf: Shelf) -> list[Amplifier]:
 
     walk(board, "xboard", {pin: pin for pin in board.pins} | _globals(net))
     return found
+
+
+def _reactances(net: Netlist, block: Block) -> int:
+    """Count the capacitors and inductors of a subcircuit and of all it instantiates."""
+    own = sum(line.keyword[0] in "cl" for line in block.body)
+    inside = (net.blocks[each.block] for each in block.instances() if each.block in net.blocks)
+    return own + sum(_reactances(net, child) for child in inside)
 
 
 def _globals(net: Netlist) -> dict[str, str]:

@@ -1,0 +1,211 @@
+"""Effects before anything has run: sizes, costs, what cannot apply, what goes together, what is predicted."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support import GEAR, KT, MOTOR_OHM, SCENES, merge, scene_of, shared_child, simulate, slider
+
+from cosim import effects
+from cosim.effects import EFFECTS
+from cosim.effects.scale import scale
+from cosim.errors import InputError
+from cosim.plan import Plan, resolve
+from cosim.scene import Effects, load_scene
+from cosim.studies.ledger import effects_ledger
+
+NAMES = {effect.name: effect for effect in EFFECTS}
+IDEAL = ("opamp=ideal", "vca=ideal", "driver_level=ideal", "motor=emf")
+
+
+def plan_of(scene: Any) -> Plan:
+    plan = resolve(scene)
+    plan.stated(shared_child())
+    return plan
+
+
+def shipped(name: str, *overrides: str) -> Plan:
+    return plan_of(load_scene(SCENES / f"{name}.toml", overrides))
+
+
+def size(plan: Plan, name: str) -> Any:
+    return NAMES[name].size(plan.scene, plan.stated())
+
+
+# ---- the registry and the scene's keys are one
+
+
+def test_every_key_is_an_effect_and_every_default_its_null_form() -> None:
+    keys = Effects()
+    assert set(NAMES) == set(Effects.model_fields) - {"auto"}
+    for name, effect in NAMES.items():
+        value = getattr(keys, name)
+        assert getattr(value, "value", value) == effect.null, name
+        assert effect.null not in effect.on
+        for other in (*effect.requires, *effect.excludes):
+            assert other in NAMES
+
+
+@pytest.mark.parametrize("name", ["press", "drop", "slope", "slope_joint_pd", "slope_discrete"])
+def test_every_size_and_cost_is_a_finite_number_with_its_source(name: str) -> None:
+    plan = shipped(name)
+    facts = plan.as_dict()
+    json.dumps(facts, allow_nan=False)
+    for row in facts["effects"] + facts["left_out"]:
+        found = row["size"]
+        assert math.isfinite(found["value"]), row["name"]
+        assert 0.0 <= found["force_n"] < math.inf, row["name"]
+        assert found["source"]
+        assert found["words"]
+        assert row["cost"]["events_per_s"] >= 0.0
+        assert row["cost"]["states"] >= 0
+        assert row["cost"]["text"]
+
+
+def test_what_is_left_out_comes_largest_first_and_what_cannot_apply_last() -> None:
+    rows = shipped("drop").as_dict()["left_out"]
+    apart = [bool(row["not_applicable"]) for row in rows]
+    assert apart == sorted(apart)
+    forces = [row["size"]["force_n"] for row in rows if not row["not_applicable"]]
+    assert forces == sorted(forces, reverse=True)
+    reasons = {row["name"]: row["not_applicable"] for row in rows if row["not_applicable"]}
+    assert {"coriolis", "geometric_stiffness", "operator_dynamics", "delay", "dac_skew", "end_stops"} <= set(
+        reasons
+    )
+
+
+# ---- formulas
+
+
+def test_sizes_are_their_formulas() -> None:
+    """From the drop's stated data: 0.2 kg on 200 N/m, 10 mm above the floor."""
+    plan = shipped("drop", "effects.delay=true", "computer.delay_periods=1")
+    speed, radius, wall = math.sqrt(2 * 9.81 * 0.01), 0.1333, 200.0
+    at = scale(plan.scene, plan.stated())
+    assert at.speed_m_per_s == pytest.approx(speed, rel=1e-9)
+    assert size(plan, "gravity").force_n == pytest.approx(0.1928 * 9.81)
+    assert size(plan, "delay").force_n == pytest.approx(wall * speed * 0.01)
+    assert size(plan, "dac_settling").force_n == pytest.approx(wall * speed * 1e-5)
+    assert size(plan, "period_jitter").force_n == pytest.approx(wall * speed * 0.01 * 0.01)
+    assert size(plan, "coulomb").force_n == pytest.approx(0.016 / radius)
+    assert size(plan, "viscous").force_n == pytest.approx(5e-4 / radius**2 * speed)
+    brake = (KT * GEAR / radius) ** 2 / MOTOR_OHM
+    assert size(plan, "driver").force_n == pytest.approx(brake * speed)
+    assert size(plan, "encoder").value == pytest.approx(2 * math.pi / (500 * 4 * 8))
+    assert size(plan, "dac").value == pytest.approx(20 / 2**12)
+    assert size(plan, "pot_linearity").force_n == pytest.approx(100 * radius * 0.006)
+
+
+def test_sizes_follow_the_board_and_its_parts() -> None:
+    """No number about the board stands in Python: what the netlist states decides."""
+    plain = shipped("slope")
+    slow = shipped("slope", "device.values.tl072_gbw=0.3meg")
+    assert size(slow, "opamp").value == pytest.approx(10 * size(plain, "opamp").value)
+    weak = shipped("slope", "device.values.motor_r=10")
+    assert size(weak, "driver").force_n == pytest.approx(size(plain, "driver").force_n / 2)
+    coarse = shipped("slope", "device.values.dac_bits=8")
+    assert size(coarse, "dac").value == pytest.approx(16 * size(plain, "dac").value)
+
+
+def test_a_part_that_states_nothing_is_bounded_by_the_drivers_limit() -> None:
+    plan = shipped("slope")
+    stated = replace(plan.stated(), numbers={})
+    limit = stated.i_limit * stated.kt * stated.gear / stated.r_tip
+    for name in ("opamp", "vca", "driver_level", "motor"):
+        assert NAMES[name].size(plan.scene, stated).force_n == pytest.approx(limit), name
+
+
+# ---- what goes together
+
+
+@pytest.fixture
+def tied(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The registry with an effect that requires one and excludes another."""
+    made = replace(NAMES["dac_skew"], requires=("dac",), excludes=("delay",))
+    monkeypatch.setattr(
+        effects, "EFFECTS", tuple(made if each.name == "dac_skew" else each for each in EFFECTS)
+    )
+
+
+@pytest.mark.usefixtures("tied")
+def test_missing_and_excluded_effects_are_refused_together(tmp_path: Path) -> None:
+    tables = slider(effects={"dac_skew": True, "delay": True})
+    with pytest.raises(InputError) as caught:
+        resolve(scene_of(tmp_path, tables))
+    problems = caught.value.problems
+    assert [problem.key for problem in problems] == ["effects.dac_skew"] * 2
+    assert "effects.dac" in problems[0].message
+    assert "effects.delay" in problems[1].message
+    resolve(scene_of(tmp_path, merge(tables, {"effects": {"dac": True, "delay": False}})))
+
+
+# ---- what a plan predicts
+
+
+@pytest.mark.parametrize("name", ["press", "drop", "slope"])
+@pytest.mark.parametrize("model", ["ideal", "linear", "spice"])
+@pytest.mark.parametrize("more", [[], ["effects.pot_noise=white"], ["solver.max_step_s=5e-4"]],
+                         ids=["as it stands", "noise", "short steps"])  # fmt: skip
+def test_predicted_points_are_within_a_factor_of_two(
+    tmp_path: Path, name: str, model: str, more: list[str]
+) -> None:
+    null = [f"effects.{setting}" for setting in IDEAL] if model == "ideal" else []
+    plan = shipped(name, f"solver.model={model}", *null, *more)
+    found = simulate(plan.scene, tmp_path / "run").stats
+    assert 0.5 < plan.cost()["points"] / found["points"] < 2.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["press", "drop", "slope"])
+@pytest.mark.parametrize("model", ["ideal", "linear", "spice"])
+def test_predicted_seconds_are_within_a_factor_of_two(tmp_path: Path, name: str, model: str) -> None:
+    null = [f"effects.{setting}" for setting in IDEAL] if model == "ideal" else []
+    plan = shipped(name, f"solver.model={model}", *null)
+    best = min(simulate(plan.scene, tmp_path / f"run{k}").stats["cpu_s"] for k in range(5))
+    assert 0.5 < plan.cost()["seconds"] / best < 2.0
+
+
+def test_a_plan_tells_the_states_of_every_model() -> None:
+    """board2 has two capacitors for each of two differentiators; gbw and full add theirs, L one a motor."""
+    spice = shipped("slope", *(f"effects.{setting}" for setting in IDEAL[:3]), "effects.motor=ideal")
+    assert spice.circuit_states() == 4
+    more = shipped("slope", *(f"effects.{setting}" for setting in IDEAL[:3]), "effects.motor=full")
+    assert more.circuit_states() == 4 + 2
+    assert shipped("slope").circuit_states() == 4 + 2 + 8 + 8 + 2
+    null = [f"effects.{setting}" for setting in IDEAL]
+    assert shipped("slope", "solver.model=ideal", *null).circuit_states() == 0
+    linear = shipped("slope", "solver.model=linear")
+    linear.extracted(shared_child())
+    states = linear.circuit_states()
+    assert states is not None
+    assert 4 <= states <= 24
+
+
+# ---- the measured ledger
+
+
+def test_the_ledger_runs_each_choice_once_and_names_what_cannot_apply(tmp_path: Path) -> None:
+    tables = slider(
+        duration_s=0.06,
+        device={"start": {"q_rad": [-0.03]}, "slider": {"viscous_n_m_s": 1e-3}},
+        computer={"dac": {"skew_s": 1e-3}},
+    )
+    scene_of(tmp_path, tables)
+    told: list[tuple[int, int]] = []
+    ledger = effects_ledger(
+        tmp_path / "scene.toml", child=shared_child(), on_progress=lambda *at: told.append(at[:2])
+    )
+    assert ledger.runs == len(told)
+    assert [done for done, _ in told] == list(range(len(told)))
+    assert {total for _, total in told} == {ledger.runs}
+    assert ledger.runs <= 2 * len(ledger.rows) + 2
+    reasons = {"coulomb", "rotor_inertia", "end_stops", "delay", "dac_settling", "coriolis",
+               "operator_dynamics", "geometric_stiffness"}  # fmt: skip
+    assert reasons <= set(ledger.not_applicable)
+    measured = {row.effect for row in ledger.rows}
+    assert measured | set(ledger.not_applicable) == set(NAMES)
+    assert not measured & set(ledger.not_applicable)
+    assert {"dac_skew", "viscous", "opamp", "period_jitter"} <= measured
