@@ -106,7 +106,7 @@ def loop_wall(run: Propagation) -> float:
     begin(state)
     run.bench.states[:] = rest(run.circuit, state)
     begun = time.perf_counter()
-    propagation.run(state, run.plan, run.bench, run.exact, run.first_s)
+    propagation.run(run.tables, run.first_s)
     return time.perf_counter() - begun
 
 

@@ -10,14 +10,14 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from cosim.circuits.linear import LinearCircuit
-from cosim.loop.maps import NODES, WEIGHTS
+from cosim.loop.maps import NODES, WEIGHTS, Ints, Matrix, Vector
 from cosim.loop.native import call_plain
 from cosim.loop.phi import phi_functions
 from cosim.loop.pins import grid_noise, volts
@@ -49,16 +49,16 @@ class Exact(NamedTuple):
     now, then : scratch
     """
 
-    on: NDArray[np.int64]
-    key: Array
-    made: NDArray[np.int64]
-    data: Array
-    asked: Array
-    address: NDArray[np.int64]
-    moving: Array
-    outer: Array
-    now: Array
-    then: Array
+    on: Ints
+    key: Matrix
+    made: Ints
+    data: Annotated[Array, 3]
+    asked: Vector
+    address: Ints
+    moving: Matrix
+    outer: Matrix
+    now: Vector
+    then: Vector
 
 
 def exact(

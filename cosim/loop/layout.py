@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -59,6 +60,11 @@ def modes(a: Array, name: str) -> Modes:
         condition = max(condition, cond)
         v[np.ix_(at, at)], w[np.ix_(at, at)] = vectors, np.linalg.inv(vectors)
     return Modes(poles, v, w, part.astype(np.int64), condition)
+
+
+def _slowest(poles: Complex) -> float:
+    """Return the largest time constant [s]; 0 without poles."""
+    return float(1.0 / np.abs(poles).min(initial=math.inf))
 
 
 _Block = tuple[int, int, list[int], int, list[int], int, list[int], list[int]]
@@ -189,6 +195,7 @@ def plan(
     return Plan(
         n=n, before=before, after=after, features=features, results=4 * n + after + before,
         moving=(3 + ANGLE) * n if bent else 3 * n, bent=int(bent), gear=gear,
+        lag=_slowest(one.poles) + _slowest(two.poles),
         kind=ints(b[0] for b in blocks), channel=ints(b[1] for b in blocks),
         row_at=bounds(2), node_rows=ints(b[3] for b in blocks),
         column_at=bounds(4), varying=ints(b[5] for b in blocks),

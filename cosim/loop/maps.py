@@ -17,7 +17,7 @@ then has its exact impulse, and the step need not resolve it.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -26,8 +26,12 @@ from numpy.typing import NDArray
 from cosim.loop.divided import TOP, double, single
 
 Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Complex = NDArray[np.complex128]
+Ints = Annotated[NDArray[np.int64], 1]
+Vector = Annotated[Array, 1]
+Matrix = Annotated[Array, 2]
+Poles = Annotated[Complex, 1]
+ComplexMatrix = Annotated[Complex, 2]
 
 #: Coefficients of an angle, a DAC voltage and a speed over a step.
 ANGLE, DAC, SPEED = 5, 2, 4
@@ -55,6 +59,7 @@ class Plan(NamedTuple):
     moving: int  # columns of what changes between the sweeps of a step
     bent: int
     gear: float
+    lag: float  # s, slowest time constants before and after the multipliers together
     # per block: kind, multiplier (or column of b_post), bounds of its lists and its matrix
     kind: Ints
     channel: Ints
@@ -75,27 +80,27 @@ class Plan(NamedTuple):
     power: Ints
     move: Ints  # column among those that change between sweeps, -1 for a fixed feature
     # modal form
-    poles1: Complex
-    v1: Complex
-    w1: Complex
-    cv: Complex
-    wb: Complex
-    poles2: Complex
-    v2: Complex
-    w2: Complex
-    wb2: Complex
-    cv2: Complex
-    c_pre: Array
-    d_pre: Array
-    e_pre: Array
-    c_post: Array
-    d_post: Array
-    gain: Array
-    offset: Array
-    limit: Array
+    poles1: Poles
+    v1: ComplexMatrix
+    w1: ComplexMatrix
+    cv: ComplexMatrix
+    wb: ComplexMatrix
+    poles2: Poles
+    v2: ComplexMatrix
+    w2: ComplexMatrix
+    wb2: ComplexMatrix
+    cv2: ComplexMatrix
+    c_pre: Matrix
+    d_pre: Matrix
+    e_pre: Matrix
+    c_post: Matrix
+    d_post: Matrix
+    gain: Vector
+    offset: Vector
+    limit: Matrix
     # matrices by step length
-    data: Array
-    length: Array
+    data: Matrix
+    length: Vector
     slots: Ints  # [0] slots in use, [1] maps built
 
 

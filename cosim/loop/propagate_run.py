@@ -67,6 +67,7 @@ class Propagation:
     bench : states of the circuit and scratch memory
     exact, callback : memory of the exact path, and what makes its matrices; failures : of that
     first_s : longest step behind a jump; 0 for none
+    tables : where compiled code finds all that
     """
 
     memory: Memory
@@ -77,6 +78,7 @@ class Propagation:
     callback: Callable[[], None]
     failures: list[Exception]
     first_s: float
+    tables: propagation.Tables
 
     def run(self) -> None:
         """Integrate to the end of the scene, or to a fault (`memory.state['fault']`).
@@ -86,7 +88,7 @@ class Propagation:
         state = self.memory.state[0]
         lockstep.begin(state)
         self.bench.states[:] = rest(self.circuit, state, self.memory.component)
-        propagation.run(state, self.plan, self.bench, self.exact, self.first_s)
+        propagation.run(self.tables, self.first_s)
         if self.failures:
             raise self.failures[0]
 
@@ -136,9 +138,9 @@ def prepare(
     desk = bench(maps, np.zeros(maps.before + maps.after))
     first = FIRST_ROW_SHARE * scene.computer.period_s if record and dense else 0.0
     failures: list[Exception] = []
-    return Propagation(
-        memory, circuit, maps, desk, *exact(state, circuit, memory.knots, failures), failures, first
-    )
+    leaps, callback = exact(state, circuit, memory.knots, failures)
+    tables = propagation.Tables(memory.state, maps, desk, leaps)
+    return Propagation(memory, circuit, maps, desk, leaps, callback, failures, first, tables)
 
 
 def rest(

@@ -11,18 +11,19 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import carray, njit
+from numba import carray, from_dtype, njit
 
-from cosim.loop.collocation import accept, attempt, guess, present
+from cosim.loop.collocation import Bench, accept, attempt, guess, present
 from cosim.loop.crossings import find, first_crossing, meet, strike
-from cosim.loop.exact import land, leap, rests
+from cosim.loop.exact import Exact, land, leap, rests
 from cosim.loop.lockstep import RUNAWAY_RAD_PER_S, evaluate, noise_at, process_events, write_row
-from cosim.loop.maps import slot_of
-from cosim.loop.native import borrowed, call_plain, doubles_at
+from cosim.loop.maps import Plan, slot_of
+from cosim.loop.native import call_plain, doubles_at, kind_of, lent, record_at, table
 from cosim.loop.pins import volts
-from cosim.loop.state import Fault
+from cosim.loop.state import STATE, Fault
 
 Record = Any
+_STATE, _PLAN, _BENCH, _EXACT = from_dtype(STATE), kind_of(Plan), kind_of(Bench), kind_of(Exact)
 
 _COLLAPSED, _NOT_FINITE, _RAN_AWAY = Fault.STEP_COLLAPSED, Fault.NOT_FINITE, Fault.RAN_AWAY
 #: The shortest step is the interval over 2^_LEVELS.
@@ -42,6 +43,19 @@ _NEVER = math.inf
 #: Steps over a ramp of the gains, each with the gain of its middle: the torque's impulse is wrong by at most
 #: (change of gain) x (change of input) x settling time / (12 x _RAMP^2).
 _RAMP = 2
+
+
+class Tables:
+    """Where compiled code finds a run: the state, and the tables of plan, bench and exact path.
+
+    Attributes
+    ----------
+    addresses : of the four
+    """
+
+    def __init__(self, state: Any, plan: Plan, bench: Bench, exact: Exact) -> None:
+        self._alive = (state, plan, bench, exact, table(plan), table(bench), table(exact))
+        self.addresses = (state.ctypes.data, *(words.ctypes.data for words in self._alive[4:]))
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
@@ -163,15 +177,20 @@ def _check(s: Record) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def run(s: Record, k: Any, b: Any, x: Any, first: float) -> None:
-    """Write the start as a row and integrate to `s.t_end`, or until a fault.
+def _enter(state: int, plan: int, bench: int, exact: int, first: float) -> None:
+    s = carray(record_at(state, _STATE), 1)[0]
+    _run(s, lent(plan, _PLAN), lent(bench, _BENCH), lent(exact, _EXACT), first)
+
+
+def run(tables: Tables, first: float) -> None:
+    """Write the start as a row and integrate to `t_end` of the state, or until a fault.
 
     Parameters
     ----------
     first
         Longest step [s] behind a jump of the DACs, for rows that show it; 0 for none.
     """
-    _run(s, borrowed(k), borrowed(b), borrowed(x), first)
+    _enter(*tables.addresses, first)
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
