@@ -269,7 +269,7 @@ def _check_path(scene: Scene) -> None:
 def _check_stops(scene: Scene, model: str) -> None:
     kind = scene.device.linkage.value
     table = scene.device.chain if kind == "chain" else scene.device.slider
-    if table is None or table.stop_restitution is None:
+    if table is None or table.stop_restitution is None or not scene.effects.end_stops:
         return
     said = "there is no stop: give stops_rad" if not table.stops_rad else ""
     if model == "spice":

@@ -35,6 +35,7 @@ FREE: dict[str, Any] = {
     "computer": {"period_s": 0.1},
     "wall": {"point_m": [0.0, -5.0], "normal": [0.0, 1.0]},
     "solver": {"max_step_s": 0.1},
+    "effects": {"operator_dynamics": True},
 }
 
 
@@ -61,7 +62,7 @@ def coulomb(torque: float, **device: Any) -> dict[str, Any]:
 
 
 def stops(low: float, high: float, **how: float) -> dict[str, Any]:
-    return {"device": {"slider": {"stops_rad": [[low, high]], **how}}}
+    return {"device": {"slider": {"stops_rad": [[low, high]], **how}}, "effects": {"end_stops": True}}
 
 
 # ---- friction
@@ -287,8 +288,11 @@ def test_which_joints_start_does_not_depend_on_their_order(n: int) -> None:  # 2
 def test_bouncing_ball(tmp_path: Path, period: float) -> None:  # 17
     e, h, g = 0.7, 1.0, 9.81
     tables = free(
-        duration_s=4.0, computer={"period_s": period}, effects={"gravity": True},
-        **merge(stops(0.0, 90.0, stop_restitution=e), {"device": {"start": {"q_rad": [h / RADIUS]}}}),
+        duration_s=4.0, computer={"period_s": period},
+        **merge(
+            stops(0.0, 90.0, stop_restitution=e),
+            {"device": {"start": {"q_rad": [h / RADIUS]}}, "effects": {"gravity": True}},
+        ),
     )  # fmt: skip
     made = go(tmp_path, tables)
     t, q, v = (rows(made, name) for name in ("time", "q1", "v1"))
@@ -314,10 +318,10 @@ def test_grazing_contact(tmp_path: Path, depth: float) -> None:  # 18, 28
     speed, g = 10.0, 9.81 / RADIUS
     top = speed**2 / (2 * g)
     tables = free(
-        effects={"gravity": True}, duration_s=1.0, computer={"period_s": 1.0}, solver={"max_step_s": 1.0},
+        duration_s=1.0, computer={"period_s": 1.0}, solver={"max_step_s": 1.0},
         **merge(
             stops(-90.0, top - depth, stop_stiffness_n_m_per_rad=1e-9, stop_damping_n_m_s=0.0),
-            {"device": {"start": {"q_rad": [0.0], "v_rad_per_s": [speed]}}},
+            {"device": {"start": {"q_rad": [0.0], "v_rad_per_s": [speed]}}, "effects": {"gravity": True}},
         ),
     )  # fmt: skip
     made = go(tmp_path, tables)
@@ -391,6 +395,7 @@ def test_an_arm_on_its_stops_never_gains_energy(tmp_path: Path, e: float | None)
             ARM,
             {
                 "duration_s": 2.0,
+                "effects": {"end_stops": True},
                 "device": {
                     "board": str(BOARD2), "chain": chain,
                     "start": {"q_rad": [-0.5, 0.9], "v_rad_per_s": [2.0, -8.0]},
@@ -438,6 +443,8 @@ def test_impacts_are_refused_where_they_are_not_located(tmp_path: Path) -> None:
     tables = slider(**stops(-1.0, 1.0, stop_restitution=0.5))
     with pytest.raises(InputError, match="does not locate impacts"):
         resolve(scene_of(tmp_path, tables))
-    bare = slider(device={"slider": {"stop_restitution": 0.5}}, solver={"model": "ideal"})
+    bare = slider(
+        device={"slider": {"stop_restitution": 0.5}}, solver={"model": "ideal"}, effects={"end_stops": True}
+    )
     with pytest.raises(InputError, match="there is no stop"):
         resolve(scene_of(tmp_path, bare))

@@ -134,12 +134,13 @@ def table(record: Any) -> Any:
     address (`lent`). The tuple must live as long as the table is used.
     """
     words: list[int] = []
-    for value in record:
+    hints = typing.get_type_hints(type(record))
+    for name, value in zip(record._fields, record, strict=True):
         if isinstance(value, np.ndarray):
             if not value.flags.c_contiguous:
                 raise ValueError("only contiguous arrays have an address and lengths")
             words += [value.ctypes.data, *value.shape]
-        elif isinstance(value, float):
+        elif hints[name] is float:
             words.append(int(np.float64(value).view(np.int64)))
         else:
             words.append(int(value))
