@@ -88,7 +88,8 @@ def test_bandwidth_changes_neither_error_nor_steps(tmp_path: Path) -> None:  # 1
 
 @pytest.mark.parametrize("exact", [True, False], ids=["exponential", "collocation"])
 def test_subnormal_signals_give_the_same_answer_in_as_many_steps(tmp_path: Path, exact: bool) -> None:  # 7
-    # linear, held by a hand: the answer scales with the start, down to where most products are subnormal
+    # linear, held by a hand, steps of a period (a tolerance is absolute): the answer scales with the start,
+    # down to where most products are subnormal
     ends, points = [], []
     for size in (1e-3, 1e-307):
         hand = {"type": "hand", "mass_kg": 0.0, "stiffness_n_per_m": 50.0, "damping_n_s_per_m": 0.0,
@@ -99,10 +100,10 @@ def test_subnormal_signals_give_the_same_answer_in_as_many_steps(tmp_path: Path,
         )  # fmt: skip
         pole = 3e3
         made = propagate(
-            scene_of(tmp_path, tables), lagging(ideal(1), pole, pole), tol=1e-12, rows=False, exact=exact
+            scene_of(tmp_path, tables), lagging(ideal(1), pole, pole), tol=1.0, rows=False, exact=exact
         )
         state = made.memory.state[0]
         ends.append(np.array([state["q"][0], state["v"][0], made.bench.current[0]]) / size)
         points.append(int(state["points"]))
     assert ends[1] == pytest.approx(ends[0], rel=1e-8)
-    assert points[1] <= points[0]
+    assert points[1] == points[0]
