@@ -8,7 +8,7 @@ from extraction_boards import DAMPER, SUM, board, extract, in_child, shipped
 
 from cosim.circuits.linear import channel_names
 from cosim.errors import InputError
-from cosim.ngspice.deck import PartSwap
+from cosim.ngspice.deck import PartSwap, load_deck
 
 VENDOR = Path(__file__).parent / "data" / "ngspice" / "vendor"
 #: Stated for the unreduced model: 1e-9 of the path's maximum from 0.1 Hz to 100 MHz.
@@ -319,3 +319,79 @@ def test_damaged_cache_is_ignored_with_a_word(tmp_path, monkeypatch):
     again = in_fresh_child(payload)
     assert (again.d_pre == first.d_pre).all()
     assert cache.load(asked)[0] is not None  # written anew
+
+
+def test_lumped_gain_step_is_late_by_what_is_stated(tmp_path):
+    # the model's current jumps with the gain; in the circuit it follows, and what is missing to the jump adds
+    # up to the stated delay times the last value, whatever the poles
+    top = ".subckt bare x y w\nBw w 0 V=v(x)*v(y)/10\n.ends bare"
+    output = (
+        "Bs s 0 V=v(ws)+v(wd)+v(cmd1)\nRs s o 1k\nCs o 0 1u\nEo q 0 o 0 1\nRt q r 1k\nCt r 0 0.2u\n"
+        "Bi imot1 0 V=v(r)-0.01*v(vel1)"
+    )
+    bare = "xs x ksp11 ws bare\nxd y ksd11 wd bare"
+    deck = board(tmp_path, multipliers=bare, output=output, top=top)
+    stated = extract(deck).certificate["gain_step_delay_s"]
+    assert stated == pytest.approx(1.2e-3, rel=1e-6)  # R C of both sections
+    table = in_child(
+        "extraction_boards:step_response",
+        {
+            "board": deck,
+            "sources": {"u1": "dc 1", "ksp11": f"pwl(0 0 1m 0 {1e-3 + 1e-9} 5)"},
+            "tran": "tran 10u 30m 0 10u",
+        },
+    )
+    times, current = table[:, 0], table[:, 1]
+    assert current[-1] == pytest.approx(0.5, rel=1e-6)
+    after = times >= 1e-3
+    missing = np.trapezoid(1.0 - current[after] / current[-1], times[after])
+    assert missing == pytest.approx(stated, rel=1e-3)  # the integral of 10 us steps
+
+
+def crossed(top="", inside=""):
+    """Board of two joints, all formulas, with room for what joins them."""
+    multiplier = ".subckt mul x y w\nvpx x xi 0\nvpy y yi 0\nBw w 0 V=v(xi)*v(yi)/10\n.ends mul"
+    rows = [
+        ".param v_fs=10",
+        ".param dac_v=10",
+        ".csparam v_fs={v_fs}",
+        ".csparam dac_v={dac_v}",
+        multiplier,
+        top,
+    ]
+    rows.append(
+        ".subckt board pot1 pot2 vel1 vel2 u1 u2 ksp11 ksp12 ksp21 ksp22 ksd11 ksd12 ksd21 ksd22 cmd1 cmd2 "
+        "imot1 imot2 vcc vee"
+    )
+    for j in (1, 2):
+        rows.append(f"Ex{j} x{j}a 0 u{j} pot{j} 1\nRx{j} x{j}a x{j} {j}k\nCx{j} x{j} 0 1u")
+        rows.append(f"Cy{j} pot{j} y{j} 1u\nRy{j} y{j} 0 {j}k")
+    for i in (1, 2):
+        for j in (1, 2):
+            rows.append(f"xs{i}{j} x{j} ksp{i}{j} ws{i}{j} mul\nxd{i}{j} y{j} ksd{i}{j} wd{i}{j} mul")
+        total = "+".join(f"v(w{kind}{i}{j})" for kind in "sd" for j in (1, 2))
+        rows.append(
+            f"Bs{i} s{i} 0 V={total}+v(cmd{i})-0.01*v(vel{i})\nRs{i} s{i} o{i} 1k\nCs{i} o{i} 0 0.{i}u"
+        )
+    rows += ["Bi1 imot1 0 V=v(o1)", "Bi2 imot2 0 V=v(o2)", inside, ".ends board"]
+    return "* two joints\n" + "\n".join(rows) + "\n"
+
+
+@pytest.mark.parametrize(
+    "joined",
+    [
+        "",
+        "Rj x1 x2 5k",  # the difference amplifiers load each other
+        "Cj y1 y2 300n",  # at high frequencies only
+        "Rj o1 o2 3k",  # one motor's current in the other's
+    ],
+)
+def test_joints_that_reach_each_other(tmp_path, joined):
+    file = tmp_path / "board.cir"
+    file.write_text(crossed(inside=joined))
+    deck = load_deck(file)
+    circuit = extract(deck)
+    for volts in (np.full(8, 10.0), np.array([10.0, -3.0, 2.0, 7.0, 5.0, 1.0, -2.0, 10.0])):
+        assert differences(deck, circuit, volts).max() < STATED
+    cross = np.abs(circuit.response(2000j, np.full(8, 1e-9) + 10.0 * np.eye(8)[0])[0, 1, 0])
+    assert (cross > 1e-4) == (joined == "Rj o1 o2 3k")

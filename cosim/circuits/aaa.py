@@ -24,14 +24,17 @@ _MOST_PAIRS = 40
 #: Poles this much faster than the fastest point measured are part of the feedthrough.
 _BEYOND = 1e4
 _ABERTH = 30
-#: Steps that may pass without progress once the fit is good.
-_PATIENCE = 3
+#: Solutions of each AAA step, and how many may pass without progress once the fit is good.
+_REWEIGHT, _PATIENCE = 2, 6
 
 
-def poles_of(s: Complex, f: Complex, good: float) -> Complex:
+def poles_of(s: Complex, f: Complex, good: float, reweighted: bool) -> Complex:
     """Return the poles of the AAA fit of all columns of `f`, one of each conjugate pair.
 
-    Every support point jw brings -jw with it and the conjugate weight, so 2 real unknowns.
+    Every support point jw brings -jw with it and the conjugate weight, so 2 real unknowns. Over ten decades
+    of frequency the linearised error, the true one times the denominator, sees nothing of the fast poles:
+    reweighted, each step is solved again with its rows divided by the denominator just found. Where many
+    poles lie close together that makes matters worse, and the plain steps serve.
 
     Parameters
     ----------
@@ -41,10 +44,13 @@ def poles_of(s: Complex, f: Complex, good: float) -> Complex:
         [F, paths], each with a maximum near 1.
     good
         Error from which on the fit need not get better if it does not.
+    reweighted
+        Whether to divide rows by the denominator.
     """
     support: list[int] = []
     fitted = np.broadcast_to(f.real.mean(axis=0), f.shape).astype(complex)
     best, found, stale = np.inf, (s[:0], s[:0]), 0
+    size = np.ones(len(s))
     for _ in range(min(_MOST_PAIRS, len(s) // 4)):
         wrong = np.abs(f - fitted).max(axis=1)
         wrong[support] = 0.0
@@ -56,15 +62,18 @@ def poles_of(s: Complex, f: Complex, good: float) -> Complex:
         low = (f[rest][:, None] - value) * near[:, :, None]
         high = (f[rest][:, None] - value.conj()) * far[:, :, None]
         loewner = np.concatenate([low + high, 1j * (low - high)], axis=1).transpose(0, 2, 1)
-        weight = _null_vector(loewner)
-        below = near @ weight + far @ weight.conj()
-        above = near @ (weight[:, None] * value) + far @ (weight[:, None] * value).conj()
-        fitted = f.copy()
-        fitted[rest] = above / below[:, None]
-        error = float(np.abs(f - fitted).max())
-        stale = 0 if error < 0.1 * best else stale + 1
-        if error < best:
-            best, found = error, (at, weight)
+        for _ in range(_REWEIGHT if reweighted else 1):
+            weight = _null_vector(loewner / size[rest, None, None])
+            below = near @ weight + far @ weight.conj()
+            above = near @ (weight[:, None] * value) + far @ (weight[:, None] * value).conj()
+            fitted = f.copy()
+            fitted[rest] = above / below[:, None]
+            error = float(np.abs(f - fitted).max())
+            if reweighted:
+                size[rest] = np.abs(below)
+            stale = 0 if error < 0.1 * best else stale + 1
+            if error < best:
+                best, found = error, (at, weight)
         if best < _FINE or (best < good and stale > _PATIENCE):
             break
     return _zeros(*found)

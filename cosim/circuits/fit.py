@@ -26,6 +26,8 @@ Complex = NDArray[np.complex128]
 _GOOD = 3e-10
 #: A pole in the right half plane is believed when the fit with it is at least as good as this.
 _CERTAIN = 1e-5
+#: ... and lies below so many times the fastest point.
+_SURE = 3.0
 #: Paths that differ by less are one.
 _EQUAL = 1e-13
 #: A pole whose share of every path stays below this is spurious.
@@ -97,13 +99,23 @@ def fit(s: Complex, h: Complex) -> Modes:
     FitError
         When no rational function fits, or when one fits that has a pole in the right half plane.
     """
+    failures: list[FitError] = []
+    for reweighted in (True, False):
+        try:
+            return _fit(s, h, reweighted)
+        except FitError as reason:
+            failures.append(reason)
+    raise next((reason for reason in failures if reason.poles is not None), failures[0])
+
+
+def _fit(s: Complex, h: Complex, reweighted: bool) -> Modes:
     size, rows, columns = h.shape
     own = np.abs(h).max(axis=0)
     # what is weaker than _WEAK of its row is known, to rounding, only relative to the row
     scale = np.maximum(own, _WEAK * own.max(axis=1, keepdims=True))
     scale[scale == 0.0] = 1.0
     f = (h / scale).reshape(size, rows * columns)
-    poles = _needed(s, f[:, _distinct(f)])
+    poles = _needed(s, f[:, _distinct(f)], reweighted)
     chains = _chains(poles)
     basis = _basis(s, chains)
     weights = _least_squares(basis, f).reshape(-1, rows, columns)
@@ -146,11 +158,13 @@ def _distinct(f: Complex) -> list[int]:
     return found
 
 
-def _needed(s: Complex, f: Complex) -> Complex:
+def _needed(s: Complex, f: Complex, reweighted: bool) -> Complex:
     """Return the poles that the paths need, one of each conjugate pair."""
     if f.shape[1] == 0:
         return np.empty(0, complex)
-    every = poles_of(s, f, good=_GOOD)
+    every = poles_of(s, f, _GOOD, reweighted)
+    # so far beyond the fastest point it cannot be told on which side of the axis a pole lies
+    every = every[(every.real < 0.0) | (np.abs(every) < _SURE * np.abs(s).max())]
     poles = every[every.real < 0.0]
     misfit = _misfit(s, f, poles)
     if len(poles) < len(every) and misfit > _GOOD and _misfit(s, f, every) < min(1e-2 * misfit, _CERTAIN):

@@ -186,7 +186,7 @@ class Session(Bench):
         n, m = self.joints, len(self.channels)
         kind, points, *ends = sweep.split()
         coarse, every = (" ".join([kind, "1", *ends]), int(points)) if kind == "dec" else (sweep, 1)
-        volts = 1.0 + np.modf(0.6180339887 * np.arange(1, m + 2 * n + 1))[0]
+        volts = np.random.default_rng(0).uniform(0.5, 1.5, m + 2 * n)  # no two differences alike
         inside = [part.x_node for part in self.multipliers]
         found = self.respond(dict(zip(self.signals, volts.tolist(), strict=False)), coarse, inside)
         told = paths.x[::every][: len(found)] @ volts[: 2 * n]
