@@ -205,9 +205,20 @@ def test_what_noise_does_not_pass_is_named(tmp_path: Path) -> None:
     # ngspice makes an XSPICE device of a POLY source, and `.noise` does not see through it
     deck = board(tmp_path, spring="Rk u1 k 10k\nRl k 0 10k\nEp x 0 poly(2) k 0 pot1 0 0 1 -1")
     noise = measured(deck)
-    assert any("r.xboard.rk" in note and "POLY" in note for note in noise.notes)
+    assert any("rk, rl" in note and "POLY" in note for note in noise.notes)
     x = np.abs(noise.x[:, noise.devices.index("rk"), 0])
     np.testing.assert_allclose(x, math.sqrt(KT4 * 10e3) / 2, rtol=1e-6)
+
+
+@pytest.mark.parametrize("reader", ["Ep x 0 k pot1 1", "Ep x 0 poly(2) k 0 pot1 0 0 1 -1"])
+def test_shot_noise_of_a_diode_heard_or_not(tmp_path: Path, reader: str) -> None:
+    lines = f"Ib 0 k 1m\nDk k 0 dx\n.model dx d(is=1e-15)\nRu u1 0 1meg\n{reader}"
+    noise = measured(board(tmp_path, spring=lines))
+    assert bool(noise.notes) == ("poly" in reader)
+    x = np.abs(noise.x[:, noise.devices.index("dk"), 0])
+    # sqrt(2 q I) into the diode's k T/(q I)
+    expected = math.sqrt(2 * 1.602176634e-19 * 1e-3) * 1.380649e-23 * 300.15 / 1.602176634e-19 / 1e-3
+    np.testing.assert_allclose(x, expected, rtol=1e-4)
 
 
 # ---- in time

@@ -13,19 +13,20 @@ with independent xi_d of one-sided density 1: one random stream a device, throug
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.constants import Boltzmann
+from scipy.constants import Boltzmann, elementary_charge
 
 from cosim.circuits.cache import VERSION, load_arrays, store_arrays
 from cosim.circuits.linear import channel_names
 from cosim.circuits.measure import Session
 from cosim.ngspice.deck import Deck
-from cosim.ngspice.noisy import SOURCE, Element, elements, noisy
+from cosim.ngspice.noisy import ROOM_C, SOURCE, Element, elements, noisy
 
 __all__ = ["BAND_HZ", "ComponentNoise", "Share", "component_noise", "extract_noise"]
 
@@ -40,6 +41,10 @@ _POINTS = 20
 _NONE = 1e-5
 #: `.noise` and `.ac` agree on a device to rounding; by more than this they do not see the same paths.
 _SAME = 1e-3
+#: A path below this share of a device's strongest is rounding and supplies.
+_FAINT = 1e-6
+#: ngspice's name of the current that shot noise belongs to.
+_CURRENT = {"d": "id", "q": "ic"}
 #: As the share of a density.
 _UNHEARD = 1e-5
 
@@ -161,7 +166,7 @@ def component_noise(payload: dict[str, Any], report: Report) -> ComponentNoise:
         called as the measurement goes on
     """
     board: Deck = payload["board"]
-    name = hashlib.sha256(f"noise {VERSION} {_POINTS} {BAND_HZ}\n{noisy(board).text}".encode()).hexdigest()
+    name = hashlib.sha256(f"noise 2 {VERSION} {_POINTS} {BAND_HZ}\n{noisy(board).text}".encode()).hexdigest()
     known = load_arrays(name)
     if known is not None:
         about, arrays = known
@@ -201,12 +206,14 @@ def extract_noise(board: Deck, report: Report | None = None) -> ComponentNoise:
     kept: list[tuple[int, Element, Array]] = []
     responses: list[Complex] = []
     notes: list[str] = []
+    lost: list[str] = []
     for k, maker in enumerate(makers):
         response = session.respond(f"inoise{k}", sweep, nodes)
         if report is not None:
             report({"stage": "noise"})
-        size, lost = _density(session, maker, response, [heard[node] for node in nodes])
-        notes += lost
+        size, unheard = _density(session, maker, response, [heard[node] for node in nodes])
+        if unheard:
+            lost.append(maker.device)
         share = max(
             float(np.max(np.abs(response[:, i]) * size / np.maximum(total[node], 1e-300)))
             for i, node in enumerate(nodes)
@@ -215,6 +222,12 @@ def extract_noise(board: Deck, report: Report | None = None) -> ComponentNoise:
             kept.append((k, maker, size))
             sizes.append(size)
             responses.append(response)
+    if lost:
+        named = ", ".join(dict.fromkeys(lost))
+        notes.append(
+            f".noise does not pass a POLY or XSPICE device behind {named}: what they make is taken from "
+            "their operating point, thermal and shot noise only"
+        )
     notes += _left_out(makers, heard, total)
     at = {node: i for i, node in enumerate(nodes)}
     scaled = [response * size[:, None] for response, size in zip(responses, sizes, strict=True)]
@@ -239,8 +252,8 @@ def extract_noise(board: Deck, report: Report | None = None) -> ComponentNoise:
 
 def _density(
     session: Session, maker: Element, response: Complex, heard: Sequence[dict[str, Array]]
-) -> tuple[Array, list[str]]:
-    """Return the device's noise current [F] A/sqrt(Hz), and a note where `.noise` does not tell it."""
+) -> tuple[Array, bool]:
+    """Return the device's noise current [F] A/sqrt(Hz), and whether `.noise` could not tell it."""
     reach = np.abs(response)
     found = np.stack([one.get(maker.name, np.zeros(len(reach))) for one in heard], axis=1)
     best = np.argmax(found / (np.max(found, axis=0) + 1e-300) * (reach > 0.0), axis=1)
@@ -249,16 +262,28 @@ def _density(
     expected = reach * size[:, None]
     worst = np.abs(expected - found).max(axis=0) > _SAME * np.maximum(expected.max(axis=0), found.max(axis=0))
     audible = np.maximum(expected, found).max(axis=0) > 0.0
-    if maker.resistor:
-        stated = session.thermal(maker.name)
-        size = np.full(len(reach), np.sqrt(4.0 * Boltzmann * stated[1] / stated[0]))
-        lost = reach.max() > 0.0 and not np.allclose(found, reach * size[:, None], rtol=_SAME, atol=1e-30)
-        said = "taken as thermal noise of its resistance"
-    else:
-        lost, said = bool((worst & audible).any()), "taken with the largest of what it hears"
-    if not lost:
-        return size, []
-    return size, [f".noise does not pass all that {maker.name} drives (a POLY or XSPICE device); {said}"]
+    if reach.max() == 0.0:
+        return size, False
+    least = _at_operating_point(session, maker.name)
+    # what passes in part would look right at the only output that hears it
+    loud = reach > _FAINT * reach.max()
+    short = (loud & (found < (1.0 - _SAME) * least * reach)).any()
+    if short or (worst & audible).any():
+        return np.full(len(reach), least), True
+    return size, False
+
+
+def _at_operating_point(session: Session, element: str) -> float:
+    """Return an element's thermal or shot noise A/sqrt(Hz), by the formulas of ngspice's own models."""
+    letter = element[0]
+    if letter == "r":
+        kelvin = session.reading(element, "temp") + 273.15
+        return math.sqrt(4.0 * Boltzmann * kelvin / session.reading(element, "resistance"))
+    if letter in "jm":  # a channel in saturation
+        return math.sqrt(
+            4.0 * Boltzmann * (ROOM_C + 273.15) * abs(session.reading(element, "gm")) * 2.0 / 3.0
+        )
+    return math.sqrt(2.0 * elementary_charge * abs(session.reading(element, _CURRENT[letter])))
 
 
 def _left_out(

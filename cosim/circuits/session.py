@@ -154,13 +154,9 @@ class Bench:
         run("destroy all")
         return out
 
-    def thermal(self, resistor: str) -> tuple[float, float]:
-        """Return a resistor's resistance [Ohm] and temperature [K]."""
-        ohms, celsius = (
-            float(self.simulator.command(f"print @{resistor}[{what}]")[0].rpartition("=")[2])
-            for what in ("resistance", "temp")
-        )
-        return ohms, celsius + 273.15
+    def reading(self, element: str, what: str) -> float:
+        """Return what ngspice tells of an element at its operating point, such as ``resistance``."""
+        return float(self.simulator.command(f"print @{element}[{what}]")[0].rpartition("=")[2])
 
     def before(self, part: Multiplier) -> str:
         """Return the node before the X probe of a multiplier."""
