@@ -33,7 +33,8 @@ def draw(found: "Sweep") -> Drawn | None:
     """Return the figure."""
     axis = [number(values[0]) for values in found.values]
     known = [value for value in axis if value is not None]
-    if len(known) < len(axis) or len(set(known)) < 2:
+    seen = any(value is not None for column in found.measures.values() for value in column)
+    if len(known) < len(axis) or len(set(known)) < 2 or not seen:
         return None
     names = list(found.measures)
     drawing, grid = figure(1.0 + 2.3 * len(names), rows=len(names), sharex=True)
@@ -49,7 +50,8 @@ def draw(found: "Sweep") -> Drawn | None:
                 for x, values, value in zip(known, found.values, column, strict=True)
                 if values[1:] == group and value is not None
             )
-            label = " ".join(f"{key}={value}" for key, value in zip(found.names[1:], group, strict=True))
+            pairs = zip(found.names[1:], group, strict=True)
+            label = ", ".join(f"{key.rpartition('.')[2]} = {value}" for key, value in pairs)
             axes.plot(
                 [x for x, _ in line],
                 [y for _, y in line],
@@ -62,6 +64,6 @@ def draw(found: "Sweep") -> Drawn | None:
         axes.set_ylabel(name.replace("_", " ") + (f" [{shown}]" if shown else ""))
         if min(known) > 0.0 and max(known) / min(known) >= _LOGARITHMIC:
             axes.set_xscale("log")
-    legend(grid[0, 0])
-    grid[-1, 0].set_xlabel(found.names[0])
+    legend(grid[0, 0], columns=3)
+    grid[-1, 0].set_xlabel(found.names[0].rpartition(".")[2])
     return Drawn(drawing, "")

@@ -170,6 +170,15 @@ def test_an_early_child_serves_many_calls_and_closes() -> None:
         child.call("ngspice_targets:echo", 1)
 
 
+@pytest.mark.parametrize("failing", ["segfault", "fail_on_input"])
+def test_a_child_that_a_failure_has_ended_does_not_fail_the_next_call(failing: str) -> None:
+    with start_early("ngspice_targets") as child:
+        with pytest.raises((SimulationError, InputError)):
+            call(f"ngspice_targets:{failing}", child=child, payload=None)
+        assert not child.alive
+        assert call("ngspice_targets:echo", 7, child=child) == 7
+
+
 def test_an_early_child_that_is_forgotten_goes() -> None:
     child = Child()
     pid = child.call("ngspice_targets:where", None)["pid"]

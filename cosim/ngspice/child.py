@@ -64,7 +64,8 @@ def call(
     deck
         Name of the deck for errors.
     child
-        A child started by `start_early`; it stays alive for more calls unless this one fails.
+        A child started by `start_early`; it stays alive for more calls unless this one fails. One that has
+        ended in an earlier call is replaced by a process for this call alone.
 
     Raises
     ------
@@ -73,7 +74,7 @@ def call(
     SimulationError
         For any other exception (with its traceback), a crash, an exit, the time limit or the stall limit.
     """
-    if child is not None:
+    if child is not None and child.alive:
         return child.call(
             target,
             payload,
@@ -171,6 +172,11 @@ class Child:
         except BaseException:
             self.close()
             raise
+
+    @property
+    def alive(self) -> bool:
+        """Whether it takes calls: it was not closed, and no call has failed."""
+        return self._close.alive
 
     def close(self) -> None:
         """End the child and remove its folder."""
