@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 import traceback
+from functools import cache
 from queue import SimpleQueue
 from typing import Any, NoReturn
 
@@ -25,12 +26,46 @@ HEAD = struct.Struct("<Q")
 _PACE_S = 0.05
 """Progress is passed on at most this often."""
 
+_PULSE_S = 5.0
+"""While numba compiles, the parent hears so often that the work goes on."""
+
+_sending = threading.Lock()
+
 
 def _send(descriptor: int, message: tuple[str, Any]) -> None:
     body = pickle.dumps(message, protocol=5)
     view = memoryview(HEAD.pack(len(body)) + body)
-    while view:
-        view = view[os.write(descriptor, view) :]
+    with _sending:
+        while view:
+            view = view[os.write(descriptor, view) :]
+
+
+@cache
+def _tell_of_compiling(descriptor: int) -> None:
+    """Let compiling count as progress: it may take longer than a stalled simulation is waited for."""
+    if "numba" not in sys.modules:
+        return
+    from numba.core import event
+
+    under_way = 0
+
+    class Listener(event.Listener):  # type: ignore[misc]
+        def on_start(self, event: Any) -> None:
+            nonlocal under_way
+            under_way += 1
+
+        def on_end(self, event: Any) -> None:
+            nonlocal under_way
+            under_way -= 1
+
+    def pulse() -> None:
+        while True:
+            time.sleep(_PULSE_S)
+            if under_way > 0:
+                _send(descriptor, ("progress", {"stage": "compile"}))
+
+    event.register("numba:compiler_lock", Listener())
+    threading.Thread(target=pulse, daemon=True).start()
 
 
 def _receive(requests: "SimpleQueue[bytes]") -> NoReturn:
@@ -75,6 +110,7 @@ def _serve(descriptor: int, request: bytes) -> None:
         target, payload = pickle.loads(request)
         module, _, name = target.partition(":")
         function = getattr(importlib.import_module(module), name)
+        _tell_of_compiling(descriptor)
         _send(descriptor, ("progress", {}))  # imports may have taken long
         _send(descriptor, ("result", function(pickle.loads(payload), report)))
     except BaseException as error:  # whatever it is, the parent must hear of it

@@ -37,6 +37,7 @@ STUDIES = {
     "congruence": "cosim.studies.congruence",
     "drop": "cosim.studies.drop",
     "poses": "cosim.studies.poses",
+    "trace": "cosim.studies.trace",
 }
 
 
