@@ -39,18 +39,18 @@ HELD = {
         "type": "hand", "mass_kg": 0.3, "damping_n_s_per_m": 6.0, "stiffness_n_per_m": 100.0,
         "waypoints_s_m": [[0.0, 0.0, -0.02]],
     },
-    "effects": {"viscous": True, "motor": "emf", "pot_noise": "white"},
+    "effects": {"viscous": True, "motor": "emf", "pot_noise": "white", "operator_dynamics": True},
     "solver": {"model": "ideal"},
 }  # fmt: skip
 LATE = {
-    "effects": {"delay": True, "dac": True},
+    "effects": {"delay": True, "dac": True, "dac_settling": True, "dac_skew": True},
     "computer": {
         "discrete_damping_n_s_per_m": 0.5, "delay_periods": 1, "delay_fraction": 0.3,
         "dac": {"bits": 32, "settling_s": 1e-3, "skew_s": 5e-4},
     },
 }  # fmt: skip
 SLOW = {
-    "effects": {"delay": True, "dac": True},
+    "effects": {"delay": True, "dac": True, "dac_settling": True, "dac_skew": True},
     "computer": {"delay_fraction": 0.8, "dac": {"bits": 32, "settling_s": 13e-3, "skew_s": 5e-3}},
     "device": {"potentiometer": {"noise_bandwidth_hz": 20.0}},
 }

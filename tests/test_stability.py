@@ -273,7 +273,7 @@ def _arm_scene(folder, period, k, analog):
                 "discrete_stiffness_n_per_m": k,
             },
             "wall": {"point_m": [0.07, 0.155], "normal": [-0.7071067811865476, 0.7071067811865476]},
-            "effects": {"viscous": True, "motor": "emf"},
+            "effects": {"viscous": True, "motor": "emf", "rotor_inertia": True},
         },
     )  # fmt: skip
 

@@ -52,7 +52,7 @@ def mechanism(scene: Scene, gear: float) -> Chain | Slider:
             stops_rad=(chain.stops_rad or None) if effects.end_stops else None,
             stop_stiffness_n_m_per_rad=chain.stop_stiffness_n_m_per_rad,
             stop_damping_n_m_s=chain.stop_damping_n_m_s,
-            stop_restitution=chain.stop_restitution,
+            stop_restitution=chain.stop_restitution if effects.end_stops else None,
         )
     slider = device.slider
     assert slider is not None  # the scene's checks hold this
@@ -70,7 +70,7 @@ def mechanism(scene: Scene, gear: float) -> Chain | Slider:
         stops_rad=(slider.stops_rad or None) if effects.end_stops else None,
         stop_stiffness_n_m_per_rad=slider.stop_stiffness_n_m_per_rad,
         stop_damping_n_m_s=slider.stop_damping_n_m_s,
-        stop_restitution=slider.stop_restitution,
+        stop_restitution=slider.stop_restitution if effects.end_stops else None,
     )
 
 

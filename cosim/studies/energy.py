@@ -62,8 +62,10 @@ def law_of(scene: Scene) -> Law:
     late = 0.0
     if scene.effects.delay:
         late += (c.delay_periods + c.delay_fraction) * c.period_s
-    if scene.effects.dac:
-        late += c.dac.skew_s + 0.5 * c.dac.settling_s
+    if scene.effects.dac_skew:
+        late += c.dac.skew_s
+    if scene.effects.dac_settling:
+        late += 0.5 * c.dac.settling_s
     periods, rest = divmod(late, c.period_s)
     if c.period_s - rest < 1e-12 * c.period_s:
         periods, rest = periods + 1, 0.0

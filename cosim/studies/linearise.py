@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from cosim.circuits.linear import LinearCircuit
 from cosim.circuits.port import DesignConstants
+from cosim.loop.driven import is_geometric
 from cosim.loop.setup import mechanism, operator
-from cosim.scene import Scene
+from cosim.scene import Jitter, Scene
 from cosim.studies.contact import LawPoint, external_force, law_point, rests
 from mech import Chain
 from mech.linkage import Linkage
@@ -130,16 +131,16 @@ def linearise(
     a[motion, n : 2 * n] -= inverse @ viscous
     b[motion], e[motion] = inverse @ (per_amp * d), inverse @ (per_amp * feed)
     outputs = _outputs(scene, linkage, q, op, a, b, e, per_amp, (c, d, feed), per_amp * current)
-    delay, dac = scene.effects.delay, scene.effects.dac
-    computer = scene.computer
+    effects, computer = scene.effects, scene.computer
     cutoff = computer.velocity.filter_hz
+    lag = computer.delay_periods + computer.delay_fraction if effects.delay else 0.0
     return System(
         joints=n, q=np.asarray(q, float), a=a, b=b, e=e, law=law,
         keep=0.0 if cutoff is None else math.exp(-2.0 * math.pi * cutoff * computer.period_s),
         period_s=computer.period_s,
-        lag_s=(computer.delay_periods + computer.delay_fraction) * computer.period_s if delay else 0.0,
-        settle_s=computer.dac.settling_s if dac else 0.0,
-        skew_s=computer.dac.skew_s if dac else 0.0,
+        lag_s=lag * computer.period_s,
+        settle_s=computer.dac.settling_s if effects.dac_settling else 0.0,
+        skew_s=computer.dac.skew_s if effects.dac_skew else 0.0,
         outputs=outputs, current_a=current, notes=_left_out(scene, circuit, linkage, q, current),
     )  # fmt: skip
 
@@ -241,6 +242,12 @@ def _left_out(
         said.append("the steps of the encoders")
     if scene.effects.dac:
         said.append("the codes of the DACs")
+    if scene.effects.period_jitter is not Jitter.NONE:
+        said.append("the jitter of the sampling instants")
+    if is_geometric(scene):
+        said.append("the geometric stiffness that the law adds")
+    if scene.effects.pot_linearity or scene.effects.pot_calibration:
+        said.append("the potentiometers' errors over the angle")
     if scene.effects.coriolis and not scene.is_slider:
         said.append("Coriolis forces, which are of second order about rest")
     p = linkage.pack()[0]
