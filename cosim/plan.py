@@ -272,7 +272,7 @@ def _check_stops(scene: Scene, model: str) -> None:
     if table is None or table.stop_restitution is None or not scene.effects.end_stops:
         return
     said = "there is no stop: give stops_rad" if not table.stops_rad else ""
-    if model == "spice" and scene.effects.end_stops:
+    if model == "spice":
         said = "the model spice does not locate impacts: leave it out, or use the models ideal or linear"
     if said:
         file, key = str(scene.file) if scene.file else None, f"device.{kind}.stop_restitution"
