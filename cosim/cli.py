@@ -14,7 +14,19 @@ from collections.abc import Sequence
 from typing import Any, TextIO
 
 from cosim import __version__
-from cosim.commands import check, compare, effects, export, new, plan, report, run, sweep
+from cosim.commands import (
+    check,
+    compare,
+    effects,
+    export,
+    new,
+    noise,
+    plan,
+    report,
+    run,
+    stability,
+    sweep,
+)
 from cosim.errors import CosimError
 
 EXIT_FAILURE = 1
@@ -29,6 +41,8 @@ COMMANDS = (
     effects.COMMAND,
     compare.COMMAND,
     sweep.COMMAND,
+    stability.COMMAND,
+    noise.COMMAND,
     export.COMMAND,
     new.COMMAND,
 )

@@ -42,7 +42,7 @@ def test_published_numbers(law, known):
     found = needed_damping(law)
     assert found.value == pytest.approx(known, rel=1e-9)
     assert found.value <= found.upper <= found.value * (1 + 1e-8)
-    # near w = 0 the grid ends at 1/2000 of the half circle, where the delay's curve is 1e-6 lower
+    # the extension's grid begins at 1e-4 of the half circle, where the delay's curve is 1e-7 lower
     assert share_used(law, plain(1.0)).value == pytest.approx(known, rel=2e-6)
 
 

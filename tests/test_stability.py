@@ -1,5 +1,6 @@
 """Exact sampled stability against closed forms, the paper's limits, and runs on their border."""
 
+import json
 import math
 from dataclasses import replace
 
@@ -10,6 +11,7 @@ from support import COMMAND_TRUE, EMF_TRUE, SCENES, SPRING_TRUE, V_NM, Arm, merg
 from test_covariance import HELD, LATE, RADIUS, SLOW, circuit_of_kind
 from test_propagation import CONSTANTS, ideal, lagging, propagate, rows, samples
 
+from cosim.cli import main
 from cosim.errors import InputError
 from cosim.loop.setup import mechanism, operator
 from cosim.scene import load_scene
@@ -350,3 +352,53 @@ def test_a_recorded_run_shows_the_mode(tmp_path):
     zero = t[signs] - swing[signs] * (t[signs + 1] - t[signs]) / (swing[signs + 1] - swing[signs])
     half = np.diff(zero)[2:10].mean()
     assert 0.5 / half == pytest.approx(mode.frequency_hz, rel=0.02)
+
+
+# ---- commands
+
+
+BORDERS = {
+    "computer": {
+        "period_s": 0.01, "method": "combined", "analog_stiffness_n_per_m": 50.0,
+        "discrete_stiffness_n_per_m": 100.0,
+    },
+    "device": {"slider": {"viscous_n_m_s": 5e-4}},
+    "effects": {"viscous": True, "motor": "emf", "encoder": True},
+    "solver": {"model": "ideal"},
+}  # fmt: skip
+
+
+def test_the_command(tmp_path, capsys, monkeypatch):
+    """Border, passive stiffness and rule of thumb of a shipped board, against 2 b/T."""
+    monkeypatch.setattr("reports.stability._PERIODS", np.array([0.5, 1.0]))
+    monkeypatch.setattr("reports.stability._POINTS", 20)
+    scene_of(tmp_path, slider(**BORDERS))
+    out = tmp_path / "out"
+    assert main(["stability", str(tmp_path / "scene.toml"), "--json", "-o", str(out)]) == 0
+    case = json.loads(capsys.readouterr().out)["cases"][0]
+    b = (EMF_TRUE + 5e-4) / RADIUS**2
+    assert case["viscosity_n_s_per_m"] == pytest.approx(b, rel=1e-5)
+    assert case["gil_hulin_n_per_m"] == pytest.approx(2.0 * b / 0.01, rel=1e-5)
+    assert case["passive_n_per_m"] == pytest.approx(2.0 * b / 0.01, rel=1e-4)
+    assert case["needed_n_s_per_m"] == pytest.approx(0.5, rel=1e-9)
+    assert case["passive_n_per_m"] < case["border_n_per_m"] < 1.2 * case["passive_n_per_m"]
+    assert case["stable"]
+    assert "the steps of the encoders" in case["left_out"]
+    for ending in ("png", "svg", "csv"):
+        assert (out / f"stability.{ending}").stat().st_size > 100
+    assert main(["stability", str(tmp_path / "scene.toml")]) == 0
+    words = capsys.readouterr().out
+    assert "exact border" in words
+    assert "passive up to" in words
+
+
+def test_the_noise_command(tmp_path, capsys):
+    scene_of(tmp_path, slider(**HELD))
+    file = str(tmp_path / "scene.toml")
+    assert main(["noise", file, "--json", "--set", "effects.pot_noise=white,peak_to_peak"]) == 0
+    white, uniform = json.loads(capsys.readouterr().out)["cases"]
+    assert white["jitter_rms_m"] == pytest.approx(uniform["jitter_rms_m"] * math.sqrt(18.0), rel=1e-9)
+    assert main(["noise", file]) == 0
+    assert "jitter of the tip" in capsys.readouterr().out
+    assert main(["noise", file, "--set", "effects.pot_noise=none"]) == 2
+    assert "no noise" in capsys.readouterr().err

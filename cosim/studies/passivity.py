@@ -42,8 +42,12 @@ _ABOVE = 1e-9
 #: An eigenvalue so close to the unit circle counts as on it.
 _CIRCLE = 1e-7
 #: Aliases that are summed one by one on each side; the others by integrals on panels of an octave.
-_ALIASES = 64
-_PANEL, _PANEL_WEIGHTS = np.polynomial.legendre.leggauss(12)
+_ALIASES = 48
+_OCTAVES = 40
+_PANEL, _PANEL_WEIGHTS = np.polynomial.legendre.leggauss(10)
+_TO_LEGENDRE = np.linalg.inv(np.polynomial.legendre.legvander(_PANEL, len(_PANEL) - 1))
+#: Terms of a sum that turns slowly are taken for so many turns, at most so many of them.
+_TURNS, _MOST_TERMS = 5.0, 1 << 19
 
 
 @dataclass(frozen=True)
@@ -251,7 +255,7 @@ def _aliases(omega: float, period: float) -> tuple[Array, Array]:
     turn = 2.0 * np.pi / period
     n = np.arange(-_ALIASES, _ALIASES + 1)
     # the sum beyond N is the integral from N + 1/2 on, less 1/24 of the slope there (Euler and Maclaurin)
-    edges = np.geomspace(_ALIASES + 0.5, (_ALIASES + 0.5) * 2.0**60, 61)
+    edges = (_ALIASES + 0.5) * 2.0 ** np.arange(_OCTAVES + 1)
     middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * (edges[1:] - edges[:-1])
     far = (middle[:, None] + half[:, None] * _PANEL).ravel()
     weight = (half[:, None] * _PANEL_WEIGHTS).ravel()
@@ -293,32 +297,44 @@ def _used(law: Law, device: Device, theta: float) -> float:
 def _turning(cross: Complex, late: Array, theta: float, share: float) -> complex:
     """Return the sum over all aliases of cross exp(-j late), which turns by 2 pi share from one to the next.
 
-    Beyond the last alias on each side, summation by parts: g + q dg + q^2 d2g ... over 1 - turn.
+    Beyond the aliases one by one, `cross` is smooth and read off its panels for some turns; behind those,
+    summation by parts: g/(1 - turn), and the same of its differences.
     """
     count = 2 * _ALIASES + 1
-    terms = cross[:count] * np.exp(-1j * late[:count])
-    total = complex(np.sum(terms[8:-8]))
-    for side, sign in ((cross[:count][-17:], -1.0), (cross[:count][16::-1], 1.0)):
-        turn = np.exp(1j * sign * 2.0 * np.pi * share)
-        first = np.exp(-1j * theta * share) * turn ** (_ALIASES - 7)
-        values = side[9:]  # smooth part at the aliases from N - 7 on
+    total = complex(np.sum(cross[:count] * np.exp(-1j * late[:count])))
+    away = min(share, 1.0 - share)
+    last = int(min(max(_TURNS / away, 4 * _ALIASES), _MOST_TERMS))
+    panels = cross[count : count + 2 * _OCTAVES * len(_PANEL)].reshape(2, _OCTAVES, len(_PANEL))
+    for side, sign in zip(panels, (1.0, -1.0), strict=True):
+        turn = np.exp(-2j * np.pi * sign * share)
+        n = np.arange(_ALIASES + 1, last + 4)
+        octave = np.floor(np.log2(n / (_ALIASES + 0.5))).astype(int)
+        smooth = np.empty(len(n), complex)
+        for k in range(int(octave[-1]) + 1):
+            low = (_ALIASES + 0.5) * 2.0**k
+            inside = octave == k
+            x = (n[inside] - 1.5 * low) / (0.5 * low)
+            smooth[inside] = np.polynomial.legendre.legval(x, _TO_LEGENDRE @ side[k])
+        values = smooth[-4:]
+        terms = smooth[:-4] * np.exp(-2j * np.pi * sign * share * n[:-4])
         tail, factor = 0.0j, 1.0 / (1.0 - turn)
-        for _ in range(6):
+        for _ in range(3):
             tail += factor * values[0]
             values = np.diff(values)
             factor *= turn / (1.0 - turn)
-        total += first * tail
+        start = np.exp(-2j * np.pi * sign * share * n[-4])
+        total += np.exp(-1j * theta * share) * complex(np.sum(terms) + start * tail)
     return total
 
 
-def share_used(law: Law, device: Device, points: int = 200) -> Certified:
+def share_used(law: Law, device: Device, points: int = 96) -> Certified:
     """Return how much of the device's damping the law uses up: passive below 1.
 
     For a law of stiffness alone it is proportional to it, so stiffness over this share is the largest that is
     passive. The maximum is that of a grid and of a search around its best point.
     """
     grid = np.linspace(0.0, np.pi, points + 1)
-    grid[0] = 0.1 * grid[1]
+    grid[0] = 0.01 * grid[1]
 
     def at(theta: Array) -> Array:
         return np.array([_used(law, device, float(x)) for x in theta])

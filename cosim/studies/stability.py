@@ -22,7 +22,7 @@ from cosim.scene import Scene
 from cosim.studies.lifted import Lifted, lift
 from cosim.studies.linearise import linearise
 
-__all__ = ["Border", "Mode", "Stability", "border", "held", "stability", "with_computer"]
+__all__ = ["Border", "Mode", "Stability", "border", "held", "stability", "touching", "with_computer"]
 
 Array = NDArray[np.float64]
 

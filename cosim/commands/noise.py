@@ -1,0 +1,44 @@
+"""``cosim noise``: rms force and jitter of a held contact under potentiometer noise, without sampling."""
+
+import argparse
+from typing import Any
+
+from cosim.commands.command import Command, load_variants, scene_arguments
+
+
+def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    from cosim.ngspice.child import start_early
+
+    with start_early("cosim.studies.model") as child:
+        from cosim.plan import resolve
+        from cosim.studies.covariance import noise_covariance
+        from cosim.studies.model import circuit_of
+
+        cases, texts = [], []
+        for variant, scene in load_variants(args):
+            plan = resolve(scene, trust=args.trust)
+            circuit, constants = circuit_of(plan, child=child)
+            facts = noise_covariance(scene, constants, circuit).as_dict()
+            cases.append({"set": dict(variant.values), "model": circuit.model, **facts})
+            texts.append(f"{variant.label or scene.title} (circuit model {circuit.model})\n{describe(facts)}")
+    return {"cases": cases}, "\n".join(texts)
+
+
+def describe(facts: dict[str, Any]) -> str:
+    """Return the figures of a `NoiseCovariance` in words."""
+    angles = ", ".join(f"{1e3 * x:.4g}" for x in facts["angle_jitter_rms_rad"])
+    lines = [
+        f"  {facts['kind']} noise of the potentiometers, exact rms over time at rest in contact",
+        f"  force of the motors   {facts['force_noise_rms_n']:10.4g} N along the normal, "
+        f"{facts['force_noise_all_rms_n']:.4g} N in all",
+        f"  force on the operator {facts['operator_force_noise_rms_n']:10.4g} N along the normal",
+        f"  jitter of the tip     {1e3 * facts['jitter_rms_m']:10.4g} mm, "
+        f"{1e3 * facts['penetration_jitter_rms_m']:.4g} mm along the normal",
+        f"  joint angles          {angles} mrad",
+    ]
+    return "\n".join([*lines, *(f"  left out: {note}" for note in facts["notes"])])
+
+
+COMMAND = Command(
+    "noise", "compute rms force and jitter of a held contact exactly, without a run", scene_arguments, _run
+)

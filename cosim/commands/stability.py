@@ -1,0 +1,83 @@
+"""``cosim stability``: how stiff the scene's wall may be, exactly, and by passivity."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.commands.command import Command, load_variants, out_argument, scene_arguments
+
+if TYPE_CHECKING:
+    from cosim.studies.limits import Limits
+
+
+def _arguments(parser: argparse.ArgumentParser) -> None:
+    scene_arguments(parser)
+    out_argument(parser)
+
+
+def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    from cosim.ngspice.child import start_early
+
+    with start_early("cosim.studies.model") as child:
+        from cosim.plan import resolve
+        from cosim.studies.limits import limits
+        from cosim.studies.model import circuit_of
+
+        cases, texts = [], []
+        for variant, scene in load_variants(args):
+            plan = resolve(scene, trust=args.trust)
+            circuit, constants = circuit_of(plan, child=child)
+            found = limits(scene, constants, circuit)
+            cases.append({"set": dict(variant.values), "model": circuit.model, **found.as_dict()})
+            head = variant.label or scene.title
+            texts.append(f"{head} (circuit model {circuit.model})\n{describe(found)}")
+            if args.out:
+                from cosim.commands.run import folder_name
+                from reports.stability import write_stability
+
+                folder = Path(args.out) / folder_name(variant.label) if variant.label else Path(args.out)
+                texts.append(f"wrote {write_stability(found, scene, constants, circuit, folder)}")
+    return {"cases": cases}, "\n".join(texts)
+
+
+def describe(found: "Limits") -> str:
+    """Return the limits in words."""
+    facts = found.as_dict()
+    name = found.key.split("_")[0]
+    lines = []
+    critical = found.stability.critical
+    if critical is not None:
+        verdict = "stable" if found.stability.stable else "UNSTABLE"
+        lines.append(
+            f"  {verdict} at {found.stiffness:.5g} N/m {name}: critical mode grows x {critical.growth:.6f}, "
+            f"{critical.frequency_hz:.4g} Hz, damping ratio {critical.damping:.3g}"
+        )
+    if facts["border_n_per_m"] is not None and found.border.value > 0.0:
+        lines.append(
+            f"  exact border       {found.border.value:10.5g} N/m, at {facts['border_frequency_hz']:.4g} Hz"
+        )
+    elif found.border.value > 0.0:
+        lines.append("  exact border       none up to 1e7 N/m")
+    else:
+        lines.append("  exact border       nothing is stable")
+    if found.passive_n_per_m is not None:
+        lines.append(f"  passive up to      {found.passive_n_per_m:10.5g} N/m")
+    elif found.least_damping_n_m_s < 0.0:
+        lines.append("  passive            never: the analog part alone is active at some frequency")
+    lines.append(f"  Gil and Hulin      {found.gil_hulin_n_per_m:10.5g} N/m (rule of thumb)")
+    lines.append(
+        f"  device's damping   {found.viscosity_n_s_per_m:10.5g} N s/m along the normal"
+        + (
+            f"; the discrete law needs {found.needed_n_s_per_m:.5g} N s/m"
+            if found.needed_n_s_per_m is not None
+            else ""
+        )
+    )
+    if found.stability.free:
+        lines.append(f"  free directions    {found.stability.free} (nothing holds the tip along the wall)")
+    return "\n".join([*lines, *(f"  left out: {note}" for note in found.stability.notes)])
+
+
+COMMAND = Command(
+    "stability", "find how stiff a wall may be: exact border, modes, passivity", _arguments, _run
+)

@@ -1,0 +1,186 @@
+"""How stiff a scene's wall may be: modes, exact border, passivity and a rule of thumb, side by side."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from cosim.circuits.linear import LinearCircuit
+from cosim.circuits.port import DesignConstants
+from cosim.scene import Method, Scene
+from cosim.studies.energy import device_of, law_of
+from cosim.studies.lifted import Lifted
+from cosim.studies.passivity import Device, least_damping, needed_damping, share_used
+from cosim.studies.stability import Border, Stability, border, held, stability, touching, with_computer
+
+__all__ = ["Limits", "limits", "locus"]
+
+Array = NDArray[np.float64]
+
+#: Stiffness that is scanned for the border [N/m].
+RANGE = (1.0, 1e7)
+#: At this rate [rad/s] the device's damping counts as that at rest.
+_SLOW = 1e-2
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of a scene at one pose of its wall, contact held.
+
+    Attributes
+    ----------
+    key
+        Key of ``[computer]`` whose border is looked for: the discrete stiffness, or the analog one where the
+        computer displays none.
+    stiffness
+        Its value in the scene [N/m].
+    stability
+        Modes at this value.
+    border
+        Exact border over it [N/m].
+    viscosity_n_s_per_m
+        Damping that the device shows along the wall's normal at low frequency, held by nobody.
+    least_damping_n_m_s
+        Least damping of its joints over all frequencies; below zero its analog part alone is active.
+    needed_n_s_per_m
+        Colgate and Schenkel: viscosity that the discrete law needs on a plain device (delay in whole
+        periods only); None for a late hold.
+    passive_n_per_m
+        Largest passive discrete stiffness on this device, None without a discrete part.
+    gil_hulin_n_per_m
+        Rule of thumb (b + B)/(T/2 + t_d), for b T/m well below one.
+    """
+
+    key: str
+    stiffness: float
+    stability: Stability
+    border: Border
+    viscosity_n_s_per_m: float
+    least_damping_n_m_s: float
+    needed_n_s_per_m: float | None
+    passive_n_per_m: float | None
+    gil_hulin_n_per_m: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it JSON-ready; what is infinite or missing is None."""
+        modes = [
+            {
+                "re": mode.z.real, "im": mode.z.imag, "growth": mode.growth,
+                "frequency_hz": mode.frequency_hz, "damping": mode.damping,
+            }
+            for mode in self.stability.modes
+        ]  # fmt: skip
+        edge, critical = self.border, self.stability.critical
+        at_edge = edge.stability.critical if edge.stability is not None else None
+        return {
+            "key": f"computer.{self.key}",
+            "stiffness_n_per_m": self.stiffness,
+            "stable": self.stability.stable,
+            "critical_growth": critical.growth if critical else None,
+            "critical_frequency_hz": critical.frequency_hz if critical else None,
+            "free_directions": self.stability.free,
+            "modes": modes,
+            "border_n_per_m": edge.value if math.isfinite(edge.value) else None,
+            "border_frequency_hz": at_edge.frequency_hz if at_edge else None,
+            "stable_from_n_per_m": edge.from_value if math.isfinite(edge.from_value) else None,
+            "viscosity_n_s_per_m": self.viscosity_n_s_per_m,
+            "least_damping_n_m_s": self.least_damping_n_m_s,
+            "needed_n_s_per_m": self.needed_n_s_per_m,
+            "passive_n_per_m": self.passive_n_per_m,
+            "gil_hulin_n_per_m": self.gil_hulin_n_per_m,
+            "left_out": list(self.stability.notes),
+        }
+
+
+def varied(scene: Scene) -> str:
+    """Return the key of the stiffness that limits are about."""
+    analog = scene.computer.method in (Method.CONTINUOUS, Method.JOINT_PD)
+    return "analog_stiffness_n_per_m" if analog else "discrete_stiffness_n_per_m"
+
+
+def limits(
+    scene: Scene, constants: DesignConstants, circuit: LinearCircuit, q: Array | None = None
+) -> Limits:
+    """Return the limits of a scene, contact held at a wall that is just touched.
+
+    Parameters
+    ----------
+    q
+        Pose [rad]; by default that with the tip on the wall's point.
+
+    Raises
+    ------
+    InputError
+        For a scene without a wall, or with a law or an operator in Python.
+    """
+    pose = touching(scene, constants) if q is None else q
+    c, key = scene.computer, varied(scene)
+
+    def at(value: float) -> Lifted:
+        return held(with_computer(scene, **{key: value}), constants, circuit, pose)
+
+    found = border(at, *RANGE, rtol=1e-9)
+    device = device_of(scene, constants, circuit, pose)
+    least, _ = least_damping(device)
+    viscosity = 1.0 / float(device.mobility(np.array([_SLOW]))[0])
+    law = law_of(scene)
+    passive = None
+    if key == "discrete_stiffness_n_per_m" and least > 0.0:
+        passive = _largest_passive(scene, device)
+    continuous = c.method is Method.CONTINUOUS
+    damping = 0.0 if continuous else c.discrete_damping_n_s_per_m
+    late = _delay(scene)
+    return Limits(
+        key=key,
+        stiffness=float(getattr(c, key)),
+        stability=stability(held(scene, constants, circuit, pose)),
+        border=found,
+        viscosity_n_s_per_m=viscosity,
+        least_damping_n_m_s=least,
+        needed_n_s_per_m=None if law.lag_s else needed_damping(law).value,
+        passive_n_per_m=passive,
+        gil_hulin_n_per_m=(viscosity + damping) / (0.5 * c.period_s + late),
+    )
+
+
+def _delay(scene: Scene) -> float:
+    law = law_of(scene)
+    c = scene.computer
+    whole = (c.delay_periods + c.delay_fraction) * c.period_s if scene.effects.delay else 0.0
+    return max(whole, law.lag_s)
+
+
+def _largest_passive(scene: Scene, device: Device) -> float:
+    """Return the largest passive discrete stiffness [N/m], the discrete damping as it is."""
+
+    def used(k: float) -> float:
+        return share_used(law_of(with_computer(scene, discrete_stiffness_n_per_m=k)), device).value
+
+    if scene.computer.discrete_damping_n_s_per_m == 0.0 or scene.computer.method is Method.CONTINUOUS:
+        return 1.0 / used(1.0)
+    if used(1e-6) >= 1.0:
+        return 0.0
+    high = 1.0
+    while used(high) < 1.0:
+        high *= 4.0
+    return float(brentq(lambda k: used(k) - 1.0, 1e-6, high, rtol=1e-6))
+
+
+def locus(
+    scene: Scene, constants: DesignConstants, circuit: LinearCircuit, values: Array, q: Array | None = None
+) -> list[NDArray[np.complex128]]:
+    """Return the eigenvalues above 1e-6 of the map of a period for each stiffness of `values` [N/m]."""
+    pose = touching(scene, constants) if q is None else q
+    key = varied(scene)
+    found = []
+    for value in values:
+        z = np.linalg.eigvals(
+            held(with_computer(scene, **{key: float(value)}), constants, circuit, pose).period()
+        )
+        found.append(z[np.abs(z) > 1e-6].astype(complex))
+    return found

@@ -1,0 +1,150 @@
+"""Stability as a picture: where the eigenvalues go as the wall stiffens, and the limits over the period."""
+
+import csv
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cosim.circuits.linear import LinearCircuit
+from cosim.circuits.port import DesignConstants
+from cosim.scene import Scene
+from cosim.staging import disk_errors
+from cosim.studies.limits import Limits, limits, locus
+from cosim.studies.stability import with_computer
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+#: Points of the locus, and sampling periods of the map as shares of the scene's.
+_POINTS, _PERIODS = 161, np.geomspace(0.2, 5.0, 9)
+
+
+def write_stability(
+    found: Limits, scene: Scene, constants: DesignConstants, circuit: LinearCircuit, folder: Path
+) -> Path:
+    """Write ``stability.png``, ``.svg`` and ``.csv`` (limits over the period); return the PNG.
+
+    Raises
+    ------
+    InputError
+        When the folder cannot be written.
+    """
+    from reports.style import look
+
+    rows = over_period(scene, constants, circuit)
+    with disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / "stability.csv").open("w", encoding="utf-8", newline="") as stream:
+            writer = csv.DictWriter(stream, list(rows[0]))
+            writer.writeheader()
+            writer.writerows(rows)
+        with look():
+            figure = draw(found, scene, constants, circuit, rows)
+            for ending in ("svg", "png"):
+                figure.savefig(folder / f"stability.{ending}")
+    return folder / "stability.png"
+
+
+def over_period(
+    scene: Scene, constants: DesignConstants, circuit: LinearCircuit
+) -> list[dict[str, float | None]]:
+    """Return border, passive and Gil and Hulin's stiffness [N/m] for periods about the scene's [s]."""
+    rows: list[dict[str, float | None]] = []
+    for share in _PERIODS:
+        period = float(share) * scene.computer.period_s
+        each = limits(with_computer(scene, period_s=period), constants, circuit).as_dict()
+        rows.append(
+            {
+                "period_s": period,
+                "border_n_per_m": each["border_n_per_m"],
+                "passive_n_per_m": each["passive_n_per_m"],
+                "gil_hulin_n_per_m": each["gil_hulin_n_per_m"],
+            }
+        )
+    return rows
+
+
+def draw(
+    found: Limits,
+    scene: Scene,
+    constants: DesignConstants,
+    circuit: LinearCircuit,
+    rows: list[dict[str, float | None]],
+) -> "Figure":
+    """Return the figure: root locus beside limits over the sampling period."""
+    from reports.style import figure as new_figure
+
+    drawing, axes = new_figure(4.6, columns=2, gridspec_kw={"width_ratios": (1, 1)})
+    plane, over = axes[0]
+    edge = found.border.value if np.isfinite(found.border.value) and found.border.value > 0.0 else 1e4
+    values = np.geomspace(edge / 30.0, edge * 3.0, _POINTS)
+    _locus(plane, locus(scene, constants, circuit, values), values, edge)
+    if found.border.stability is not None and found.border.stability.critical is not None:
+        at = found.border.stability.critical.z
+        plane.plot([at.real] * 2, [at.imag, -at.imag], "o", color="#B2182B", markersize=5,
+                   label=f"border, {found.border.value:.4g} N/m")  # fmt: skip
+    z = np.array([mode.z for mode in found.stability.modes if abs(mode.z) > 0.05])
+    if len(z):
+        plane.plot(
+            np.concatenate([z.real, z.real]), np.concatenate([z.imag, -z.imag]), "x", color="#222222",
+            label=f"scene, {found.stiffness:.4g} N/m",
+        )  # fmt: skip
+    plane.legend(loc="lower left")
+    _over(over, rows, scene, found)
+    return drawing
+
+
+def _locus(plane: "Axes", roots: list[Any], values: Any, edge: float) -> None:
+    from matplotlib.colors import LogNorm
+
+    circle = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 361))
+    plane.plot(circle.real, circle.imag, color="#8C8C8C", linewidth=1.0)
+    points = np.concatenate(roots)
+    shades = np.concatenate([np.full(len(z), value) for z, value in zip(roots, values, strict=True)])
+    near = np.abs(points) < 1.6
+    drawn = plane.scatter(
+        points.real[near], points.imag[near], c=shades[near], s=7, cmap="cividis", linewidths=0,
+        norm=LogNorm(values[0], values[-1]),
+    )  # fmt: skip
+    # the part of the plane where something happens, and the circle beside it
+    shown = points[near & (np.abs(points) > 0.3)]
+    wide = 1.15 * float(max(np.abs(shown.imag).max(initial=0.0), 0.3))
+    left = float(min(shown.real.min(initial=0.7), 1.15 - 2.0 * wide)) - 0.05
+    plane.set_aspect("equal")
+    plane.set_xlim(left, 1.15)
+    plane.set_ylim(-wide, wide)
+    plane.set_xlabel("real part")
+    plane.set_ylabel("imaginary part")
+    plane.set_title("Eigenvalues of one period")
+    assert plane.figure is not None
+    bar = plane.figure.colorbar(drawn, ax=plane, shrink=0.8)
+    bar.set_label("stiffness [N/m]")
+    bar.ax.axhline(edge, color="#B2182B", linewidth=2)
+
+
+def _over(over: "Axes", rows: list[dict[str, float | None]], scene: Scene, found: Limits) -> None:
+    from matplotlib.ticker import NullFormatter
+
+    from reports.style import JOINTS, LIMIT
+
+    period = [1e3 * float(row["period_s"] or 0.0) for row in rows]
+
+    def column(name: str) -> list[float]:
+        return [np.nan if row[name] is None else float(row[name] or 0.0) for row in rows]
+
+    over.loglog(period, column("border_n_per_m"), "o-", color=LIMIT, label="exact border", markersize=4)
+    over.loglog(period, column("passive_n_per_m"), "s-", color=JOINTS[0], label="passive", markersize=4)
+    over.loglog(period, column("gil_hulin_n_per_m"), "--", color=JOINTS[2], label="Gil and Hulin")
+    if found.stiffness > 0.0:
+        over.plot([1e3 * scene.computer.period_s], [found.stiffness], "x", color="#222222", label="scene")
+    ticks = [m * 10.0**d for d in range(-3, 4) for m in (1, 2, 5)]
+    over.set_xticks([x for x in ticks if period[0] * 0.9 < x < period[-1] * 1.1])
+    over.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
+    over.xaxis.set_minor_formatter(NullFormatter())
+    over.set_xlabel("sampling period [ms]")
+    name = found.key.split("_")[0]
+    over.set_ylabel(f"{name} stiffness [N/m]")
+    over.set_title("How stiff the wall may be")
+    over.legend(loc="lower left")
