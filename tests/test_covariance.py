@@ -43,14 +43,14 @@ HELD = {
     "solver": {"model": "ideal"},
 }  # fmt: skip
 LATE = {
-    "effects": {"delay": True, "dac": True, "dac_settling": True, "dac_skew": True},
+    "effects": {"delay": True, "dac_settling": True, "dac_skew": True},
     "computer": {
         "discrete_damping_n_s_per_m": 0.5, "delay_periods": 1, "delay_fraction": 0.3,
         "dac": {"bits": 32, "settling_s": 1e-3, "skew_s": 5e-4},
     },
 }  # fmt: skip
 SLOW = {
-    "effects": {"delay": True, "dac": True, "dac_settling": True, "dac_skew": True},
+    "effects": {"delay": True, "dac_settling": True, "dac_skew": True},
     "computer": {"delay_fraction": 0.8, "dac": {"bits": 32, "settling_s": 13e-3, "skew_s": 5e-3}},
     "device": {"potentiometer": {"noise_bandwidth_hz": 20.0}},
 }

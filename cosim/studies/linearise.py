@@ -131,17 +131,19 @@ def linearise(
     a[motion, n : 2 * n] -= inverse @ viscous
     b[motion], e[motion] = inverse @ (per_amp * d), inverse @ (per_amp * feed)
     outputs = _outputs(scene, linkage, q, op, a, b, e, per_amp, (c, d, feed), per_amp * current)
-    effects, computer = scene.effects, scene.computer
+    effects = scene.effects
+    computer = scene.computer
+    late = computer.delay_periods + computer.delay_fraction
+    left_out = _left_out(scene, circuit, linkage, q, current, preload=preload)
     cutoff = computer.velocity.filter_hz
-    lag = computer.delay_periods + computer.delay_fraction if effects.delay else 0.0
     return System(
         joints=n, q=np.asarray(q, float), a=a, b=b, e=e, law=law,
         keep=0.0 if cutoff is None else math.exp(-2.0 * math.pi * cutoff * computer.period_s),
         period_s=computer.period_s,
-        lag_s=lag * computer.period_s,
+        lag_s=late * computer.period_s if effects.delay else 0.0,
         settle_s=computer.dac.settling_s if effects.dac_settling else 0.0,
         skew_s=computer.dac.skew_s if effects.dac_skew else 0.0,
-        outputs=outputs, current_a=current, notes=_left_out(scene, circuit, linkage, q, current),
+        outputs=outputs, current_a=current, notes=left_out,
     )  # fmt: skip
 
 
@@ -233,9 +235,17 @@ def _weight_stiffness(linkage: Linkage, q: Array) -> Array:
 
 
 def _left_out(
-    scene: Scene, circuit: LinearCircuit, linkage: Linkage, q: Array, current: Array
+    scene: Scene, circuit: LinearCircuit, linkage: Linkage, q: Array, current: Array, *, preload: bool
 ) -> tuple[str, ...]:
     said = []
+    if scene.effects.geometric_stiffness and preload:
+        said.append("the geometric stiffness that the law adds under load")
+    if scene.effects.pot_linearity or scene.effects.pot_calibration:
+        said.append("errors of the potentiometers that belong to the angle")
+    if scene.effects.component_noise:
+        said.append("noise of the board's components")
+    if scene.effects.period_jitter.value != "none":
+        said.append("jitter of the samples")
     if scene.effects.coulomb:
         said.append("Coulomb friction, which only takes energy")
     if scene.effects.encoder:
