@@ -134,7 +134,7 @@ def linearise(
     effects = scene.effects
     computer = scene.computer
     late = computer.delay_periods + computer.delay_fraction
-    left_out = _left_out(scene, circuit, linkage, q, current, preload=preload)
+    left_out = _left_out(scene, circuit, linkage, q, current)
     cutoff = computer.velocity.filter_hz
     return System(
         joints=n, q=np.asarray(q, float), a=a, b=b, e=e, law=law,
@@ -235,17 +235,9 @@ def _weight_stiffness(linkage: Linkage, q: Array) -> Array:
 
 
 def _left_out(
-    scene: Scene, circuit: LinearCircuit, linkage: Linkage, q: Array, current: Array, *, preload: bool
+    scene: Scene, circuit: LinearCircuit, linkage: Linkage, q: Array, current: Array
 ) -> tuple[str, ...]:
     said = []
-    if scene.effects.geometric_stiffness and preload:
-        said.append("the geometric stiffness that the law adds under load")
-    if scene.effects.pot_linearity or scene.effects.pot_calibration:
-        said.append("errors of the potentiometers that belong to the angle")
-    if scene.effects.component_noise:
-        said.append("noise of the board's components")
-    if scene.effects.period_jitter.value != "none":
-        said.append("jitter of the samples")
     if scene.effects.coulomb:
         said.append("Coulomb friction, which only takes energy")
     if scene.effects.encoder:
