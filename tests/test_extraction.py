@@ -76,7 +76,7 @@ def test_ideal_gains_are_those_of_the_resistors():
     assert circuit.order == 0
 
 
-def test_follower_keeps_its_gain_error(tmp_path):
+def test_hard_case_2_follower_keeps_its_gain_error(tmp_path):
     deck = board(tmp_path, spring="Gx 0 x u1 x 1e6\nRx x 0 1")
     expected = 1e6 / (1e6 + 1)  # 0.999999000001
     assert extract(deck, "ideal").d_pre[0, 1] == pytest.approx(expected, rel=1e-14)
@@ -84,7 +84,7 @@ def test_follower_keeps_its_gain_error(tmp_path):
     assert circuit.before(1e-3j)[0, 0, 1].real == pytest.approx(expected, rel=1e-13)
 
 
-def test_femtofarad_and_teraohm(tmp_path):
+def test_hard_case_3_femtofarad_and_teraohm(tmp_path):
     circuit = extract(board(tmp_path, spring="R1 u1 a 1e12\nC1 a 0 1e-15\nEx x 0 a 0 1"))
     pole = circuit.poles[np.argmin(np.abs(circuit.poles + 1000.0 + 1.0))]
     # gmin is 1e-12 S only at junctions; the resistor's own conductance makes the pole
@@ -105,7 +105,7 @@ def test_op_amp_pole_by_the_textbook(tmp_path):
     assert circuit.before(0j)[0, 0, 1].real == pytest.approx(-10 / (1 + 11 / aol), rel=1e-11)
 
 
-def test_nearly_equal_poles(tmp_path):
+def test_hard_case_4_nearly_equal_poles(tmp_path):
     # two buffered RC sections, time constants 1 and 1/(1 + 1e-8) s: step response of u, t exp(-t) at heart
     stage = "R1 u1 a 1meg\nC1 a 0 1u\nEa b 0 a 0 1\nR2 b c 1meg\nC2 c 0 0.99999999u\nEx x 0 c 0 1"
     circuit = extract(board(tmp_path, spring=stage))
@@ -126,12 +126,14 @@ def test_three_equal_poles(tmp_path):
     assert circuit.order == 3
 
 
-def test_poles_from_a_tenth_to_a_thousand_million(tmp_path):
+def test_hard_case_6_poles_from_a_tenth_to_a_thousand_million(tmp_path):
     rates = [0.1, 1e3, 1e6, 1e9]
     sections = "".join(f"R{k} u1 a{k} 1k\nC{k} a{k} 0 {1e-3 / rate!r}\n" for k, rate in enumerate(rates))
     circuit = extract(board(tmp_path, spring=sections + "Bx x 0 V=v(a0)+v(a1)+v(a2)+v(a3)-v(pot1)"))
     # 1e3 is the damper's as well: another input, another state
     assert np.sort(-circuit.poles.real) == pytest.approx([0.1, 1e3, 1e3, 1e6, 1e9], rel=1e-9)
+    # fast poles come split off: each in a block of its own, so no exponential ever mixes 1e9 with 0.1
+    assert np.count_nonzero(circuit.a_pre) == len(circuit.a_pre)
 
 
 def test_feedthrough_and_zero_in_the_right_half_plane(tmp_path):
@@ -395,3 +397,18 @@ def test_joints_that_reach_each_other(tmp_path, joined):
         assert differences(deck, circuit, volts).max() < STATED
     cross = np.abs(circuit.response(2000j, np.full(8, 1e-9) + 10.0 * np.eye(8)[0])[0, 1, 0])
     assert (cross > 1e-4) == (joined == "Rj o1 o2 3k")
+
+
+@pytest.mark.parametrize(
+    ("stage", "words"),
+    [
+        ("C1 u1 x 1u", r"floating node: xboard\.x has no DC path to ground"),
+        ("I1 0 q 1m\nCq q 0 1u\nEx x 0 q 0 1", r"floating node: xboard\.q has no DC path"),
+        ("V1 u1 0 1\nEx x 0 u1 pot1 1", r"loop of voltage sources or inductors through v\.xboard\.v1"),
+        ("L1 u1 0 1m\nEx x 0 u1 pot1 1", r"loop of voltage sources or inductors through l\.xboard\.l1"),
+    ],
+)
+@pytest.mark.parametrize("model", ["ideal", "linear"])
+def test_hard_case_41_no_operating_point_names_the_node(tmp_path, stage, words, model):
+    with pytest.raises(InputError, match=words):
+        extract(board(tmp_path, spring=stage), model)
