@@ -16,8 +16,13 @@ from cosim.run import run
 from cosim.studies.auto import choose
 from cosim.studies.candidates import Candidates
 
-#: The scenes, with what each of them decides itself: how the arm lies, whether its potentiometer is noisy.
-SCENES: Mapping[str, str] = {"press": "gravity=false", "drop": 'pot_noise="none"', "slope": "gravity=false"}
+#: The scenes, with what each of them decides itself: how the arm lies, who holds it, whether its
+#: potentiometer is noisy.
+SCENES: Mapping[str, str] = {
+    "press": "gravity=false, operator_dynamics=true",
+    "drop": 'pot_noise="none", operator_dynamics=true',
+    "slope": "gravity=false, operator_dynamics=true",
+}
 TOLERANCE = ("tolerance.peak_force=0.02", "tolerance.max_penetration=0.02")
 
 
