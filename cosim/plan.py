@@ -120,7 +120,7 @@ class Plan:
             "external_sources": self.circuit.sources(),
             "effects": effects.in_force(self.scene, self.stated()),
             "left_out": effects.left_out(self.scene, self.stated()),
-            "mechanical_states": 2 * self.scene.joints,
+            "mechanical_states": 2 * self.scene.joints * (2 if self.scene.effects.shaft else 1),
             "circuit_states": self.circuit_states(),
             "predicted": self.cost(),
             **({"choice": self.choice} if self.choice else {}),
@@ -146,7 +146,7 @@ def _recorded(scene: Scene) -> tuple[str, ...]:
         return ()
     from cosim.loop.setup import columns  # brings compiled code along, which a plan has no other need of
 
-    known = columns(drive(scene), ())
+    known = columns(drive(scene), (), shafts=scene.effects.shaft)
     return tuple(node for node in nodes if node not in known)
 
 

@@ -95,7 +95,7 @@ class Chain(Linkage):
         # Stretched out, every centre of mass moves along one line, so that masses that leave a motion
         # free of inertia do so here.
         total = np.tril(np.ones((self.n, self.n)))
-        stretched = total.T @ self._masses()[0] @ total + np.diag(self.armature_kg_m2)
+        stretched = total.T @ self._masses()[0] @ total + np.diag(self._fixed_kg_m2)
         values = np.linalg.eigvalsh(stretched)
         if not values[0] > 1e-13 * values[-1]:
             allowed = "such that every joint moves some mass, inertia or rotor"

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from mech.contact import operator_force, pushed, stop_torque
 from mech.kinematics import inverse, jacobian, tip, tip_velocity
 from mech.records import OperatorKind
+from mech.shaft import shaft_torque
 
 __all__ = [
     "bias",
@@ -218,6 +219,9 @@ def dynamics(
 ) -> None:
     """Joint acceleration a = M^-1 (tau - h + friction + stops + J^T F_op).
 
+    With shafts q, v and a_out are [joints, motors] (`mech.shaft`): the shafts' torque stands for tau in the
+    joints' equation, and each motor has its own, a = (tau - shaft) / rotor.
+
     M holds rotors and the operator's mass, h Coriolis and gravity. Friction is -viscous v -
     coulomb tanh(v / coulomb_speed): a smooth step, so a joint held by Coulomb friction creeps at
     coulomb_speed * atanh(torque / coulomb). With `coriolis` off the operator's mass, too, is taken at
@@ -255,6 +259,11 @@ def dynamics(
         a_out[i] = tau[i] - w.bias[i]
     w.rdot[0] = x
     w.rdot[1] = y
+    if p.shaft_on:
+        shaft_torque(p, q, v, w)
+        for i in range(n):
+            a_out[i] = w.tau_shaft[i] - w.bias[i]
+            a_out[n + i] = (tau[i] - w.tau_shaft[i]) / p.rotor[i]
     if p.viscous_on:
         for i in range(n):
             w.tau_visc[i] = -p.viscous[i] * v[i]
@@ -305,22 +314,29 @@ def dynamics(
 def flow(p: Record, op: Record, t: float, y: Vector, tau: Vector, rate_out: Vector, w: Record) -> None:
     """Rate of the state and of the energy ledger, for an integrator that owns time.
 
-    `y` holds q [rad], v [rad/s] and five works [J]: motors, operator (without weight and inertia of its
-    mass), viscous friction, Coulomb friction, end stops; shape (2 n + 5,), as `rate_out`.
+    `y` holds q [rad], v [rad/s] and six works [J]: motors, operator (without weight and inertia of its
+    mass), viscous friction, Coulomb friction, end stops, shafts; shape (2 m + 6,), as `rate_out`, with m
+    coordinates: n joints, and n motors where there are shafts.
     """
     n = p.n
-    q = y[:n]
-    v = y[n : 2 * n]
-    dynamics(p, op, t, q, v, tau, rate_out[n : 2 * n], w)
-    power = rate_out[2 * n :]
+    motor = n if p.shaft_on else 0
+    m = n + motor
+    q = y[:m]
+    v = y[m : 2 * m]
+    dynamics(p, op, t, q, v, tau, rate_out[m : 2 * m], w)
+    power = rate_out[2 * m :]
     power[0] = 0.0
     power[1] = w.f_drive[0] * w.rdot[0] + w.f_drive[1] * w.rdot[1]
     power[2] = 0.0
     power[3] = 0.0
     power[4] = 0.0
-    for i in range(n):
+    power[5] = 0.0
+    for i in range(m):
         rate_out[i] = v[i]
-        power[0] += tau[i] * v[i]
+    for i in range(n):
+        power[0] += tau[i] * v[motor + i]
+        if p.shaft_on:
+            power[5] -= w.tau_loss[i] * (v[n + i] - v[i])
         power[2] += w.tau_visc[i] * v[i]
         power[3] += w.tau_coul[i] * v[i]
         power[4] += w.tau_stop[i] * v[i]
@@ -328,7 +344,10 @@ def flow(p: Record, op: Record, t: float, y: Vector, tau: Vector, rate_out: Vect
 
 @njit(cache=True, error_model="numpy")
 def mass_matrix(p: Record, op: Record, q: Vector, w: Record) -> None:
-    """Leave the joint-space mass matrix [kg m^2], rotors and operator's mass included, in ``w.mass``."""
+    """Leave the joint-space mass matrix [kg m^2], operator's mass included, in ``w.mass``.
+
+    Rotors are part of it unless a shaft lies between them and the joint.
+    """
     _pose(p, q, w)
     _inertia(p, op.mass, w)
 
@@ -346,7 +365,7 @@ def bias(p: Record, op: Record, q: Vector, v: Vector, w: Record) -> None:
 
 @njit(cache=True, error_model="numpy")
 def energy(p: Record, op: Record, q: Vector, v: Vector) -> tuple[float, float]:
-    """Kinetic and gravity energy [J], rotors and operator's mass included.
+    """Kinetic and gravity energy [J], rotors and operator's mass included; not what shafts hold.
 
     Their sum changes by the work of tau, w.f_drive and w.tau_*. For the device alone pass a
     `NoOperator` record; the operator's work is then that of w.f_op. The weight of the operator's mass
@@ -354,14 +373,18 @@ def energy(p: Record, op: Record, q: Vector, v: Vector) -> tuple[float, float]:
     """
     tip_mass = op.mass
     heavy_mass = op.mass * op.falls
+    rotors = 0.0
+    if p.shaft_on:
+        for i in range(p.n):
+            rotors += 0.5 * p.rotor[i] * v[p.n + i] * v[p.n + i]
     if p.slider:
         r = p.length[0]
         inertia = p.couple[0, 0] + tip_mass * r * r + p.armature[0]
         along = p.gravity[0] * p.direction[0] + p.gravity[1] * p.direction[1]
         lift = -(p.moment[0] + heavy_mass * r) * q[0] * along
         lift -= heavy_mass * (p.gravity[0] * p.origin[0] + p.gravity[1] * p.origin[1])
-        return 0.5 * inertia * v[0] * v[0], lift
-    kinetic = 0.0
+        return 0.5 * inertia * v[0] * v[0] + rotors, lift
+    kinetic = rotors
     potential = -heavy_mass * (p.gravity[0] * p.origin[0] + p.gravity[1] * p.origin[1])
     phi = 0.0
     rate = 0.0

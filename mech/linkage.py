@@ -58,6 +58,11 @@ class Linkage(ABC):
         instants. None: the stop gives, as above.
     gravity_m_per_s2
         Vector, zero when gravity is off.
+    shaft_stiffness_n_m_per_rad, shaft_damping_n_m_s
+        Of the shafts between motors and joints, at the joint; None: rigid. With shafts angles and speeds are
+        those of the joints, then those of the motors (at the joint: motor turns over gear).
+    backlash_rad
+        Full width of the gears' gaps, at the joint.
     """
 
     origin_m: Sequence[float] = (0.0, 0.0)
@@ -71,6 +76,9 @@ class Linkage(ABC):
     stop_damping_n_m_s: float = 10.0
     stop_restitution: float | None = None
     gravity_m_per_s2: Sequence[float] = (0.0, 0.0)
+    shaft_stiffness_n_m_per_rad: PerJoint | None = None
+    shaft_damping_n_m_s: PerJoint = 0.0
+    backlash_rad: PerJoint = 0.0
     n: int = field(init=False, repr=False)
 
     @abstractmethod
@@ -142,7 +150,10 @@ class Linkage(ABC):
         return q
 
     def mass_matrix(self, q: ArrayLike, operator: Operator | None = None) -> Array:
-        """Return the joint-space mass matrix [kg m^2], shape (n, n), rotors and operator's mass included."""
+        """Return the joint-space mass matrix [kg m^2], shape (n, n), operator's mass included.
+
+        Rotors are part of it unless a shaft lies between them and the joint.
+        """
         work = new_work()
         _kernels().mass_matrix(self._packed[0], _held(operator)[0], vector("q", q, self.n), work[0])
         return np.array(work["mass"][0, : self.n, : self.n])
@@ -160,21 +171,21 @@ class Linkage(ABC):
     def acceleration(
         self, q: ArrayLike, v: ArrayLike, tau: ArrayLike, operator: Operator | None = None, t: float = 0.0
     ) -> Array:
-        """Return the joint acceleration [rad/s^2], shape (n,), under motor torques `tau` [N m]."""
+        """Return the acceleration [rad/s^2] of each coordinate under motor torques `tau` [N m], shape (n,)."""
         work = new_work()
-        a = np.empty(self.n)
-        angles, speeds, torques = (vector(s, x, self.n) for s, x in (("q", q), ("v", v), ("tau", tau)))
+        a = np.empty(self.coordinates)
+        angles, speeds = (vector(s, x, self.coordinates) for s, x in (("q", q), ("v", v)))
+        torques = vector("tau", tau, self.n)
         _kernels().dynamics(self._packed[0], _held(operator)[0], t, angles, speeds, torques, a, work[0])
         if operator is not None:
             operator.raise_pending()
         return a
 
     def energy(self, q: ArrayLike, v: ArrayLike, operator: Operator | None = None) -> tuple[float, float]:
-        """Return kinetic and gravity energy [J], rotors and operator's mass included."""
+        """Return kinetic and gravity energy [J], rotors and operator's mass included, shafts' not."""
         held = _held(operator)[0]
-        kinetic, lift = _kernels().energy(
-            self._packed[0], held, vector("q", q, self.n), vector("v", v, self.n)
-        )
+        angles, speeds = (vector(s, x, self.coordinates) for s, x in (("q", q), ("v", v)))
+        kinetic, lift = _kernels().energy(self._packed[0], held, angles, speeds)
         return float(kinetic), float(lift)
 
     def joint_stiffness(self, q: ArrayLike, stiffness_n_per_m: ArrayLike) -> Array:
@@ -226,11 +237,21 @@ class Linkage(ABC):
         """Say in words which fingertip positions there are."""
 
     @property
+    def coordinates(self) -> int:
+        """Number of angles: n, or 2 n where shafts lie between motors and joints."""
+        return self.n if self.shaft_stiffness_n_m_per_rad is None else 2 * self.n
+
+    @property
     def armature_kg_m2(self) -> Array:
         """Rotor inertia seen at the joints, gear^2 times that of the rotor, shape (n,)."""
         gear = np.asarray(self.gear, dtype=float)
         armature: Array = gear**2 * np.asarray(self.rotor_inertia_kg_m2, dtype=float)
         return armature
+
+    @property
+    def _fixed_kg_m2(self) -> Array:
+        """Rotor inertia that moves with the joints, shape (n,)."""
+        return self.armature_kg_m2 if self.shaft_stiffness_n_m_per_rad is None else np.zeros(self.n)
 
     def _store(self, **fields: object) -> None:
         """Set fields from within ``__post_init__``."""
@@ -258,6 +279,24 @@ class Linkage(ABC):
                 check.refuse("stop_restitution", self.stop_restitution, "<= 1")
         if self.stops_rad is not None:
             self._store(stops_rad=_stops(check, self.stops_rad, n))
+        self._check_shafts(check, n)
+
+    def _check_shafts(self, check: Checker, n: int) -> None:
+        for name, value in (
+            ("shaft_damping_n_m_s", self.shaft_damping_n_m_s),
+            ("backlash_rad", self.backlash_rad),
+        ):
+            self._store(**{name: check.numbers(name, value, n, least=0.0)})
+        name, stiffness = "shaft_stiffness_n_m_per_rad", self.shaft_stiffness_n_m_per_rad
+        if stiffness is None:
+            if any(self.backlash_rad):  # type: ignore[arg-type]
+                check.refuse("backlash_rad", self.backlash_rad, f"0 without {name}: a tooth has a stiffness")
+            return
+        self._store(**{name: check.numbers(name, stiffness, n, above=0.0)})
+        if 2 * n > NMAX:
+            check.refuse(name, stiffness, f"None for more than {NMAX // 2} joints")
+        if not all(rotor > 0.0 for rotor in self.rotor_inertia_kg_m2):  # type: ignore[union-attr]
+            check.refuse("rotor_inertia_kg_m2", self.rotor_inertia_kg_m2, "> 0 where a shaft turns with it")
 
     def _pack(self) -> np.ndarray[Any, Any]:
         """Return a `LINKAGE` array with the fields declared here."""
@@ -268,7 +307,7 @@ class Linkage(ABC):
         p["origin"] = self.origin_m
         p["gravity"] = self.gravity_m_per_s2
         p["heavy"] = bool(np.any(p["gravity"]))
-        p["armature"][:n] = self.armature_kg_m2
+        p["armature"][:n] = self._fixed_kg_m2
         p["viscous"][:n] = self.viscous_n_m_s
         p["viscous_on"] = bool(np.any(p["viscous"]))
         p["coulomb"][:n] = self.coulomb_n_m
@@ -283,6 +322,13 @@ class Linkage(ABC):
         p["stop_damping"] = self.stop_damping_n_m_s
         if self.stop_restitution is not None:
             p["rigid"], p["restitution"] = 1, self.stop_restitution
+        if self.shaft_stiffness_n_m_per_rad is not None:
+            p["shaft_on"] = 1
+            p["rotor"][:n] = self.armature_kg_m2
+            p["shaft_stiffness"][:n] = self.shaft_stiffness_n_m_per_rad
+            p["shaft_damping"][:n] = self.shaft_damping_n_m_s
+            p["half_gap"][:n] = 0.5 * np.asarray(self.backlash_rad)
+            p["backlash_on"] = bool(np.any(p["half_gap"]))
         return record
 
 

@@ -17,7 +17,7 @@ __all__ = ["WORKS", "Motion", "free_motion"]
 
 Array = NDArray[np.float64]
 
-WORKS = ("motors", "operator", "viscous", "coulomb", "stops")
+WORKS = ("motors", "operator", "viscous", "coulomb", "stops", "shafts")
 """Columns of `Motion.works`."""
 
 
@@ -30,12 +30,12 @@ class Motion:
     time
         [s], shape (k,).
     q, v
-        Joint angles [rad] and speeds [rad/s], shape (k, n).
+        Joint angles [rad] and speeds [rad/s], shape (k, coordinates).
     works
-        Work done on the mechanism since the start [J], shape (k, 5), columns `WORKS`. That of the
+        Work done on the mechanism since the start [J], shape (k, 6), columns `WORKS`. That of the
         operator is without weight and inertia of its mass, which `energy` counts.
     energy
-        Kinetic plus gravity energy [J], operator's mass included, shape (k,).
+        Kinetic, gravity and shafts' energy [J], operator's mass included, shape (k,).
     evaluations
         Of the equations of motion.
     """
@@ -80,7 +80,7 @@ def free_motion(
     linkage, operator
         Mechanism, and who holds it.
     q, v
-        Joint angles [rad] and speeds [rad/s] at t = 0, shape (n,).
+        Angles [rad] and speeds [rad/s] at t = 0, one a coordinate of the linkage.
     duration_s
         [s]
     tau
@@ -100,14 +100,17 @@ def free_motion(
     from scipy.integrate import OdeSolution, solve_ivp
 
     from mech import kernels
+    from mech.shaft import windup_energy
 
     check = Checker()
     check.number("duration_s", duration_s, above=0.0)
+    if any(linkage.backlash_rad):  # type: ignore[arg-type]
+        check.refuse("backlash_rad", linkage.backlash_rad, "0: flanks are kept by a time loop only")
     check.done()
-    n = linkage.n
+    n = linkage.coordinates
     held = operator or NoOperator()
     p, op, work = linkage.pack()[0], held.pack()[0], new_work()[0]
-    torques = np.zeros(n) if tau is None else vector("tau", tau, n)
+    torques = np.zeros(linkage.n) if tau is None else vector("tau", tau, linkage.n)
     state = np.concatenate([vector("q", q, n), vector("v", v, n), np.zeros(len(WORKS))])
     tolerance = np.concatenate([np.full(2 * n, atol), np.full(len(WORKS), 1e-3 * atol)])
 
@@ -142,6 +145,11 @@ def free_motion(
         evaluations += part.nfev
     time, history = np.concatenate(times), np.concatenate(states, axis=1).T
     angles, speeds = history[:, :n].copy(), history[:, n : 2 * n].copy()
-    energy = np.array([sum(kernels.energy(p, op, a, b)) for a, b in zip(angles, speeds, strict=True)])
+    energy = np.array(
+        [
+            sum(kernels.energy(p, op, a, b)) + windup_energy(p, a, work)
+            for a, b in zip(angles, speeds, strict=True)
+        ]
+    )
     dense = OdeSolution(time, pieces)
     return Motion(time, angles, speeds, history[:, 2 * n :], energy, evaluations, dense)

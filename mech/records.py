@@ -11,7 +11,7 @@ import numpy as np
 __all__ = ["KNOTS", "LINKAGE", "NMAX", "OPERATOR", "WORK", "OperatorKind", "Touch", "new_work"]
 
 NMAX = 6
-"""Most joints of a chain."""
+"""Most coordinates: joints of a chain, or joints and motors where shafts lie between them."""
 
 KNOTS = 256
 """Most rows of an operator's waypoint table, and of its force table."""
@@ -53,6 +53,8 @@ LINKAGE = np.dtype(
         ("viscous_on", np.int64),
         ("coulomb_on", np.int64),
         ("stops_on", np.int64),
+        ("shaft_on", np.int64),
+        ("backlash_on", np.int64),
         ("origin", np.float64, (2,)),  # m
         ("direction", np.float64, (2,)),  # unit vector, slider only
         ("gravity", np.float64, (2,)),  # m/s^2, zero when off
@@ -70,6 +72,11 @@ LINKAGE = np.dtype(
         # Stops that do not give: speed after an impact over speed before; stiffness and damping are unused.
         ("rigid", np.int64),
         ("restitution", np.float64),
+        # Motors behind shafts: coordinates n to 2 n; their inertia is then here and not in `armature`.
+        ("rotor", np.float64, (NMAX,)),  # kg m^2 at the joint
+        ("shaft_stiffness", np.float64, (NMAX,)),  # N m/rad
+        ("shaft_damping", np.float64, (NMAX,)),  # N m s/rad
+        ("half_gap", np.float64, (NMAX,)),  # rad
     ],
     align=True,
 )
@@ -101,6 +108,15 @@ WORK = np.dtype(
         ("tau_visc", np.float64, (NMAX,)),  # N m, on the joint: opposes motion
         ("tau_coul", np.float64, (NMAX,)),  # N m, on the joint
         ("tau_stop", np.float64, (NMAX,)),  # N m, on the joint
+        ("tau_shaft", np.float64, (NMAX,)),  # N m, motor on joint
+        ("tau_loss", np.float64, (NMAX,)),  # N m, the part of it that stores no energy
+        (
+            "latched",
+            np.int64,
+        ),  # 1: the caller keeps the gears' flanks; 0: found at every state (`mech.shaft`)
+        ("tooth", np.int64, (NMAX,)),  # flank that carries, -1, 0 or +1
+        ("slack", np.float64, (NMAX,)),  # rad, twist of the shaft when its flank was left
+        ("left", np.float64, (NMAX,)),  # s, then
         ("mass", np.float64, (NMAX, NMAX)),  # kg m^2, joint space, with rotors and operator's mass
         ("bias", np.float64, (NMAX,)),  # N m, Coriolis and gravity of the device, without operator's weight
         ("cos", np.float64, (NMAX,)),

@@ -51,8 +51,9 @@ class Slider(Linkage):
         self._store(direction=tuple(x / size for x in direction))
         self._check(check, 1)
         check.done()
-        if not self.mass_kg * self.radius_m**2 + self.armature_kg_m2[0] > 0.0:
-            raise ParameterError([Refusal("mass_kg", self.mass_kg, "> 0, unless the rotor has inertia")])
+        if not self.mass_kg * self.radius_m**2 + self._fixed_kg_m2[0] > 0.0:
+            allowed = "> 0, unless a rotor with inertia is fixed to the drum"
+            raise ParameterError([Refusal("mass_kg", self.mass_kg, allowed)])
 
     @property
     def reach_m(self) -> tuple[float, float]:

@@ -17,7 +17,7 @@ def moved(acceleration, h):
 
 def at(acceleration, history):
     s = np.zeros(1, STATE)[0]
-    s["n"], s["history"], s["h_old"] = 1, history, OLD
+    s["coordinates"], s["history"], s["h_old"] = 1, history, OLD
     s["q"][0], s["v"][0] = Q0, V0
     s["a"][0], s["a_old"][0] = acceleration(0.0), acceleration(-OLD)
     return s

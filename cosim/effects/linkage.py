@@ -97,6 +97,49 @@ def _lacks_hand(scene: Scene) -> str:
     return "" if isinstance(scene.operator, HandOperator) else "nobody's hand holds the tip"
 
 
+def _shaft(scene: Scene, constants: Stated) -> Size:
+    at, table = scale(scene, constants), _table(scene)
+    stiffness = _least(table.shaft_stiffness_n_m_per_rad)
+    soft = stiffness / at.reach_m**2
+    # the wall's spring and the shaft's one after the other: k/(1 + k/k_s)
+    less = at.force_n * at.stiffness_n_per_m / (at.stiffness_n_per_m + soft) if soft > 0.0 else at.force_n
+    return Size(stiffness, "N m/rad", less, "of wind-up at the joint", "F k / (k + k_s / r^2)")
+
+
+def _shaft_cost(scene: Scene, constants: Stated) -> Cost:
+    table = _table(scene)
+    rotor = _least(table.rotor_inertia_kg_m2) * constants.gear**2
+    stiffness = _largest(table.shaft_stiffness_n_m_per_rad)
+    # of the rotor alone: the links, heavier, add little
+    rate = math.sqrt(stiffness / rotor) if rotor > 0.0 else 0.0
+    return Cost(5.0 * rate, 0, "steps of a fifth of the shaft's period over 2 pi; two coordinates a joint")
+
+
+def _lacks_shaft(scene: Scene) -> str:
+    if _least(_table(scene).shaft_stiffness_n_m_per_rad) <= 0.0:
+        return "shaft_stiffness_n_m_per_rad is not stated"
+    return "" if _least(_table(scene).rotor_inertia_kg_m2) > 0.0 else "rotor_inertia_kg_m2 is zero"
+
+
+def _backlash(scene: Scene, constants: Stated) -> Size:
+    at = scale(scene, constants)
+    gap = _largest(_table(scene).backlash_rad)
+    force = at.capped(at.stiffness_n_per_m * gap * at.reach_m)
+    return Size(gap, "rad", force, "between the flanks", "k r gap")
+
+
+def _backlash_cost(scene: Scene, constants: Stated) -> Cost:
+    return Cost(30.0 / scene.computer.period_s, 0, "short steps at each contact of teeth, about one a sample")
+
+
+def _lacks_backlash(scene: Scene) -> str:
+    return "" if _largest(_table(scene).backlash_rad) > 0.0 else "backlash_rad is zero"
+
+
+def _least(values: float | tuple[float, ...]) -> float:
+    return min(values) if isinstance(values, tuple) else values
+
+
 #: In the order in which a plan lists them.
 LINKAGE = (
     Effect("gravity", False, (True,), "linkage", ALL, size=_gravity),
@@ -108,6 +151,14 @@ LINKAGE = (
     ),
     Effect("rotor_inertia", False, (True,), "linkage", ALL, size=_rotor, lacks=_lacks_rotor),
     Effect("end_stops", False, (True,), "linkage", ALL, size=_stops, lacks=_lacks_stops),
+    Effect(
+        "shaft", False, (True,), "linkage", ALL,
+        size=_shaft, cost=_shaft_cost, lacks=_lacks_shaft, requires=("rotor_inertia",),
+    ),
+    Effect(
+        "backlash", False, (True,), "linkage", ALL,
+        size=_backlash, cost=_backlash_cost, lacks=_lacks_backlash, requires=("shaft",),
+    ),
     Effect(
         "operator_dynamics", False, (True,), "operator", ALL, size=_person, lacks=_lacks_hand, design=True
     ),

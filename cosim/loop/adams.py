@@ -26,7 +26,7 @@ Vector = Any
 @njit(cache=True, error_model="numpy", inline="always")
 def predict(s: Record, h: float, q_out: Vector, v_out: Vector) -> None:
     """Angles and speeds [rad, rad/s] a time `h` after the last accepted point."""
-    for j in range(s.n):
+    for j in range(s.coordinates):
         slope = (s.a[j] - s.a_old[j]) / s.h_old if s.history > 1 else 0.0
         q_out[j] = s.q[j] + h * (s.v[j] + h * (s.a[j] / 2 + h * slope / 6))
         v_out[j] = s.v[j] + h * (s.a[j] + h * slope / 2)
@@ -40,7 +40,7 @@ def correct(s: Record, h: float, a_new: Vector) -> float:
     """
     defect = 0.0
     first = s.history == 0
-    for j in range(s.n):
+    for j in range(s.coordinates):
         if first:
             q = s.q[j] + h * (s.v[j] + h * a_new[j] / 2)
             v = s.v[j] + h * a_new[j]

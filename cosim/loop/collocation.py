@@ -69,7 +69,7 @@ class Bench(NamedTuple):
     a, new : [3, NMAX] accelerations at the nodes of the step on trial, before and after a sweep
     a_new : [NMAX] scratch; error : [5] noise at both ends and the nodes
     last : [3, NMAX] coefficients of the accelerations' parabola of the accepted step
-    work : [5] J by worker, of the step on trial; total : accepted
+    work : [6] J by worker, of the step on trial; total : accepted
     scale : [0] h of the accepted step
     holds : [4, NMAX] torques that hold joints at rest, at the nodes and the end of the step on trial
     hit : [NMAX] -1, 0, +1: the joint that hits a stop which does not give
@@ -106,7 +106,7 @@ def bench(k: Plan, states: Array) -> Bench:
         gains=np.zeros(len(k.gain)), nodes=np.zeros(3 * n), matrix=np.zeros((3 * n, k.moving)),
         moved=np.zeros(k.moving), a=np.zeros((3, NMAX)), new=np.zeros((3, NMAX)), a_new=np.zeros(NMAX),
         error=np.zeros(5), last=np.zeros((3, NMAX)),
-        work=np.zeros(5), total=np.zeros(5), scale=np.zeros(1), holds=np.zeros((4, NMAX)),
+        work=np.zeros(6), total=np.zeros(6), scale=np.zeros(1), holds=np.zeros((4, NMAX)),
         hit=np.zeros(NMAX, np.int64), clamp=np.zeros(n), current=np.zeros(n),
     )  # fmt: skip
 
@@ -137,7 +137,7 @@ def _fixed(s: Record, k: Any, b: Bench, t: float, h: float) -> None:
             f[at + DAC * j + 1] += component(s, t + h, s.component_inputs + j) - now
     at += DAC * n
     for j in range(n):
-        f[at + SPEED * j] = s.gear * s.v[j]
+        f[at + SPEED * j] = s.gear * s.v[s.motor + j]
     if s.component != 0:
         at += SPEED * n
         for i in range(s.component_inputs):
@@ -158,7 +158,7 @@ def _bend(s: Record, k: Any, b: Bench, t: float, h: float) -> None:
             c0 += COEFFICIENTS[0, i] * a / 2
             c1 += COEFFICIENTS[1, i] * a / 6
             c2 += COEFFICIENTS[2, i] * a / 12
-        at = 3 * s.n + ANGLE * j
+        at = 3 * s.coordinates + ANGLE * j
         b.moved[at] = s.q[j] + grid_noise(s, t, j)
         b.moved[at + 1] = h * s.v[j] + grid_noise(s, t + h, j) - grid_noise(s, t, j)
         b.moved[at + 2], b.moved[at + 3], b.moved[at + 4] = c0, c1, c2
@@ -172,7 +172,7 @@ def _bend(s: Record, k: Any, b: Bench, t: float, h: float) -> None:
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _move(s: Record, k: Any, b: Bench, t: float, h: float) -> None:
     """Hand over what has changed since the last sweep."""
-    for j in range(s.n):
+    for j in range(s.coordinates):
         for i in range(3):
             b.moved[3 * j + i] = b.a[i, j]
     if k.bent:
@@ -185,7 +185,7 @@ def guess(s: Record, b: Bench, h: float) -> None:
 
     Of no use it is behind a jump, and far beyond the step that it was made for.
     """
-    for j in range(s.n):
+    for j in range(s.coordinates):
         for i in range(3):
             if s.history == 0 or h > _REACH * b.scale[0]:
                 b.a[i, j] = s.a[j]
@@ -204,7 +204,7 @@ def attempt(s: Record, k: Any, b: Bench, slot: int, t: float, h: float, tol: flo
     weighted. Leaves the accelerations at the nodes in `b.a`, currents and circuit states in `b.results`, work
     in `b.work`, and the state at the end in `s.q_trial`, `s.v_trial`, `s.a_trial`.
     """
-    n = s.n
+    n, m, motor = s.n, s.coordinates, s.motor
     _fixed(s, k, b, t, h)
     for i in range(3 * n):
         b.nodes[i] = k.offset[i // 3]
@@ -221,31 +221,34 @@ def attempt(s: Record, k: Any, b: Bench, slot: int, t: float, h: float, tol: flo
             for column in range(k.moving):
                 total += b.matrix[i, column] * b.moved[column]
             b.results[i] = total
-        for i in range(5):
+        for i in range(6):
             b.work[i] = 0.0
         for i in range(3):
-            for j in range(n):
+            for j in range(m):
                 once = twice = 0.0
-                for m in range(3):
-                    once += _ONCE[i, m] * b.a[m, j]
-                    twice += _TWICE[i, m] * b.a[m, j]
+                for node in range(3):
+                    once += _ONCE[i, node] * b.a[node, j]
+                    twice += _TWICE[i, node] * b.a[node, j]
                 s.q_trial[j] = s.q[j] + h * (NODES[i] * s.v[j] + h * twice)
                 s.v_trial[j] = s.v[j] + h * once
+            for j in range(n):
                 s.tau[j] = s.torque_per_amp * clamped(k, b, j, b.results[3 * j + i])
             dynamics(s.p, s.op, t + NODES[i] * h, s.q_trial, s.v_trial, s.tau, b.new[i], s.w)
             part = WEIGHTS[i] * h
             for j in range(n):
                 v = s.v_trial[j]
-                b.work[0] += part * s.tau[j] * v
+                b.work[0] += part * s.tau[j] * s.v_trial[motor + j]
                 b.work[1] += part * (s.w.jac[0, j] * s.w.f_op[0] + s.w.jac[1, j] * s.w.f_op[1]) * v
                 b.work[2] += part * s.w.tau_visc[j] * v
                 b.work[3] += part * s.w.tau_coul[j] * v
                 b.work[4] += part * s.w.tau_stop[j] * v
                 if s.w.holding:
                     b.holds[i, j] = s.w.hold[j]
+                if motor > 0:
+                    b.work[5] -= part * s.w.tau_loss[j] * (s.v_trial[motor + j] - v)
         moved = 0.0
         for i in range(3):
-            for j in range(n):
+            for j in range(m):
                 e = abs(b.new[i, j] - b.a[i, j]) * weight
                 if not e <= moved:
                     moved = e
@@ -257,7 +260,7 @@ def attempt(s: Record, k: Any, b: Bench, slot: int, t: float, h: float, tol: flo
         if sweep > 1 and not ratio < 0.5:
             break
         before = moved
-    for j in range(n):
+    for j in range(m):
         once = twice = 0.0
         for i in range(3):
             once += WEIGHTS[i] * b.a[i, j]
@@ -282,15 +285,20 @@ def attempt(s: Record, k: Any, b: Bench, slot: int, t: float, h: float, tol: flo
         smooth = 0.0
         for i in range(3):
             smooth += _AT_END[i] * b.results[3 * j + i]
-        b.a_new[j] = s.tau[j] - s.torque_per_amp * clamped(k, b, j, smooth)
+        b.a_new[motor + j] = s.tau[j] - s.torque_per_amp * clamped(k, b, j, smooth)
     if s.w.holding:
         for j in range(n):
             b.holds[3, j] = s.w.hold[j]
+    if motor > 0:
+        for j in range(n):
+            b.a_new[j] = 0.0
+            b.a_new[n + j] /= s.p.rotor[j]
+    elif s.w.holding:
         solve_held(n, s.w, b.a_new)
     else:
         solve(n, s.w.mass, b.a_new, s.w.factor)
     error = jump = 0.0
-    for j in range(n):
+    for j in range(m):
         jump = max(jump, abs(b.a_new[j]))
         e = s.a_trial[j] - b.a_new[j]
         for i in range(3):
@@ -315,8 +323,9 @@ def accept(s: Record, k: Any, b: Bench, t: float, h: float) -> None:
     """Make the step on trial, of length `h` [s], the present point at `t` [s]."""
     n = s.n
     for j in range(n):
-        s.q[j], s.v[j], s.a[j] = s.q_trial[j], s.v_trial[j], s.a_trial[j]
         b.current[j] = b.results[3 * n + j]
+    for j in range(s.coordinates):
+        s.q[j], s.v[j], s.a[j] = s.q_trial[j], s.v_trial[j], s.a_trial[j]
         for i in range(3):
             total = 0.0
             for m in range(3):
@@ -326,7 +335,7 @@ def accept(s: Record, k: Any, b: Bench, t: float, h: float) -> None:
         b.states[i] = b.results[4 * n + k.after + i]
     for i in range(k.after):
         b.states[k.before + i] = b.results[4 * n + i]
-    for i in range(5):
+    for i in range(6):
         b.total[i] += b.work[i]
     s.t = t
     b.scale[0] = h
@@ -344,7 +353,7 @@ def present(s: Record, k: Any, b: Bench) -> None:
         for j in range(n):
             held = volts(s, n + m + j, s.t) + component(s, s.t, s.component_inputs + j)
             total += k.d_post[o, m + j] * held
-            total += k.d_post[o, m + n + j] * s.gear * s.v[j]
+            total += k.d_post[o, m + n + j] * s.gear * s.v[s.motor + j]
         for c in range(m):
             g = k.gain[c] * volts(s, n + c, s.t) * k.d_post[o, c]
             if g == 0.0:

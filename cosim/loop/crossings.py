@@ -1,4 +1,4 @@
-"""Instants at which friction or an end stop changes what it does: found in a step, and what happens there.
+"""Instants at which friction, an end stop or a gear's flank changes what it does: found in a step, and what happens there.
 
 Between them every joint slips one way or is held, and touches its stops in one way (`mech.records.Touch`), so
 that the accelerations are smooth. A step on trial is searched with its own polynomials: angles of degree four
@@ -14,9 +14,11 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from cosim.loop.flanks import first_change
 from cosim.loop.maps import COEFFICIENTS
 from mech.held import bounds, impact, settle, touching
 from mech.records import Touch
+from mech.shaft import engage
 
 Record = Any
 
@@ -142,7 +144,7 @@ def first_crossing(s: Record, b: Any, h: float) -> float:
                 guard[0] += sign * p.stop_stiffness
                 guard[4] = 0.0
                 first = min(first, below(guard, fast, extremes))
-    return first
+    return min(first, first_change(s, b, h)) if p.backlash_on else first
 
 
 @njit(cache=True, error_model="numpy")
@@ -154,6 +156,9 @@ def strike(s: Record, b: Any) -> bool:
     """
     p, w = s.p, s.w
     changed = hits = False
+    if p.backlash_on:
+        changed, lost = engage(p, s.t, s.q, s.v, w)
+        b.total[5] -= lost
     for j in range(s.n):
         b.hit[j] = 0
         if w.held[j]:

@@ -72,8 +72,8 @@ def exact(
     p, op = state["p"], state["op"]
     size = 2 + circuit.order
     linear = (
-        p["slider"] == 1 and not p["coulomb_on"] and not p["stops_on"] and not state["position_noise"]
-        and op["kind"] != OperatorKind.USER and not state["component"]
+        p["slider"] == 1 and not any(p[name] for name in ("coulomb_on", "stops_on", "shaft_on"))
+        and not state["position_noise"] and op["kind"] != OperatorKind.USER and not state["component"]
     )  # fmt: skip
     path = op["path"][: op["paths"]]
     held = op["stiffness"] > 0 or op["damping"] > 0
@@ -254,7 +254,7 @@ def leap(s: Record, k: Any, b: Any, x: Any, t: float, h: float, account: bool) -
     b.results[3] = x.then[size] + k.offset[0]
     if not account:
         return True
-    for i in range(5):
+    for i in range(6):
         b.work[i] = 0.0
     for node in range(3):
         at = size + 1 + 3 * node
@@ -276,7 +276,7 @@ def land(s: Record, k: Any, b: Any, x: Any, t: float) -> None:
     s.q[0], s.v[0], s.a[0] = s.q_trial[0], s.v_trial[0], s.a_trial[0]
     for i in range(k.before + k.after):
         b.states[i] = x.then[2 + i]
-    for i in range(5):
+    for i in range(6):
         b.total[i] += b.work[i]
     b.current[0] = b.results[3]
     s.t = t

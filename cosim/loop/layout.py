@@ -81,6 +81,7 @@ def plan(
     speeds: bool,
     bent: bool,
     noise: Ints | None = None,
+    shafts: bool = False,
 ) -> Plan:
     """Lay out the blocks of a circuit.
 
@@ -97,8 +98,12 @@ def plan(
         then all their coefficients change between the sweeps of a step, and stand for themselves.
     noise
         [m] number of the noise voltage in series with X of each multiplier; none without component noise.
+    shafts
+        Whether motors move apart from their joints, as coordinates n to 2 n.
     """
     n, m = circuit.joints, len(circuit.gain)
+    motor = n if shafts else 0
+    moves = 3 * (n + motor)
     one, two = modes(circuit.a_pre, "a_pre"), modes(circuit.a_post, "a_post")
     before, after = len(one.poles), len(two.poles)
     pot = before + after
@@ -173,12 +178,12 @@ def plan(
             pins = list(range(start + width * j, start + width * (j + 1)))
             blocks.append((DIRECT, first + j, rows, nodes, pins, moving, [], post))
     blocks = [b for b in blocks if b[2]]
-    # columns of what moves: accelerations at the nodes of each joint, then coefficients of bent angles
+    # columns of what moves: accelerations at the nodes of each joint (and motor), then coefficients of bent angles
     move = np.full(features, -1, np.int64)
     for j in range(n):
-        move[vel + SPEED * j + 1 : vel + SPEED * (j + 1)] = 3 * j + np.arange(3)
+        move[vel + SPEED * j + 1 : vel + SPEED * (j + 1)] = 3 * (motor + j) + np.arange(3)
         if bent:
-            move[pot + ANGLE * j : pot + ANGLE * (j + 1)] = 3 * n + ANGLE * j + np.arange(ANGLE)
+            move[pot + ANGLE * j : pot + ANGLE * (j + 1)] = moves + ANGLE * j + np.arange(ANGLE)
         else:
             move[pot + ANGLE * j + 2 : pot + ANGLE * (j + 1)] = 3 * j + np.arange(3)
 
@@ -194,7 +199,7 @@ def plan(
     size = [len(b[2]) * len(b[4]) for b in blocks]
     return Plan(
         n=n, before=before, after=after, features=features, results=4 * n + after + before,
-        moving=(3 + ANGLE) * n if bent else 3 * n, bent=int(bent), gear=gear,
+        moving=moves + ANGLE * n if bent else moves, bent=int(bent), gear=gear,
         lag=_slowest(one.poles) + _slowest(two.poles),
         kind=ints(b[0] for b in blocks), channel=ints(b[1] for b in blocks),
         row_at=bounds(2), node_rows=ints(b[3] for b in blocks),

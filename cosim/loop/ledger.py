@@ -2,9 +2,10 @@
 
 Device: linkage and rotors. Over the run
 
-    E_kin + E_grav  =  start  +  W_motors + W_operator + W_viscous + W_coulomb + W_stops  +  residual
+    E_kin + E_grav + E_shafts  =  start  +  W_motors + W_operator + W_viscous + W_coulomb + W_stops + W_shafts
+                                         +  residual
 
-with the last three negative. Works are integrals of torque times speed with the same interpolants that the
+with the last four negative (shafts: where the effect is in force). Works are integrals of torque times speed with the same interpolants that the
 integrator used: torque constant at its right-hand value behind a jump, else linear or a parabola; speed a
 cubic through speeds and accelerations. The residual is therefore a measure of the mechanical integration.
 """
@@ -21,7 +22,7 @@ from mech.kernels import energy, jacobian
 from mech.records import NMAX
 
 #: Names of the works, in the order of `works`' columns.
-WORKS = ("motors", "operator", "viscous", "coulomb", "stops")
+WORKS = ("motors", "operator", "viscous", "coulomb", "stops", "shafts")
 #: A ledger closes when its residual is below this share of the energy turned over: ten times what the shipped
 #: scenes leave at their default steps (2e-8 to 1.2e-6), and far below any loss that a designer looks for.
 CLOSURE = 1e-5
@@ -45,10 +46,13 @@ def torques_and_energy(
     torques: NDArray[np.float64],
     energies: NDArray[np.float64],
     push: NDArray[np.float64],
+    motors: int,
+    stored: int,
 ) -> None:
     """Fill in, for every row, what the ledger and the report need beyond the streamed columns.
 
-    `torques` [rows, 5, n] N m: joint torques of the five workers; `energies` [rows, 2] J: kinetic, gravity;
+    `torques` [rows, 5, n] N m: joint torques of the first five workers; `energies` [rows, 3] J: kinetic,
+    gravity, shafts; `motors`, `stored`: columns of the first motor's angle and of the shafts' energy;
     `push` [rows, 2] N: force at the fingertip that the motors' torques amount to, J^T F = tau (least squares
     for a redundant arm, its component along the arm's free direction for one joint or at full stretch).
     """
@@ -60,6 +64,8 @@ def torques_and_energy(
         for j in range(n):
             q[j] = row[first + j]
             v[j] = row[first + n + j]
+            if p.shaft_on:
+                v[n + j] = row[motors + n + j]
         jacobian(p, q, jac)
         for j in range(n):
             torques[k, 0, j] = torque_per_amp * row[first + 3 * n + j]
@@ -68,6 +74,7 @@ def torques_and_energy(
             torques[k, 3, j] = row[first + 5 * n + j]
             torques[k, 4, j] = row[first + 6 * n + j]
         energies[k, 0], energies[k, 1] = energy(p, nobody, q, v)
+        energies[k, 2] = row[stored] if p.shaft_on else 0.0
         a = b = d = x = y = 0.0
         for j in range(n):
             a += jac[0, j] * jac[0, j]
@@ -121,8 +128,8 @@ def summary(
 
     Parameters
     ----------
-    energies : [rows, 2] kinetic and gravity energy
-    totals : [5] work of each worker over the run, in the order of `WORKS`
+    energies : [rows, 3] kinetic, gravity and shafts' energy, the last where there are shafts
+    totals : [6] work of each worker over the run, in the order of `WORKS`; the last where there are shafts
     spring_j : [rows] energy stored in the analog springs as commanded
 
     Returns
@@ -140,7 +147,7 @@ def summary(
         "end_j": float(held[-1]),
         "kinetic_end_j": float(energies[-1, 0]),
         "gravity_end_j": float(energies[-1, 1]),
-        "work_j": {name: float(value) for name, value in zip(WORKS, totals, strict=True)},
+        "work_j": {name: float(value) for name, value in zip(WORKS, totals, strict=False)},
         "spring_end_j": float(spring_j[-1]),
         "spring_max_j": float(spring_j.max()),
         "turnover_j": float(np.abs(totals).sum()),

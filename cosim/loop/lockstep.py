@@ -13,12 +13,14 @@ from typing import Any
 import numba
 from numba import carray, cfunc, njit, types
 
+from cosim.loop import runge
 from cosim.loop.adams import correct, predict
 from cosim.loop.computer import law, read_encoders, to_volts
 from cosim.loop.native import call_plain, call_with_time, doubles_at, vector_value
 from cosim.loop.pins import component
 from cosim.loop.state import QUEUE, STATE, Fault
 from mech.kernels import dynamics, solve
+from mech.shaft import engage, windup_energy
 
 _NOT_FINITE, _DIVERGED, _COLLAPSED = Fault.NOT_FINITE, Fault.DIVERGED, Fault.STEP_COLLAPSED
 _SAMPLE_LOST, _RAN_AWAY = Fault.SAMPLE_LOST, Fault.RAN_AWAY
@@ -77,13 +79,16 @@ def fill(s: Record, t: float) -> None:
     """Set the values of all EXTERNAL sources at the trial time `t`."""
     n = s.n
     s.t_trial = t
-    predict(s, t - s.t, s.q_trial, s.v_trial)
+    if s.p.shaft_on:
+        runge.extrapolate(s, t - s.t, s.q_trial, s.v_trial)
+    else:
+        predict(s, t - s.t, s.q_trial, s.v_trial)
     for j in range(n):
         s.out[j] = s.q_trial[j]
         if s.noise != 0 or s.position_noise != 0:
             s.out[j] += noise_at(s, t, j)
     for j in range(s.speeds):
-        s.out[n + j] = s.gear * s.v_trial[j]
+        s.out[n + j] = s.gear * s.v_trial[s.motor + j]
     if s.component != 0:
         for i in range(s.component_inputs + n):
             s.component_now[i] = component(s, t, i)
@@ -172,7 +177,7 @@ def _release(s: Record, group: int) -> bool:
 @njit(cache=True, error_model="numpy")
 def compute_sample(s: Record) -> None:
     """Compute one sample at the present state; its voltages wait in the queue for the DACs."""
-    read_encoders(s.c, s.x, s.tick, s.q)
+    read_encoders(s.c, s.x, s.tick, s.q[s.motor :])
     if s.law_address != 0:
         call_plain(s.law_address)
     else:
@@ -257,7 +262,7 @@ def begin(s: Record) -> None:
     A delayed one finds the DACs out of contact: gains and commands zero, equilibria at the pose.
     """
     for j in range(s.n):
-        s.dac_to[j] = s.c.v_rad * s.q[j]
+        s.dac_to[j] = s.c.v_rad * s.q[s.motor + j]
     compute_sample(s)
     for group in range(2):
         if s.queue_time[0] + (s.skew if group == 1 else 0.0) <= s.delta_min:
@@ -331,6 +336,8 @@ def synchronise(t: float, delta: Any, old: float, redo: int, ident: int, where: 
     if s.t_event <= t + s.delta_min and process_events(s, t):
         h = s.h_first
     h = min(h, s.h_max, s.h_couple, s.h_pole)
+    if s.p.backlash_on:
+        h = runge.edge(s, h)
     rest = s.t_event - t
     if rest > 0.0:
         if h > 0.999 * rest:
@@ -354,9 +361,17 @@ def bound_by_pole(s: Record) -> None:
     """Set the longest stable step of the explicit back-EMF coupling: 0.5 m_eff / b_eff.
 
     The fastest rate is an eigenvalue of M^-1 B with the mass matrix of the present pose; M and B being
-    positive, their sum, the trace, bounds it.
+    positive, their sum, the trace, bounds it. Behind shafts the mass is that of the rotors alone, and the
+    shafts bound the step as well.
     """
     rates = 0.0
+    if s.p.shaft_on:
+        for j in range(s.n):
+            rates += s.b_emf[j, j] / s.p.rotor[j]
+        s.h_pole = min(s.h_max, runge.longest(s))
+        if rates > 0.0:
+            s.h_pole = min(s.h_pole, _POLE_SHARE / rates)
+        return
     for j in range(s.n):
         for i in range(s.n):
             s.column[i] = s.b_emf[i, j]
@@ -369,18 +384,26 @@ def bound_by_pole(s: Record) -> None:
 def advance(s: Record, t: float) -> None:
     """Take the linkage to the accepted time `t`, the motors' torques there being in `s.tau`."""
     h = t - s.t
-    evaluate(s, t, s.q_trial, s.v_trial, s.a_trial)
-    s.defect = correct(s, h, s.a_trial)
-    for j in range(s.n):
+    if s.p.shaft_on:
+        s.defect = runge.advance(s, h)
+    else:
+        evaluate(s, t, s.q_trial, s.v_trial, s.a_trial)
+        s.defect = correct(s, h, s.a_trial)
+    for j in range(s.coordinates):
         s.a_old[j] = s.a[j]
+    s.used = s.history
+    s.history = min(s.history + 1, 2)
+    if s.p.backlash_on:
+        changed, lost = engage(s.p, t, s.q, s.v, s.w)
+        s.work[5] -= lost
+        if changed:
+            s.history = min(s.history, 1)
     evaluate(s, t, s.q, s.v, s.a)
     s.t = t
     s.h_old = h
-    s.used = s.history
-    s.history = min(s.history + 1, 2)
     if not s.defect < _DIVERGENCE_RAD:
         s.fault = _DIVERGED
-    for j in range(s.n):
+    for j in range(s.coordinates):
         if abs(s.v[j]) > RUNAWAY_RAD_PER_S:
             s.fault = _RAN_AWAY
     s.defect_max = max(s.defect_max, s.defect)
@@ -389,7 +412,7 @@ def advance(s: Record, t: float) -> None:
     share = s.defect / (_SAFETY * s.tol)
     grow = _GROWTH if share * _GROWTH**3 < 1.0 else share ** (-1.0 / 3.0)
     s.h_couple = h * grow
-    if s.speeds > 0:
+    if s.speeds > 0 or s.p.shaft_on:
         bound_by_pole(s)
 
 
@@ -412,6 +435,13 @@ def write_row(s: Record, t: float, row: Any) -> int:
         row[at + 7 * n] = s.out[j]
         at += 1
     at += 7 * n
+    if s.p.shaft_on:
+        row[at + 3 * n], row[at + 3 * n + 1] = 0.0, windup_energy(s.p, s.q, s.w)
+        for j in range(n):
+            rate = s.v[n + j] - s.v[j]
+            row[at + j], row[at + n + j], row[at + 2 * n + j] = s.q[n + j], s.v[n + j], s.w.tau_shaft[j]
+            row[at + 3 * n] -= s.w.tau_loss[j] * rate
+        at += 3 * n + 2
     for i in range(s.dacs):
         row[at] = s.out[s.dac_first + i]
         at += 1
@@ -437,7 +467,9 @@ def accepted(data: Any, count: int, ident: int, user: Any) -> int:
     else:
         evaluate(s, t, s.q, s.v, s.a)
         s.history = 1
-        if s.speeds > 0:
+        for j in range(s.n):
+            s.tau_old[0, j] = s.tau[j]
+        if s.speeds > 0 or s.p.shaft_on:
             bound_by_pole(s)
     s.points += 1
     if s.points - s.points_before > s.most_points:

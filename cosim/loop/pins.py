@@ -63,7 +63,7 @@ def pins(s: Record, out: Any) -> None:
     dacs = 2 * n + 2 * n * n
     for j in range(n):
         out[j] = s.q[j] + grid_noise(s, s.t, j) + position_noise(s, s.q[j], j)
-        out[n + dacs + j] = s.gear * s.v[j]
+        out[n + dacs + j] = s.gear * s.v[s.motor + j]
     for channel in range(dacs):
         out[n + channel] = volts(s, channel, s.t)
     for i in range(n):

@@ -123,7 +123,7 @@ def prepare(
     state["rows_capacity"] = row_capacity if record else 0
     if not (record and dense):
         state["h_max"] = scene.computer.period_s
-    state["w"]["located"] = bool(state["p"]["coulomb_on"] or state["p"]["stops_on"])
+    state["w"]["located"] = any(state["p"][name] for name in ("coulomb_on", "stops_on", "backlash_on"))
     names = channels(n)
     driven = [names.index(name) - n for name in driving.channels if name.startswith("ks")]
     maps = plan(
@@ -133,6 +133,7 @@ def prepare(
         speeds=driving.speeds,
         bent=bool(state["position_noise"]),
         noise=component.group if component is not None else None,
+        shafts=scene.effects.shaft,
     )  # fmt: skip
     state["speeds"] = 0  # the pins vel are no part of a row
     desk = bench(maps, np.zeros(maps.before + maps.after))
@@ -234,7 +235,8 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     finally:
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         recorder.close()
-    layout = Layout(tuple(columns(packed.memory.drive, ())), packed.memory.drive, constants, state["p"])
+    names = columns(packed.memory.drive, (), shafts=scene.effects.shaft)
+    layout = Layout(tuple(names), packed.memory.drive, constants, state["p"])
     ledger = write_signals(folder / ROWS, folder / RAW, layout, scene.title, packed.bench.total)
     (folder / ROWS).unlink()
     return {

@@ -171,7 +171,7 @@ def _finest(length: float) -> int:
 def _check(s: Record) -> None:
     if s.points - s.points_before > s.most_points:
         s.fault = _COLLAPSED
-    for j in range(s.n):
+    for j in range(s.coordinates):
         if not abs(s.v[j]) < RUNAWAY_RAD_PER_S:
             s.fault = _RAN_AWAY if abs(s.v[j]) < math.inf else _NOT_FINITE
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +54,7 @@ def mechanism(scene: Scene, gear: float) -> Chain | Slider:
             stop_stiffness_n_m_per_rad=chain.stop_stiffness_n_m_per_rad,
             stop_damping_n_m_s=chain.stop_damping_n_m_s,
             stop_restitution=chain.stop_restitution if effects.end_stops else None,
+            **_shafts(scene, chain),
         )
     slider = device.slider
     assert slider is not None  # the scene's checks hold this
@@ -71,7 +73,19 @@ def mechanism(scene: Scene, gear: float) -> Chain | Slider:
         stop_stiffness_n_m_per_rad=slider.stop_stiffness_n_m_per_rad,
         stop_damping_n_m_s=slider.stop_damping_n_m_s,
         stop_restitution=slider.stop_restitution if effects.end_stops else None,
+        **_shafts(scene, slider),
     )
+
+
+def _shafts(scene: Scene, table: schema.Chain | schema.Slider) -> dict[str, Any]:
+    """Fields of a linkage whose motors sit behind shafts; none when the effect is off."""
+    if not scene.effects.shaft:
+        return {}
+    return {
+        "shaft_stiffness_n_m_per_rad": table.shaft_stiffness_n_m_per_rad,
+        "shaft_damping_n_m_s": table.shaft_damping_n_m_s,
+        "backlash_rad": table.backlash_rad if scene.effects.backlash else 0.0,
+    }
 
 
 def operator(scene: Scene) -> Operator:
@@ -221,12 +235,17 @@ class Memory:
         return self.noise.draws + max(len(self.jitter) - 1, 0) + drawn
 
 
-def columns(drive: Drive, recorded: tuple[str, ...]) -> list[str]:
-    """Names of the columns of `rows`, as `accepted` writes them (tau_*: torques in N m; pot in rad)."""
+def columns(drive: Drive, recorded: tuple[str, ...], *, shafts: bool = False) -> list[str]:
+    """Names of the columns of `rows`, as `accepted` writes them (tau_*: torques in N m; pot in rad).
+
+    With `shafts` the motors have angles and speeds of their own, qm and vm, at the joint.
+    """
     joint = range(1, drive.joints + 1)
     names = ["time", "rule", "x", "y", "fx", "fy"]
     for kind in ("q", "v", "a", "imot", "tau_visc", "tau_coul", "tau_stop", "pot"):
         names += [f"{kind}{j}" for j in joint]
+    if shafts:
+        names += [f"{kind}{j}" for kind in ("qm", "vm", "tau_shaft") for j in joint] + ["p_shaft", "e_shaft"]
     return names + list(drive.channels) + list(recorded)
 
 
@@ -267,6 +286,11 @@ def pack(
     s["n"] = n
     q, v = start(scene, linkage)
     s["q"][:n], s["v"][:n] = q, v
+    s["coordinates"] = linkage.coordinates
+    if linkage.coordinates > n:  # the motors start with their joints: no twist, in the middle of the gap
+        s["motor"] = n
+        s["q"][n : 2 * n], s["v"][n : 2 * n] = q, v
+        s["w"]["latched"] = 1
     s["torque_per_amp"] = constants.kt * constants.gear
     s["gear"] = constants.gear
     s["t_trial"] = math.nan
@@ -327,7 +351,7 @@ def pack(
     fine = min([float(s["h_max"]), *grids])
     s["most_points"] = max(1_000_000, math.ceil(10 * period / fine))
     s["delta_min"] = 1e-12 * max(period, scene.duration_s * 1e-3)
-    rows = np.zeros((row_capacity, len(columns(circuit, recorded))))
+    rows = np.zeros((row_capacity, len(columns(circuit, recorded, shafts=scene.effects.shaft))))
     samples = np.zeros((sample_capacity, len(sample_columns(n))))
     s["rows"], s["rows_capacity"], s["columns"] = rows.ctypes.data, len(rows), rows.shape[1]
     s["samples"], s["samples_capacity"] = samples.ctypes.data, len(samples)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cosim.circuits.port import DesignConstants
 from cosim.circuits.spice import Drive
-from cosim.loop.ledger import WORKS, summary, torques_and_energy, works
+from cosim.loop.ledger import summary, torques_and_energy, works
 from cosim.rawfile import RawWriter
 from mech import NoOperator
 
@@ -45,7 +45,7 @@ def write_signals(
 ) -> dict[str, Any]:
     """Write every signal to `raw_file` and return the energy ledger.
 
-    `work_j` [5] is the work of each worker where the integrator has kept account itself; without it, it is
+    `work_j` [6] is the work of each worker where the integrator has kept account itself; without it, it is
     integrated from the rows with the lockstep's own rules.
 
     Derived here: powers of the motors, the operator, friction and stops [W], kinetic, gravity and
@@ -55,34 +55,54 @@ def write_signals(
     table = np.memmap(rows_file, dtype=np.float64, mode="r").reshape(-1, len(columns))
     keep = [i for i, name in enumerate(columns) if name.rstrip("0123456789") not in _PRIVATE or "." in name]
     names = [columns[i] for i in keep] + [*_POWERS, "e_kin", "e_grav", "e_spring", "fmx", "fmy"]
+    shafts = bool(layout.linkage["shaft_on"])
+    motors, windup = (columns.index(name) if shafts else -1 for name in ("qm1", "e_shaft"))
+    workers, stores = len(_POWERS), 2
+    if shafts:
+        assert work_j is not None  # whoever turns shafts keeps account of them
+        workers, stores = workers + 1, stores + 1
     nobody = NoOperator().pack()[0]
     torque_per_amp = layout.constants.kt * layout.constants.gear
     first = columns.index("q1")
-    totals = np.zeros(len(WORKS))
+    totals = np.zeros(workers)
     held, spring = [], []
     with RawWriter(raw_file, names, title=title) as raw:
         for start in range(0, len(table), _CHUNK):
             # two rows of overlap: the parabola of a step reaches two points back
             back = min(start, 2)
             rows = np.ascontiguousarray(table[start - back : start + _CHUNK])
-            torques = np.empty((len(rows), len(WORKS), n))
-            energies = np.empty((len(rows), 2))
+            torques = np.empty((len(rows), len(_POWERS), n))
+            energies = np.empty((len(rows), 3))
             push = np.empty((len(rows), 2))
             torques_and_energy(
-                layout.linkage, nobody, n, torque_per_amp, rows, first, torques, energies, push
+                layout.linkage,
+                nobody,
+                n,
+                torque_per_amp,
+                rows,
+                first,
+                torques,
+                energies,
+                push,
+                motors,
+                windup,
             )
             if work_j is None:
-                done = np.zeros((len(rows), len(WORKS)))
+                done = np.zeros((len(rows), workers))
                 works(n, rows, first, torques, done)
                 totals += done[max(back, 1) :].sum(axis=0)
             speeds = rows[:, first + n : first + 2 * n]
             power = np.einsum("kij,kj->ki", torques, speeds)
             stored = _spring_energy(rows, layout)
-            derived = np.column_stack([rows[:, keep], power, energies, stored, push])
+            if shafts:
+                power[:, 0] = (torques[:, 0] * rows[:, motors + n : motors + 2 * n]).sum(axis=1)
+            derived = np.column_stack([rows[:, keep], power, energies[:, :2], stored, push])
             raw.append(derived[back:])
-            held.append(energies[back:])
+            held.append(energies[back:, :stores])
             spring.append(stored[back:])
-    return summary(np.concatenate(held), totals if work_j is None else work_j, np.concatenate(spring))
+    return summary(
+        np.concatenate(held), totals if work_j is None else work_j[:workers], np.concatenate(spring)
+    )
 
 
 def _spring_energy(rows: NDArray[np.float64], layout: Layout) -> NDArray[np.float64]:

@@ -246,9 +246,11 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     finally:
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         recorder.close()
-    layout = Layout(tuple(columns(circuit, recorded)), circuit, constants, state["p"])
+    shafts = scene.effects.shaft
+    layout = Layout(tuple(columns(circuit, recorded, shafts=shafts)), circuit, constants, state["p"])
     folder = Path(payload["folder"])
-    ledger = write_signals(folder / ROWS, folder / RAW, layout, scene.title)
+    done = np.array(state["work"]) if shafts else None
+    ledger = write_signals(folder / ROWS, folder / RAW, layout, scene.title, done)
     (folder / ROWS).unlink()
     return {
         "ledger": ledger,

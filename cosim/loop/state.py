@@ -27,6 +27,8 @@ STATE = np.dtype(
         ("op", OPERATOR),
         ("w", WORK),
         ("n", "i8"),
+        ("coordinates", "i8"),  # n, or 2 n with shafts: q, v and a are then of joints and motors
+        ("motor", "i8"),  # first coordinate of the motors, which encoders and the pins vel see: 0 or n
         ("t", "f8"),
         ("q", "f8", NMAX),
         ("v", "f8", NMAX),
@@ -37,6 +39,8 @@ STATE = np.dtype(
         ("history", "i8"),  # accelerations on the present smooth piece, 0 to 2 (see adams.py)
         ("used", "i8"),  # history behind the last step: which rule took it
         ("tau", "f8", NMAX),
+        ("tau_old", "f8", (2, NMAX)),  # at the last accepted point and the one before; with shafts only
+        ("work", "f8", 6),  # J by worker, where the lockstep keeps account itself (shafts)
         ("torque_per_amp", "f8"),
         ("gear", "f8"),
         # the trial point that ngspice is solving

@@ -84,7 +84,7 @@ def _joint_can_accelerate(get: Get) -> Iterator[Problem]:
         get(f"device.chain.{name}") for name in ("masses_kg", "coms_m", "inertias_kg_m2")
     )
     rotors = get("device.chain.rotor_inertia_kg_m2") or (0.0,) * joints
-    turning = get("effects.rotor_inertia")
+    turning = get("effects.rotor_inertia") and not get("effects.shaft")  # behind a shaft it turns apart
     if {len(masses), len(coms), len(inertias), len(rotors)} != {joints}:
         raise Skip
     # A last link that weighs nothing makes the mass matrix singular.
@@ -92,11 +92,47 @@ def _joint_can_accelerate(get: Get) -> Iterator[Problem]:
     if not outboard > 0:
         yield Problem(
             "the last link has no inertia about its joint: give it mass, inertia or a rotor with "
-            "effects.rotor_inertia",
+            "effects.rotor_inertia and without effects.shaft",
             key="device.chain.masses_kg",
             value=list(masses),
             unit="kg",
         )
+
+
+def _per_joint(get: Get, name: str) -> list[float]:
+    value = get(f"device.{get('device.linkage')}.{name}")
+    if value is None:  # a list's default: zeros
+        return [0.0] * joint_count(get)
+    return list(value) if isinstance(value, list | tuple) else [value]
+
+
+#: With shafts joints and motors are coordinates each; compiled code holds six.
+_MOST_SHAFTS = 3
+
+
+def _shafts(get: Get) -> Iterator[Problem]:
+    if not get("effects.shaft"):
+        return
+    kind, joints = get("device.linkage"), joint_count(get)
+    if joints > _MOST_SHAFTS:
+        yield Problem(
+            f"the effect is there for up to {_MOST_SHAFTS} joints",
+            key="effects.shaft",
+            value=True,
+            allowed=f"false with {joints} joints",
+        )
+    for name, unit, why in (
+        ("shaft_stiffness_n_m_per_rad", "N m/rad", "effects.shaft needs a shaft's stiffness"),
+        (
+            "rotor_inertia_kg_m2",
+            "kg m^2",
+            "effects.shaft needs a rotor's inertia: it turns apart from the joint",
+        ),
+    ):
+        values = _per_joint(get, name)
+        if not all(value > 0 for value in values):
+            shown = values if kind == "chain" else values[0]
+            yield Problem(why, key=f"device.{kind}.{name}", value=shown, unit=unit, allowed="> 0")
 
 
 def _stops_ordered(get: Get) -> Iterator[Problem]:
@@ -313,12 +349,16 @@ CHECKS: tuple[Check, ...] = (
             "rotor_inertia_kg_m2",
             "viscous_n_m_s",
             "coulomb_n_m",
+            "shaft_stiffness_n_m_per_rad",
+            "shaft_damping_n_m_s",
+            "backlash_rad",
         )
     ),
     _of_linkage("chain", _list_length("device.chain.stops_rad", empty_is_default=True)),
     _of_linkage("slider", _list_length("device.slider.stops_rad", empty_is_default=True)),
     _of_linkage("chain", _coms_on_links),
     _of_linkage("chain", _joint_can_accelerate),
+    _shafts,
     _stops_ordered,
     _start_once,
     _list_length("device.start.q_rad"),

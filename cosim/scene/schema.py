@@ -187,6 +187,9 @@ class Chain(Table):
 
     In the models `ideal` and `linear` Coulomb friction holds and slips, and stops push and let go, at located
     instants; stops with `stop_restitution` do not give. On `spice` it is coulomb tanh(v / coulomb_speed).
+
+    Shafts (``effects.shaft``) turn between motor and joint, backlash (``effects.backlash``) is the full width
+    of the gear's gap; both are counted at the joint. Friction is on the joint's side of them.
     """
 
     lengths_m: tuple[Length, ...] = Field(min_length=1, max_length=6)
@@ -202,6 +205,9 @@ class Chain(Table):
     stop_damping_n_m_s: JointDamping = 0.1
     stop_restitution: Restitution | None = None
     gravity_m_per_s2: tuple[Gravity, Gravity] = (0.0, -9.81)
+    shaft_stiffness_n_m_per_rad: tuple[JointStiffness, ...] = Field(default_factory=_zeros)
+    shaft_damping_n_m_s: tuple[JointDamping, ...] = Field(default_factory=_zeros)
+    backlash_rad: tuple[SmallAngle, ...] = Field(default_factory=_zeros)
 
 
 class Slider(Table):
@@ -223,6 +229,9 @@ class Slider(Table):
     stop_damping_n_m_s: JointDamping = 0.1
     stop_restitution: Restitution | None = None
     gravity_m_per_s2: tuple[Gravity, Gravity] = (0.0, -9.81)
+    shaft_stiffness_n_m_per_rad: JointStiffness = 0.0
+    shaft_damping_n_m_s: JointDamping = 0.0
+    backlash_rad: SmallAngle = 0.0
 
 
 class Start(Table):
@@ -423,6 +432,8 @@ class Effects(Table):
     coulomb: bool = False
     rotor_inertia: bool = False
     end_stops: bool = False
+    shaft: bool = False
+    backlash: bool = False
     operator_dynamics: bool = False
 
 
