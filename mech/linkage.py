@@ -171,7 +171,7 @@ class Linkage(ABC):
     def acceleration(
         self, q: ArrayLike, v: ArrayLike, tau: ArrayLike, operator: Operator | None = None, t: float = 0.0
     ) -> Array:
-        """Return the acceleration [rad/s^2] of each coordinate under motor torques `tau` [N m], shape (n,)."""
+        """Return each coordinate's acceleration [rad/s^2] under motor torques `tau` [N m], shape (n,)."""
         work = new_work()
         a = np.empty(self.coordinates)
         angles, speeds = (vector(s, x, self.coordinates) for s, x in (("q", q), ("v", v)))

@@ -1,4 +1,4 @@
-"""Shaft compliance and gear backlash: the motor (encoder, torque, back-EMF) apart from its joint (potentiometer).
+"""Shaft compliance and gear backlash: encoder, torque and back-EMF at the motor, potentiometer at the joint.
 
 Hard case 46. References are closed forms of the two-mass oscillator, its describing function, and scipy's
 DOP853 with events on equations written here; circuits are ideal unless a test says otherwise.
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from support import (
-    BOARD1,
     BOARD2,
     COMMAND_TRUE,
     EMF_TRUE,
@@ -29,7 +28,6 @@ from support import (
     merge,
     quick,
     scene_of,
-    simulate,
     slider,
 )
 
@@ -300,8 +298,8 @@ def held(folder: Path, model: str, *, gravity: bool = False, samples: int = 800)
         duration_s=samples * c["period"],
         device={
             "slider": {"mass_kg": HEAVY_KG, "shaft_stiffness_n_m_per_rad": c["stiffness"],
-                       "shaft_damping_n_m_s": c["damping"], "backlash_rad": c["gap"], "viscous_n_m_s": VISCOUS,
-                       "gravity_m_per_s2": [0.0, -PRELOAD_N / HEAVY_KG]},
+                       "shaft_damping_n_m_s": c["damping"], "backlash_rad": c["gap"],
+                       "viscous_n_m_s": VISCOUS, "gravity_m_per_s2": [0.0, -PRELOAD_N / HEAVY_KG]},
         },
         computer={"period_s": c["period"], "law": "law.py:Held"},
         effects={"backlash": True, "viscous": True, "gravity": gravity},
@@ -335,8 +333,9 @@ def test_backlash_makes_a_limit_cycle_of_the_describing_functions_amplitude(
     cycle = np.abs(exact[-200:, 1]).max()
     wrong = np.abs(seen - exact[:-1, 1]).max()
     print(f"{model}: cycle {cycle:.6e} rad, wrong by {wrong:.2e}")
-    # tolerance 1e-11 rad a step, a thousand steps; `spice` 1e-7 at some points of each contact
-    assert wrong < (1e-7 if model != "spice" else 1e-3) * cycle
+    # COMMANDED leaves out what the op-amps' gain of 1e9 does to it, 1e-7 at most, and the cycle turns through
+    # 300 rad; `spice` makes 1e-7 rad at some points of each contact
+    assert wrong < (3e-5 if model != "spice" else 1e-3) * cycle
 
     def balance(amplitude: float) -> float:
         a = math.asin(c["gap"] / 2 / amplitude)
@@ -457,7 +456,10 @@ def test_what_a_shaft_needs(tmp_path: Path) -> None:
     )
     assert "device.slider.rotor_inertia_kg_m2" in said
     assert "device.slider.shaft_stiffness_n_m_per_rad" in said
-    for effects, key in (({"shaft": False, "backlash": True}, "backlash"), ({"rotor_inertia": False}, "shaft")):
+    for effects, key in (
+        ({"shaft": False, "backlash": True}, "backlash"),
+        ({"rotor_inertia": False}, "shaft"),
+    ):
         with pytest.raises(InputError, match=rf"effects\.{key}"):
             resolve(scene_of(tmp_path, two_masses(effects=effects)))
     assert "backlash_rad" in problems(tmp_path, two_masses(device={"slider": {"backlash_rad": 2.0}}))

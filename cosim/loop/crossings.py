@@ -1,4 +1,4 @@
-"""Instants at which friction, an end stop or a gear's flank changes what it does: found in a step, and what happens there.
+"""Instants at which friction, an end stop or a gear's flank changes what it does: found, and dealt with.
 
 Between them every joint slips one way or is held, and touches its stops in one way (`mech.records.Touch`), so
 that the accelerations are smooth. A step on trial is searched with its own polynomials: angles of degree four

@@ -5,9 +5,10 @@ Device: linkage and rotors. Over the run
     E_kin + E_grav + E_shafts  =  start  +  W_motors + W_operator + W_viscous + W_coulomb + W_stops + W_shafts
                                          +  residual
 
-with the last four negative (shafts: where the effect is in force). Works are integrals of torque times speed with the same interpolants that the
-integrator used: torque constant at its right-hand value behind a jump, else linear or a parabola; speed a
-cubic through speeds and accelerations. The residual is therefore a measure of the mechanical integration.
+with the last four negative (shafts: where the effect is in force). Works are integrals of torque times speed
+with the same interpolants that the integrator used: torque constant at its right-hand value behind a jump,
+else linear or a parabola; speed a cubic through speeds and accelerations. The residual is therefore a measure
+of the mechanical integration. With shafts, and in our own loop, the integrator keeps account itself.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 A shaft rings at a frequency of its own with next to no damping. The predictor and corrector of `adams.py`
 would feed it, z^4/50 a step at z = frequency times step; Runge-Kutta takes z^6/144 from it instead, and of
-that next to nothing at the steps allowed here (`STEP_SHARE`), each taken in two parts. The motors' torque is what the circuit
-gives: extrapolated along its last slope for the prediction, interpolated (a parabola through three points)
-once the point is accepted. Their difference is the coupling's error, as in `adams.py`.
+that next to nothing at the steps allowed here (`STEP_SHARE`), each taken in two parts. The motors' torque is
+what the circuit gives: extrapolated along its last slope for the prediction, interpolated (a parabola through
+three points) once the point is accepted. Their difference is the coupling's error, as in `adams.py`.
 
 `s.history` counts as there: 0 right after a discontinuity, where the torque of the step's end holds over all
 of it, then 1 (a straight line), then 2. Flanks of gears change at accepted points only; `edge` tells how far
