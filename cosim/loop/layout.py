@@ -178,7 +178,7 @@ def plan(
             pins = list(range(start + width * j, start + width * (j + 1)))
             blocks.append((DIRECT, first + j, rows, nodes, pins, moving, [], post))
     blocks = [b for b in blocks if b[2]]
-    # columns of what moves: accelerations at the nodes of each joint (motor), then coefficients of bent angles
+    # columns of what moves: accelerations at the nodes of each joint or motor, then coefficients
     move = np.full(features, -1, np.int64)
     for j in range(n):
         move[vel + SPEED * j + 1 : vel + SPEED * (j + 1)] = 3 * (motor + j) + np.arange(3)
