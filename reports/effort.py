@@ -11,7 +11,7 @@ __all__ = ["energy", "steps", "work"]
 
 Array = NDArray[np.float64]
 
-_LOSSES = ("p_visc", "p_coul", "p_stop")
+_LOSSES = ("p_visc", "p_coul", "p_stop", "p_shaft")
 
 
 def work(view: View, *powers: str) -> Array:
@@ -24,19 +24,21 @@ def work(view: View, *powers: str) -> Array:
 def energy(view: View) -> Drawn | None:
     """Energy ledger: work of operator, motors and friction, stored energy, and what does not close.
 
-    Needs ``p_mot, p_op, e_kin``; ``p_visc, p_coul, p_stop, e_grav, e_spring`` where they are in force.
+    Needs ``p_mot, p_op, e_kin``; ``p_visc, p_coul, p_stop, p_shaft, e_grav, e_shaft,
+    e_spring`` where they are in force.
     """
     if not view.has("p_mot", "p_op", "e_kin"):
         return None
     operator, motors, losses = work(view, "p_op"), work(view, "p_mot"), work(view, *_LOSSES)
-    stored = view.signal("e_kin") + view.signal("e_grav")
+    stored = view.signal("e_kin") + view.signal("e_grav") + view.signal("e_shaft")
     stored = stored - stored[0]
     residual = operator + motors + losses - stored
     spring = view.signal("e_spring")
+    lost = "friction, stops and shafts" if view.has("p_shaft") else "friction and stops"
     rows = [
         (operator, "work of the operator", JOINTS[0], "-"),
         (motors, "work of the motors", JOINTS[1], "-"),
-        (losses, "friction and stops", JOINTS[4], "-"),
+        (losses, lost, JOINTS[4], "-"),
         (stored, "linkage: kinetic and gravity", JOINTS[2], "-"),
         (spring, "analog spring (inside the motors' work)", JOINTS[3], (0, (4, 1.5))),
     ]

@@ -272,8 +272,8 @@ def test_kernels_do_not_allocate():
         np.ones(6),
         np.zeros(6),
         np.empty(6),
-        np.zeros(17),
-        np.empty(17),
+        np.zeros(18),
+        np.empty(18),
         np.empty((2, 6)),
     )
     _nrt_python.memsys_enable_stats()

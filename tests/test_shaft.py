@@ -30,13 +30,18 @@ from support import (
     scene_of,
     slider,
 )
+from test_export import ngspice
+from test_propagation import CONSTANTS
 
 from cosim.errors import InputError
+from cosim.export import export
 from cosim.loop import runge
 from cosim.loop.setup import mechanism
 from cosim.loop.state import STATE
 from cosim.plan import resolve
 from cosim.results import Run
+from cosim.scene import load_scene
+from cosim.studies.contact import law_point
 from mech import Chain, ParameterError, Slider
 from mech.motion import free_motion
 
@@ -488,3 +493,53 @@ def test_mechanism_of_a_scene_carries_what_is_in_force(tmp_path: Path) -> None:
     p = mechanism(scene, GEAR).pack()[0]
     assert (p["shaft_on"], p["backlash_on"], p["armature"][0]) == (1, 0, 0.0)
     assert p["rotor"][0] == pytest.approx(MOTOR, rel=1e-12)
+
+
+# ---- what leaves the program
+
+
+@pytest.mark.parametrize("kind", ["monolithic", "replay"])
+def test_exported_decks_turn_the_same_shafts(tmp_path: Path, kind: str) -> None:
+    """Rotors are capacitors there, shafts controlled sources; both sides at default tolerances."""
+    tables = merge(pressed("spice", 60.0), {"solver": {"rtol": 1e-6, "max_step_s": 1e-4}})
+    file = tmp_path / "scene.toml"
+    run = quick(tmp_path, tables)
+    deck = export(resolve(load_scene(file)), run, tmp_path / "deck.cir", kind)
+    theirs = ngspice(deck)
+    names = [("imot1", "imot1")] + (
+        [("pot1", "q1"), ("qm1", "qm1"), ("wm1", "vm1")] if kind[0] == "m" else []
+    )
+    t = np.unique(np.asarray(theirs["time"]))
+    for node, name in names:
+        other = np.interp(t, np.asarray(theirs["time"]), np.asarray(theirs[f"v({node})"]))
+        ours = np.interp(t, signal(run, "time"), signal(run, name))
+        wrong = np.abs(ours - other)
+        if node == "imot1":  # behind a step of the converters both are drawn by straight lines
+            wrong = wrong[np.abs(t / 0.005 - np.round(t / 0.005)) > 0.05]
+        assert wrong.max() < 1e-3 * np.ptp(ours), name
+
+
+def test_what_knows_no_shaft_says_so(tmp_path: Path) -> None:
+    tables = pressed("ideal", 60.0, gap=1e-3)
+    scene = scene_of(tmp_path, tables)
+    run = quick(tmp_path, tables)
+    with pytest.raises(InputError, match=r"effects\.backlash"):
+        export(resolve(scene), run, tmp_path / "deck.cir")
+    linkage = mechanism(scene, GEAR)
+    with pytest.raises(InputError, match=r"effects\.shaft"):
+        law_point(scene, CONSTANTS, linkage, np.zeros(1))
+    with pytest.raises(ParameterError, match="backlash_rad"):
+        free_motion(linkage, np.zeros(2), np.zeros(2), 0.1)
+
+
+def test_a_plan_states_size_and_cost_of_the_shaft(tmp_path: Path) -> None:
+    plan = resolve(scene_of(tmp_path, pressed("ideal", 60.0, gap=1e-3)))
+    told = plan.as_dict()
+    assert told["mechanical_states"] == 4
+    found = {row["name"]: row for row in told["effects"]}
+    # a wall of 150 N/m at 0.1333 m in series with 60 N m/rad gives way by k/(k + k_s/r^2) of its force
+    share = 150.0 / (150.0 + 60.0 / RADIUS**2)
+    force = next(float(row["size"]["force_n"]) for row in told["effects"] if row["name"] == "shaft")
+    assert 0.0 < force < 10.0 * share * 20.0
+    assert found["backlash"]["size"]["value"] == 1e-3
+    assert found["shaft"]["cost"]["points_per_s"] == pytest.approx(5.0 * math.sqrt(60.0 / MOTOR), rel=1e-6)

@@ -36,7 +36,10 @@ def step_bound(
     linkage = mechanism(scene, constants.gear)
     q, _ = start(scene, linkage)
     viscosity = np.asarray(admittance_a_s) * constants.kt * constants.gear**2
-    rates = np.abs(np.linalg.eigvals(np.linalg.solve(linkage.mass_matrix(q, operator(scene)), viscosity)))
+    mass = linkage.mass_matrix(q, operator(scene))
+    if scene.effects.shaft:  # then the rotors alone are braked
+        mass = np.diag(linkage.armature_kg_m2)
+    rates = np.abs(np.linalg.eigvals(np.linalg.solve(mass, viscosity)))
     fastest = float(rates.max())
     if not fastest > 0.0:
         return None

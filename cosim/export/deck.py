@@ -22,6 +22,7 @@ KINDS = ("monolithic", "replay")
 #: What a monolithic deck cannot carry: key of `[effects]`, its null form, and what it is.
 _NOT_CARRIED: tuple[tuple[str, str | bool, str], ...] = (
     ("end_stops", False, "end stops"),
+    ("backlash", False, "flanks of gears that remember which of them carries"),
     ("pot_noise", "none", "noise"),
     ("pot_linearity", False, "errors that belong to the angle"),
     ("pot_calibration", False, "errors that belong to the angle"),
@@ -84,11 +85,12 @@ def _replay(plan: Plan, run: Run) -> list[str]:
     gear = _constant(run, "gear")
     # angles are smooth between samples, unless noise bends them at any point
     angle = source if plan.scene.effects.pot_noise is PotNoise.NONE else stopping_source
+    speed = "vm" if plan.scene.effects.shaft else "v"  # a motor behind a shaft has a speed of its own
     sources = channels(plan.scene, signals, circuit.channels)
     for j in range(1, circuit.joints + 1):
         sources.append(angle(f"pot{j}", time, np.asarray(signals[f"pot{j}"])))
         if circuit.speeds:
-            sources.append(source(f"vel{j}", time, gear * np.asarray(signals[f"v{j}"])))
+            sources.append(source(f"vel{j}", time, gear * np.asarray(signals[f"{speed}{j}"])))
     return _deck(plan, "replay of recorded sources", sources, [])
 
 
@@ -105,7 +107,7 @@ def _monolithic(plan: Plan, run: Run) -> list[str]:
     if scene.operator.type != "none":
         shown += ["fx", "fy"]
     for j in range(1, circuit.joints + 1):
-        shown += [f"pot{j}", f"w{j}"]
+        shown += [f"pot{j}", f"w{j}"] + ([f"qm{j}", f"wm{j}"] if scene.effects.shaft else [])
     return _deck(plan, "circuit, linkage and operator", [*commands, *moving], shown)
 
 

@@ -9,10 +9,13 @@ Kirchhoff's law at the node is then the equation of motion
 (A: `couple` of `mech.records`). A joint lies between its two links, so a motor, a rotor (a conductance) and a
 friction connect node i-1 to node i. All that is linear is a linear element; only the links' mutual terms and
 the fingertip's lever arms are B-sources. Speeds `w_i` and angles `phi_i` are the voltages of 1 F capacitors.
+
+A rotor behind a shaft is a capacitor of its inertia, its speed `wm_i` the voltage, torques the currents.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -83,6 +86,8 @@ def mechanics(p: Any, op: Any, q: Vector, v: Vector, gear: float, kt: float, spe
         net.gain("0", f"w{i}", f"alpha{i}", "0", 1.0)
         net.lines.append(f".ic v(phi{i})={number(phi[i - 1])} v(w{i})={number(rate[i - 1])}")
         _joint(net, p, i, gear, kt, speeds)
+        if p["shaft_on"]:  # starts with its joint
+            net.lines.append(f".ic v(qm{i})={number(q[i - 1])} v(wm{i})={number(v[i - 1])}")
     if p["slider"]:
         _slider(net, p, op)
     else:
@@ -98,7 +103,10 @@ def _joint(net: Netlist, p: Any, i: int, gear: float, kt: float, speeds: bool) -
         return f"{name}{i - 1}" if i > 1 else "0"
 
     here, base = f"alpha{i}", below("alpha")
-    net.gain(base, here, f"imot{i}", "0", kt * gear)
+    if p["shaft_on"]:
+        _shaft(net, p, i, gear * kt, below)
+    else:
+        net.gain(base, here, f"imot{i}", "0", kt * gear)
     if p["armature"][i - 1] > 0.0:
         net.add("R", f"{here} {base} {number(1.0 / p['armature'][i - 1])}")
     if p["viscous_on"]:
@@ -109,7 +117,25 @@ def _joint(net: Netlist, p: Any, i: int, gear: float, kt: float, speeds: bool) -
         net.add("B", f"{here} {base} i={number(p['coulomb'][i - 1])}*tanh({speed}/{step})")
     net.add("E", f"pot{i} 0 phi{i} {below('phi')} 1")
     if speeds:
-        net.add("E", f"vel{i} 0 w{i} {below('w')} {number(gear)}")
+        turning = f"wm{i} 0" if p["shaft_on"] else f"w{i} {below('w')}"
+        net.add("E", f"vel{i} 0 {turning} {number(gear)}")
+
+
+def _shaft(net: Netlist, p: Any, i: int, torque_per_amp: float, below: Callable[[str], str]) -> None:
+    """Rotor i, a capacitor of its inertia, and the spring and damper between it and joint i."""
+    net.note(f"motor {i}: angle, speed, torque of its shaft")
+    net.add("C", f"qm{i} 0 1")
+    net.gain("0", f"qm{i}", f"wm{i}", "0", 1.0)
+    net.add("C", f"wm{i} 0 {number(p['rotor'][i - 1])}")
+    net.gain("0", f"wm{i}", f"imot{i}", "0", torque_per_amp)
+    torque, damping = f"shaft{i}", p["shaft_damping"][i - 1]
+    net.sum_node(torque)
+    net.gain("0", torque, f"qm{i}", f"pot{i}", p["shaft_stiffness"][i - 1])
+    net.gain("0", torque, f"wm{i}", f"w{i}", damping)
+    if i > 1:
+        net.gain("0", torque, below("w"), "0", damping)
+    net.gain(f"wm{i}", "0", torque, "0", 1.0)
+    net.gain(below("alpha"), f"alpha{i}", torque, "0", 1.0)
 
 
 def _slider(net: Netlist, p: Any, op: Any) -> None:

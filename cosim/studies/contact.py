@@ -59,7 +59,7 @@ def law_point(scene: Scene, constants: DesignConstants, linkage: Linkage, q: Arr
     Raises
     ------
     InputError
-        For a scene without a wall, or with a law of the user's own.
+        For a scene without a wall, with shafts, or with a law of the user's own.
     """
     c, n = scene.computer, scene.joints
     file = str(scene.file) if scene.file else None
@@ -69,6 +69,16 @@ def law_point(scene: Scene, constants: DesignConstants, linkage: Linkage, q: Arr
         raise InputError(
             Problem(
                 "a control law in Python has no slopes to study", file=file, key="computer.law", value=c.law
+            )
+        )
+    if scene.effects.shaft:
+        raise InputError(
+            Problem(
+                "this analysis takes the encoder's angle for the joint's: it knows no shafts",
+                file=file,
+                key="effects.shaft",
+                value=True,
+                allowed="false",
             )
         )
     normal, point = np.array(scene.wall.normal), np.array(scene.wall.point_m)
