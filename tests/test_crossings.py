@@ -176,7 +176,7 @@ ARM: dict[str, Any] = {
         },
         "start": {"q_rad": [-1.2, 0.9]},
     },
-    "effects": {"coulomb": True, "gravity": True, "coriolis": True, "end_stops": True},
+    "effects": {"coulomb": True, "gravity": True, "coriolis": True},
 }  # fmt: skip
 
 
