@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,28 +37,6 @@ from cosim.scene import PythonOperator, Scene
 
 #: First step behind a jump of the DACs, as a share of the period, when rows are recorded.
 FIRST_ROW_SHARE = 2.0**-11
-#: How often a compilation shows that it is alive, and how long at most.
-_BEAT_S, _LONGEST_COMPILATION_S = 5.0, 600.0
-
-
-@contextmanager
-def _beating(report: Report) -> Iterator[None]:
-    """Report every few seconds meanwhile: a first run compiles, a minute long on a slow machine."""
-    done = threading.Event()
-
-    def beat() -> None:
-        for _ in range(int(_LONGEST_COMPILATION_S / _BEAT_S)):
-            if done.wait(_BEAT_S):
-                return
-            report({})
-
-    thread = threading.Thread(target=beat, daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        done.set()
-        thread.join()
 
 
 class _Clock:
@@ -252,8 +228,7 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     # a run of no length, without the user's law, loads the compiled loop before the clock starts
     warm = prepare(scene, constants, circuit, record=True, component=component)
     warm.memory.state[0]["t_end"] = 0.0
-    with _beating(report):
-        warm.run()
+    warm.run()
     wall, cpu = time.perf_counter(), time.process_time()
     try:
         packed.run()
