@@ -144,6 +144,7 @@ force_s_n = [[0.2, 0.0, 0.0], [0.7, 0.0, -2.35]]
 [effects]
 opamp = "gbw"
 vca = "gbw"
+differentiator = "corner"
 driver = "voltage"
 driver_level = "gbw"
 motor = "full"

@@ -176,7 +176,7 @@ def resolve(scene: Scene, *, trust: bool = False, board: Deck | None = None) -> 
     trust
         Whether control blocks and file access may pass.
     board
-        The scene's own board, from another plan with the same levels of its parts.
+        The scene's own board, from another plan with the same effects in the netlist.
 
     Raises
     ------
@@ -193,6 +193,8 @@ def resolve(scene: Scene, *, trust: bool = False, board: Deck | None = None) -> 
             levels=effects.levels(scene),
             parts=_swaps(scene),
             overrides=scene.device.values,
+            features=effects.features(scene),
+            temperature_c=effects.temperature_c(scene),
             trust=trust,
         )
     except InputError as error:

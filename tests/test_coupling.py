@@ -313,7 +313,8 @@ def spinning(
             "start": {"q_rad": [0.5], "v_rad_per_s": [20.0]},
         },
         "computer": {"period_s": 0.02, "method": "continuous", "analog_stiffness_n_per_m": 1.0},
-        "effects": {"motor": motor, "rotor_inertia": True},
+        # the corner is what ngspice's own error control has to resolve beside the motor
+        "effects": {"motor": motor, "differentiator": "corner", "rotor_inertia": True},
         "solver": {"rtol": rtol, "coupling_tolerance_rad": LOOSE_RAD if loose else 1e-7},
     }  # fmt: skip
 

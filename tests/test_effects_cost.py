@@ -14,7 +14,8 @@ from cosim.loop.noise import no_noise, potentiometer_noise
 from cosim.plan import Plan, resolve
 from cosim.scene import load_scene
 
-IDEAL = ("opamp=ideal", "vca=ideal", "driver_level=ideal", "motor=ideal", "potentiometer=ideal")
+IDEAL = ("opamp=ideal", "vca=ideal", "driver_level=ideal", "motor=ideal", "potentiometer=ideal",
+         "differentiator=ideal")  # fmt: skip
 OFF = tuple(
     f"{name}=false"
     for name in "encoder dac dac_settling coriolis viscous rotor_inertia operator_dynamics".split()
@@ -46,16 +47,26 @@ def test_ideal_levels_add_no_equations() -> None:
     bare = count()
     stages = {role: sum(a.role == role for a in board.amplifiers) for role in ("opamp", "vca", "driver")}
     assert stages == {
-        "opamp": 8,
+        "opamp": 6,
         "vca": 8,
         "driver": 2,
-    }  # per joint angle, diff, der, sum; n^2 springs and dampers
+    }  # per joint angle, diff, sum (a pure differentiator has none); n^2 springs and dampers
     assert count("opamp=gbw") - bare == stages["opamp"]
     assert count("vca=gbw") - bare == stages["vca"]
     assert count("driver_level=gbw") - bare == stages["driver"]
     assert count("motor=emf") - bare == 0
     assert count("motor=full") - bare == 4
     assert count("potentiometer=full") - bare == 0
+    # mid and inn for a branch; then its op-amp has a pole as any other
+    assert count("differentiator=corner") - bare == 2
+    assert count("differentiator=corner", "opamp=gbw") - bare == 2 + 8
+    # single effects: a node before the driver's output where it has none yet, else nothing
+    assert count("driver_limit=true") - bare == stages["driver"]
+    for name in ("opamp_offset", "vca_offset", "vca_gain_error", "vca_nonlinearity", "temperature"):
+        assert count(f"{name}=true") == bare
+    for name in ("opamp_slew", "opamp_saturation"):
+        assert count("opamp=gbw", f"{name}=true") - bare == stages["opamp"]
+    assert count("driver_level=gbw", "driver_limit=true") - bare == stages["driver"]
 
 
 def test_ideal_level_leaves_no_trace_of_the_deeper_ones() -> None:

@@ -24,7 +24,7 @@ SMOOTH = ("effects.encoder=false", "computer.dac.bits=30")
         ({"vca": "gbw", "driver_level": "gbw"}, "linear"),
         ({"opamp": "full"}, "spice"),
         ({"vca": "full"}, "spice"),
-        ({"potentiometer": "full"}, "spice"),
+        ({"potentiometer": "full"}, "ideal"),
     ],
 )
 def test_the_cheapest_model_that_carries_the_effects(tmp_path, effects, model):
@@ -93,7 +93,7 @@ def test_linear_agrees_with_ngspice(tmp_path, name):
 
 def test_ideal_is_the_circuit_without_dynamics(tmp_path):
     """With ideal parts ngspice solves the same equations: the differentiator has no part in this scene."""
-    null = [f"effects.{name}=ideal" for name in ("opamp", "vca", "driver_level")]
+    null = [f"effects.{name}=ideal" for name in ("opamp", "vca", "driver_level", "differentiator")]
     spice = run_scene(
         tmp_path, "slope.toml", "solver.model=spice", *SMOOTH, *null, "effects.motor=emf", "solver.rtol=1e-6"
     )

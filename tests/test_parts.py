@@ -142,11 +142,24 @@ def test_motor_levels(tmp_path: Path) -> None:
 
 
 def test_potentiometer_levels(tmp_path: Path) -> None:
+    """A loaded wiper: the track's two ends in parallel, a (1 - a) r with a = 1/2 + angle/travel."""
     data = parameters("parts/potentiometer.lib")
-    v_rad = 2 * data["pot_vref"] / math.radians(340)
-    for level, ohms in (("ideal", 0.0), ("full", data["pot_r"] / 4 + data["pot_rw"])):
-        circuit = "Va a 0 1\nx1 a open potentiometer\nx2 a loaded potentiometer\nRl loaded 0 1meg\n"
-        circuit += ".dc Va 1 2 1\n.measure dc o find v(open) at=1\n.measure dc l find v(loaded) at=1\n"
-        found = part_deck(tmp_path, "potentiometer", level, circuit)
-        assert found["o"] == pytest.approx(v_rad, rel=1e-6)
-        assert found["l"] == pytest.approx(v_rad / (1 + ohms / 1e6), rel=2e-6)  # ideal: 1 Ohm
+    travel = math.radians(340)
+    v_rad = 2 * data["pot_vref"] / travel
+    for level in ("ideal", "full"):
+        for load in (10e3, 1e6):
+            circuit = "Va a 0 1\nx1 a open potentiometer\nx2 a loaded potentiometer\n"
+            circuit += f"Rl loaded 0 {load}\n.options reltol=1e-8\n.dc Va -2 2 1\n"
+            circuit += "".join(
+                f".measure dc {name}{k} find v({node}) at={k - 2}\n"
+                for name, node in (("o", "open"), ("l", "loaded"))
+                for k in range(5)
+            )
+            found = part_deck(tmp_path, "potentiometer", level, circuit)
+            for k in range(5):
+                angle = k - 2
+                share = 0.5 + angle / travel
+                ohms = data["pot_rw"] + data["pot_r"] * share * (1 - share) if level == "full" else 1.0
+                assert found[f"o{k}"] == pytest.approx(v_rad * angle, rel=1e-6)
+                # 1e-6: six digits printed
+                assert found[f"l{k}"] == pytest.approx(v_rad * angle / (1 + ohms / load), rel=2e-6)

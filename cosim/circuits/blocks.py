@@ -16,13 +16,13 @@ from cosim.circuits.fit import FitError, Modes, fit
 from cosim.circuits.reduce import Bound, error_bound, path_scale, reduce
 from cosim.errors import InputError, Problem
 
-__all__ = ["Block", "derivatives", "fit_block"]
+__all__ = ["ROUNDING", "Block", "derivatives", "fit_block"]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 #: A path below this share of the strongest one to the same output is rounding.
-_ROUNDING = 1e-13
+ROUNDING = 1e-13
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def fit_block(s: Complex, h: Complex, where: str, file: str) -> Block:
         For a pole in the right half plane, or responses that no rational function fits.
     """
     peak = np.abs(h).max(axis=0)
-    linked = (peak > _ROUNDING * peak.max(axis=1, keepdims=True)) & (peak > 0.0)
+    linked = (peak > ROUNDING * peak.max(axis=1, keepdims=True)) & (peak > 0.0)
     places = _groups(linked)
     parts: list[Modes] = []
     measured: list[Complex] = []
@@ -134,7 +134,7 @@ def _equal(first: Complex, second: Complex) -> bool:
     """Whether two parts are the same but for rounding: joints often are built alike."""
     if first.shape != second.shape:
         return False
-    return bool((np.abs(first - second).max(axis=0) <= _ROUNDING * np.abs(second).max(axis=0)).all())
+    return bool((np.abs(first - second).max(axis=0) <= ROUNDING * np.abs(second).max(axis=0)).all())
 
 
 def _groups(linked: NDArray[np.bool_]) -> tuple[tuple[tuple[int, ...], tuple[int, ...]], ...]:

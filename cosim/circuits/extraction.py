@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.circuits import cache, certificate
-from cosim.circuits.blocks import Block, fit_block
+from cosim.circuits.blocks import ROUNDING, Block, fit_block
 from cosim.circuits.fit import Modes
 from cosim.circuits.ideal import DC_SWEEP, ideal
 from cosim.circuits.linear import LinearCircuit, channel_names
@@ -26,6 +26,8 @@ Report = Callable[[dict[str, Any]], None]
 
 #: Two decades more than 0.1 Hz to 100 MHz below and one above, for the poles just outside.
 SWEEP = "dec 20 1m 1g"
+#: Largest relative change of H/s over the sweep for a pure differentiator.
+_PURE = 1e-9
 #: Band for what is stated of the control path where no band is given [Hz].
 _USUAL_BAND_HZ = 1e3
 
@@ -87,7 +89,7 @@ def _ideal(session: Session, asked: cache.Asked, file: str) -> LinearCircuit:
         paths = session.measure(SWEEP)
         static = (circuit.d_pre, np.pad(circuit.e_pre, ((0, 0), (0, circuit.joints))), circuit.d_post)
         try:
-            pre, post = networks(paths, file)
+            pre, post = networks(without_rates(paths)[1], file)
             promise["footnote_1"] = certificate.footnote(pre, post, asked.band_hz, static)
             promise["delay_s"] = certificate.delays(pre, post)
         except CosimError as reason:  # gains have a meaning of their own, but then nobody vouches for them
@@ -96,8 +98,9 @@ def _ideal(session: Session, asked: cache.Asked, file: str) -> LinearCircuit:
 
 
 def _linear(session: Session, asked: cache.Asked, file: str, paths: Paths) -> LinearCircuit:
-    pre, post = networks(paths, file)
-    full = linear(paths, pre.joined(), post.joined())
+    rate, proper = without_rates(paths)
+    pre, post = networks(proper, file)
+    full = replace(linear(paths, pre.joined(), post.joined()), e_pre=rate)
     circuit, bounds = full, None
     promise: dict[str, Any] = {}
     if asked.band_hz > 0.0:
@@ -108,6 +111,7 @@ def _linear(session: Session, asked: cache.Asked, file: str, paths: Paths) -> Li
             half = np.sqrt(1.0 + asked.tolerance) - 1.0
             (small, before), (rest, after) = pre.reduced(omega, half), post.reduced(omega, half)
             circuit, bounds = linear(paths, small.joined(), rest.joined()), (before, after)
+            circuit = replace(circuit, e_pre=rate)
     promise |= certificate.linear_certificate(
         circuit, full.order, bounds, asked.band_hz, asked.tolerance, paths
     )
@@ -124,11 +128,22 @@ def _finished(
     if asked.model == "linear":
         _check_control(control, str(session.board.path))
     limit = current_limits(session)
+    circuit = replace(circuit, limit=limit, certificate=promise | certificate.statics(paths, control, limit))
+    return with_offsets(session, circuit) if asked.offsets else circuit
+
+
+def with_offsets(session: Session, circuit: LinearCircuit) -> LinearCircuit:
+    """Return the circuit with the offsets of the board as it is in ngspice."""
+    found = offsets(session)
     return replace(
         circuit,
-        limit=limit,
-        offset=offsets(session) if asked.offsets else circuit.offset,
-        certificate=promise | certificate.statics(paths, control, limit),
+        offset=found.current,
+        x_offset=found.x,
+        y_offset=found.y,
+        # measured at full scale, to which y adds
+        gain=circuit.gain * session.v_fs / (session.v_fs + found.y),
+        certificate=circuit.certificate
+        | {"offset": {name: value.tolist() for name, value in vars(found).items()}},
     )
 
 
@@ -161,6 +176,23 @@ def networks(paths: Paths, file: str) -> tuple[Block, Block]:
         fit_block(paths.s, paths.x, "before the multipliers", file),
         fit_block(paths.s, paths.post, "after the multipliers", file),
     )
+
+
+def without_rates(paths: Paths) -> tuple[Array, Paths]:
+    """Take the pure differentiators out, which no state space holds: their slopes [m, n] s, and what is left.
+
+    A path is one where H/s is the same at every frequency, to what the sweep's rounding leaves of it.
+    """
+    n = paths.post.shape[1]
+    ratio = paths.x[:, :, :n] / paths.s[:, None, None]
+    slope = ratio[-1]
+    apart = np.abs(ratio - slope).max(axis=0)
+    pure = (np.abs(slope) > 0.0) & (apart <= _PURE * np.abs(slope))
+    x = paths.x.copy()
+    peak = np.abs(x).max(axis=0)
+    x[:, peak <= ROUNDING * peak.max(axis=1, keepdims=True)] = 0.0
+    x[:, :, :n][:, pure] = 0.0
+    return np.where(pure, slope.real, 0.0), replace(paths, x=x)
 
 
 def linear(

@@ -36,8 +36,9 @@ class LinearCircuit:
     """A board of n joints around its operating point, its m = 2 n^2 multipliers kept as products.
 
     Before the multipliers: z' = a_pre z + b_pre [pot; u] and X = c_pre z + d_pre [pot; u] + e_pre d pot/dt.
-    Multiplier c: w_c = gain_c X_c Y_c. After them: q' = a_post q + b_post [w; cmd; vel] and
-    imot = c_post q + d_post [w; cmd; vel], clamped to `limit`.
+    Multiplier c: w_c = gain_c (X_c + x_offset_c) (Y_c + y_offset_c).
+    After them: q' = a_post q + b_post [w; cmd; vel] and
+    imot = c_post q + d_post [w; cmd; vel] + offset, clamped to `limit`.
 
     Attributes
     ----------
@@ -48,17 +49,19 @@ class LinearCircuit:
     a_pre, b_pre, c_pre, d_pre
         [Np, Np], [Np, 2 n], [m, Np], [m, 2 n]; inputs are the pins pot and u [V].
     e_pre
-        [m, n], V per V/s at pot: the damper as frequency goes to zero; zero unless the model is ``"ideal"``.
+        [m, n], V per V/s at pot: the damper as frequency goes to zero, or a pure differentiator.
     gain
         [m], 1/V: w_c per X_c and volt at the channel's gain pin.
     a_post, b_post, c_post, d_post
         [Nq, Nq], [Nq, m + 2 n], [n, Nq], [n, m + 2 n]; inputs are w [V], cmd [V], vel [V]; outputs A.
     offset
-        [n] A at zero input; zero unless asked for.
+        [n] A at zero input, without what passes the multipliers; zero unless asked for.
     limit
         [n, 2] A, lowest and highest current of each motor.
     certificate
         What the model promises, ready for JSON.
+    x_offset, y_offset
+        [m] V, of each multiplier's inputs, with all that stands before them; zero unless asked for.
     """
 
     joints: int
@@ -76,14 +79,20 @@ class LinearCircuit:
     offset: Array
     limit: Array
     certificate: dict[str, Any] = field(default_factory=dict)
+    x_offset: Array = field(default_factory=lambda: np.zeros(0))
+    y_offset: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         n, m = self.joints, 2 * self.joints**2
         before, after = self.a_pre.shape[0], self.a_post.shape[0]
+        for name in ("x_offset", "y_offset"):
+            if not getattr(self, name).size:
+                object.__setattr__(self, name, np.zeros(m))
         shapes = {
             "a_pre": (before, before), "b_pre": (before, 2 * n), "c_pre": (m, before), "d_pre": (m, 2 * n),
             "e_pre": (m, n), "gain": (m,), "a_post": (after, after), "b_post": (after, m + 2 * n),
             "c_post": (n, after), "d_post": (n, m + 2 * n), "offset": (n,), "limit": (n, 2),
+            "x_offset": (m,), "y_offset": (m,),
         }  # fmt: skip
         for name, shape in shapes.items():
             value: Array = getattr(self, name)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields
 from math import isfinite
 
 from cosim.errors import InputError, Problem
@@ -26,6 +26,8 @@ class DesignConstants:
     dac_v, dac_bits : range +-V and resolution of the DACs
     w_rated : V, multiplier output at rated torque
     r_tip : m, reach for which figures at the tip are quoted
+    motor_k : N m/A, torque constant of the motor as it is, where its part states one (at its temperature);
+        0 where none does: then it is `kt`, which is what the computer believes
     """
 
     v_rad: float
@@ -41,11 +43,17 @@ class DesignConstants:
     dac_bits: float
     w_rated: float
     r_tip: float
+    motor_k: float = 0.0
+
+    @property
+    def torque_per_amp(self) -> float:
+        """Torque at the joint per ampere that the motor gives [N m/A]."""
+        return (self.motor_k or self.kt) * self.gear
 
     @classmethod
     def names(cls) -> list[str]:
         """Names of the constants, as the board's `.csparam` lines spell them."""
-        return [each.name for each in fields(DesignConstants)]
+        return [each.name for each in fields(DesignConstants) if each.default is MISSING]
 
     @classmethod
     def read(cls, values: Mapping[str, float | None], file: str) -> DesignConstants:
@@ -70,7 +78,8 @@ class DesignConstants:
                 good[name] = value
         if problems:
             raise InputError(problems)
-        return cls(**good)
+        own = values.get("motor_k")
+        return cls(**good, motor_k=own if own is not None and isfinite(own) else 0.0)
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,12 @@ import numpy as np
 
 from cosim.circuits.alter import Handle, Way, altered, handle
 from cosim.circuits.cache import Asked
-from cosim.circuits.extraction import SWEEP, extracted, linear
+from cosim.circuits.extraction import SWEEP, extracted, linear, with_offsets
 from cosim.circuits.fit import FitError
 from cosim.circuits.linear import LinearCircuit
 from cosim.circuits.measure import Paths, Session
 from cosim.circuits.rowfit import GRID, Batch, Fitted, Unfit, batches, fitted, points
-from cosim.circuits.statics import current_limits, offsets
+from cosim.circuits.statics import current_limits
 from cosim.errors import InputError, Problem, SimulationError
 from cosim.ngspice.deck import Deck
 from cosim.ngspice.lines import assignments, number, tokens
@@ -73,6 +73,8 @@ class Reextraction:
         self._renew()
         paths = self._session.measure(SWEEP)
         self.circuit = extracted(self._session, self._asked, paths)
+        # as it is measured, at full scale, to which an offset there adds
+        self._gain = self.circuit.gain * (1.0 + self.circuit.y_offset / self._session.v_fs)
         self._batches: tuple[Batch, ...] = ()
         self._sweep = SWEEP
         self._learn(paths)
@@ -108,6 +110,8 @@ class Reextraction:
             self._put(values)
             if not self._session.multipliers:
                 return _told(extracted(self._session, self._asked), "the multipliers have no probes")
+            if self.circuit.e_pre.any():
+                return _told(extracted(self._session, self._asked), "a pure differentiator has no poles")
             return self._quickly()
         except BaseException:
             self._stale = True
@@ -116,7 +120,7 @@ class Reextraction:
     def _quickly(self) -> LinearCircuit:
         """Return the model of the board as it is in ngspice."""
         session, asked = self._session, self._asked
-        paths = session.measure(self._sweep, self.circuit.gain)
+        paths = session.measure(self._sweep, self._gain)
         share = float(np.sqrt(1.0 + asked.tolerance) - 1.0)  # of each side: a + b (1 + a) <= tolerance
         try:
             found = fitted(paths, self._batches, 2.0 * np.pi * asked.band_hz, share)
@@ -126,12 +130,12 @@ class Reextraction:
             self._learn(whole)
             return circuit
         self._batches = found.batches
-        limit, offset = self.circuit.limit, self.circuit.offset
+        limit = self.circuit.limit
         if np.isfinite(limit).any() or asked.offsets:
             session.hold(dict.fromkeys(session.channels, 0.0))
             limit = current_limits(session) if np.isfinite(limit).any() else limit
-            offset = offsets(session) if asked.offsets else offset
-        return linear(paths, found.pre, found.post, limit, offset, self._certificate(found))
+        circuit = linear(paths, found.pre, found.post, limit, certificate=self._certificate(found))
+        return with_offsets(session, circuit) if asked.offsets else circuit
 
     def _renew(self) -> None:
         """Load the board as it is."""
@@ -180,7 +184,7 @@ class Reextraction:
 
     def _learn(self, paths: Paths) -> None:
         """Find out which poles each row of paths has."""
-        if paths.lumped:
+        if paths.lumped or self.circuit.e_pre.any():
             return
         same: dict[str, list[int]] = {}
         for c, part in enumerate(self._session.multipliers):

@@ -1,4 +1,4 @@
-"""What a board does besides its small-signal paths: current limit, control voltage, offset."""
+"""What a board does besides its small-signal paths: current limit, control voltage, offsets."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cosim.circuits.measure import LOW_HZ, Session
 
-__all__ = ["ControlPath", "control_path", "current_limits", "offsets"]
+__all__ = ["ControlPath", "Offsets", "control_path", "current_limits", "offsets"]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -17,7 +17,7 @@ Complex = NDArray[np.complex128]
 #: Command voltages go this many times the converters' range: far enough for any driver that clamps.
 _BEYOND = 5.0
 _STEPS = 40
-#: Slope at the end of the sweep, relative to that at rest, below which the current no longer rises.
+#: Slope relative to that at rest, below which the current no longer rises.
 _FLAT = 0.01
 #: Control voltages at which the gain is compared with its value at full scale.
 SHARES = (-1.0, -0.5, -0.1, 0.0, 0.1, 0.5, 1.0)
@@ -43,26 +43,75 @@ class ControlPath:
     error: float | None
 
 
+@dataclass(frozen=True)
+class Offsets:
+    """What a board does with every pin at zero.
+
+    Attributes
+    ----------
+    current
+        [n] A, motor currents without what passes the multipliers.
+    x, y
+        [m] V, what each multiplier sees at its inputs, its own offsets included.
+    """
+
+    current: Array
+    x: Array
+    y: Array
+
+
 def current_limits(session: Session) -> Array:
     """Return the lowest and highest current of each motor at standstill [n, 2] A, infinite where none shows.
 
-    From a `.dc` sweep of its command: the current where it has stopped rising.
+    From a `.dc` sweep of its command: the current where it stops rising.
     """
     reach = _BEYOND * session.simulator.constant("dac_v")
     out = np.tile([-np.inf, np.inf], (session.joints, 1))
     for i in range(session.joints):
         current = session.sweep(f"cmd{i + 1}", reach, _STEPS, f"imot{i + 1}")
         slope = np.diff(current)
-        rest = np.abs(slope[_STEPS // 2])
-        ends = [current[k] for k in (0, -1) if abs(slope[k]) < _FLAT * rest]
-        for end in ends:
-            out[i, int(end > current[_STEPS // 2])] = end
+        middle = _STEPS // 2
+        flat = np.abs(slope) < _FLAT * np.abs(slope[middle])
+        # beside the knee: far beyond it, what the command sends past the driver counts as well
+        knees = [current[middle + np.argmax(flat[middle:])]] if flat[-1] else []
+        knees += [current[middle - np.argmax(flat[middle - 1 :: -1])]] if flat[0] else []
+        for knee in knees:
+            out[i, int(knee > current[middle])] = knee
     return out
 
 
-def offsets(session: Session) -> Array:
-    """Return the motor currents with every pin at zero [n] A."""
-    return session.operating_point([f"imot{i + 1}" for i in range(session.joints)])
+def offsets(session: Session) -> Offsets:
+    """Measure the offsets of a board at its operating point.
+
+    With a current k (X + x) (Y + y) behind each multiplier, d/dX at two control voltages gives k and y, d/dY
+    gives k x. Without probes x is what the current of the channel's own motor does at full scale, and y is
+    not told apart from a direct path.
+    """
+    n, full = session.joints, session.v_fs
+    motors = [int(pin[3]) - 1 for pin in session.channels]
+    outputs = [f"imot{i + 1}" for i in range(n)]
+    if not session.multipliers:
+        rest, x = session.operating_point(outputs), []
+        for pin, motor in zip(session.channels, motors, strict=True):
+            session.hold({pin: full})
+            x.append(session.operating_point(outputs)[motor] - rest[motor])
+            session.hold({pin: 0.0})
+        return Offsets(rest, np.array(x), np.zeros(len(x)))
+    once = f"lin 1 {LOW_HZ[0]} {LOW_HZ[0]}"
+    rest = session.operating_point(outputs)
+    columns: dict[int, Complex] = {}
+    for group in session.groups():
+        columns |= _group(session, group, once, by_control=True)
+    by_y = np.array([np.real(columns[c][0]) for c in range(len(motors))])
+    zero = np.real(_through(session, once)[0])
+    session.hold(dict.fromkeys(session.channels, full))
+    held = np.real(_through(session, once)[0])
+    session.hold(dict.fromkeys(session.channels, 0.0))
+    each = (held - zero) / full
+    x, y = by_y / each, zero / each
+    through = np.zeros(n)
+    np.add.at(through, motors, each * x * y)
+    return Offsets(rest - through, x, y)
 
 
 def control_path(session: Session, band_hz: float) -> ControlPath:

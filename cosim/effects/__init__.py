@@ -9,16 +9,18 @@ from __future__ import annotations
 from typing import Any
 
 from cosim.circuits.port import Stated
-from cosim.effects.circuit import CIRCUIT
+from cosim.effects.circuit import CARRIED, CIRCUIT
 from cosim.effects.computer import COMPUTER
 from cosim.effects.effect import Cost, Effect, Size
 from cosim.effects.linkage import LINKAGE
 from cosim.effects.noise import NOISE
 from cosim.effects.sensing import SENSING
 from cosim.errors import InputError, Problem
-from cosim.scene import CircuitModelName, Scene
+from cosim.ngspice.deck import NOMINAL_C, Feature
+from cosim.scene import CircuitModelName, Differentiator, Scene
 
-__all__ = ["EFFECTS", "Cost", "Effect", "Size", "check", "circuit_model", "in_force", "left_out", "levels"]
+__all__ = ["EFFECTS", "Cost", "Effect", "Size", "check", "circuit_model", "features", "in_force",
+           "left_out", "levels", "shifts", "temperature_c"]  # fmt: skip
 
 #: Every effect, in the order in which a plan lists them.
 EFFECTS: tuple[Effect, ...] = (*CIRCUIT, *NOISE, *SENSING, *COMPUTER, *LINKAGE)
@@ -138,3 +140,20 @@ def levels(scene: Scene) -> dict[str, str]:
         "motor": effects.motor.value,
         "potentiometer": effects.potentiometer.value,
     }
+
+
+def features(scene: Scene) -> tuple[Feature, ...]:
+    """Return the single effects of the netlist's parts and blocks, as `load_deck` takes them."""
+    corner = scene.effects.differentiator is Differentiator.CORNER
+    single = (Feature(name, bool(getattr(scene.effects, name)), roles) for name, roles in CARRIED.items())
+    return (*single, Feature("differentiator_corner", corner))
+
+
+def temperature_c(scene: Scene) -> float:
+    """Return the temperature of the board [C]."""
+    return scene.device.temperature_c if scene.effects.temperature else NOMINAL_C
+
+
+def shifts(scene: Scene) -> bool:
+    """Whether the circuit's operating point at rest is not zero: offsets are in force."""
+    return scene.effects.opamp_offset or scene.effects.vca_offset

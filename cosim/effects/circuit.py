@@ -1,4 +1,4 @@
-"""Effects of the circuit: the levels of its parts."""
+"""Effects of the circuit: the levels of its parts, and what makes up the highest of them."""
 
 from __future__ import annotations
 
@@ -6,27 +6,14 @@ import math
 from collections.abc import Callable
 
 from cosim.circuits.port import Stated
-from cosim.effects.effect import ALL, DYNAMIC, Cost, Effect, Size
+from cosim.effects import errors
+from cosim.effects.effect import ALL, DYNAMIC, SPICE, Cost, Effect, Size
+from cosim.effects.errors import gain_before, unstated
 from cosim.effects.scale import Scale, scale
 from cosim.scene import Level, Scene
 
 #: Op-amps between potentiometer and summing point, and the summing amplifier.
 _STAGES = 3
-
-
-def gain_before(constants: Stated) -> float:
-    """Return the voltage gain from the potentiometer to a multiplier's input, from the design constants.
-
-    At full-scale gain, rated torque needs the angle i_rated kt gear / k_fs; the multiplier then gives
-    w_rated, and with its control at full scale its input is that same voltage.
-    """
-    angle = constants.i_rated * constants.kt * constants.gear / constants.k_fs
-    return constants.w_rated / (constants.v_rad * angle)
-
-
-def unstated(at: Scale, quantity: str) -> Size:
-    """Return the size of what a vendor's model does not state: all that the motors can do."""
-    return Size(at.limit_n, "N", at.limit_n, f"at the driver's limit: the part states no {quantity}", "bound")
 
 
 def _opamp(scene: Scene, constants: Stated) -> Size:
@@ -119,15 +106,46 @@ def _drive_cost(scene: Scene, constants: Stated) -> Cost:
 #: In the order in which a plan lists them.
 CIRCUIT = (
     Effect("opamp", "ideal", ("gbw", "full"), "netlist", DYNAMIC, size=_opamp, cost=_states("opamp", 1, 3)),
+    Effect(
+        "opamp_slew", False, (True,), "netlist", SPICE, size=errors.slew, cost=errors.bent("opamp"),
+        requires=("opamp",),
+    ),
+    Effect(
+        "opamp_saturation", False, (True,), "netlist", SPICE, size=errors.saturation,
+        cost=errors.bent("opamp"), requires=("opamp",),
+    ),
+    Effect("opamp_offset", False, (True,), "netlist", ALL, size=errors.offset),
     Effect("vca", "ideal", ("gbw", "full"), "netlist", DYNAMIC, size=_vca, cost=_states("vca", 1, 1)),
+    Effect("vca_gain_error", False, (True,), "netlist", ALL, size=errors.vca_gain),
+    Effect("vca_offset", False, (True,), "netlist", ALL, size=errors.vca_offset),
+    Effect("vca_nonlinearity", False, (True,), "netlist", SPICE, size=errors.vca_nonlinearity),
+    Effect(
+        "differentiator", "ideal", ("corner",), "netlist", DYNAMIC,
+        size=errors.corner, cost=errors.corner_cost, lacks=errors.undamped,
+    ),
     Effect(
         "driver_level", "ideal", ("gbw", "full"), "netlist", DYNAMIC,
         size=_driver_level, cost=_states("driver", 1, 2),
     ),
+    Effect("driver_limit", False, (True,), "netlist", ALL, size=errors.limit, cost=errors.bent("driver")),
     Effect(
         "motor", "ideal", ("full", "emf"), "netlist", ALL,
         size=_motor, cost=_motor_cost, at_full=DYNAMIC,
     ),
     Effect("driver", "voltage", ("current",), "netlist", ALL, size=_drive, cost=_drive_cost, design=True),
-    Effect("potentiometer", "ideal", ("full",), "netlist", ALL, size=_track),
+    Effect("potentiometer", "ideal", ("full",), "netlist", ALL, size=_track, at_full=ALL),
+    Effect(
+        "temperature", False, (True,), "netlist", ALL, size=errors.temperature, lacks=errors.nominal,
+    ),
 )  # fmt: skip
+
+#: Single effects that parts carry as a parameter of their name, and the roles whose parts must.
+CARRIED = {
+    "opamp_slew": ("opamp",),
+    "opamp_saturation": ("opamp",),
+    "opamp_offset": ("opamp", "driver"),
+    "vca_gain_error": ("vca",),
+    "vca_offset": ("vca",),
+    "vca_nonlinearity": ("vca",),
+    "driver_limit": ("driver",),
+}

@@ -9,9 +9,11 @@ from typing import Any
 from cosim.circuits.port import Stated
 from cosim.scene import Scene
 
-#: Every circuit model; and those that know the circuit's dynamics.
+#: Every circuit model; those that know the circuit's dynamics; and the one that bends.
 ALL = frozenset({"ideal", "linear", "spice"})
 DYNAMIC = frozenset({"linear", "spice"})
+#: What no linear model can carry.
+SPICE = frozenset({"spice"})
 
 
 @dataclass(frozen=True)

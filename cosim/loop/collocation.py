@@ -145,7 +145,7 @@ def _fixed(s: Record, k: Any, b: Bench, t: float, h: float) -> None:
             f[at + DAC * i] = now
             f[at + DAC * i + 1] = component(s, t + h, i) - now
     for c in range(2 * n * n):
-        b.gains[c] = k.gain[c] * volts(s, n + c, t + 0.5 * h)
+        b.gains[c] = k.gain[c] * (volts(s, n + c, t + 0.5 * h) + k.bias[c])
 
 
 @njit(cache=True, error_model="numpy")
@@ -355,7 +355,7 @@ def present(s: Record, k: Any, b: Bench) -> None:
             total += k.d_post[o, m + j] * held
             total += k.d_post[o, m + n + j] * s.gear * s.v[s.motor + j]
         for c in range(m):
-            g = k.gain[c] * volts(s, n + c, s.t) * k.d_post[o, c]
+            g = k.gain[c] * (volts(s, n + c, s.t) + k.bias[c]) * k.d_post[o, c]
             if g == 0.0:
                 continue
             x = 0.0

@@ -134,7 +134,7 @@ def system(state: np.void, circuit: LinearCircuit, gains: Array) -> tuple[Array,
     x[:, z] += circuit.c_pre
     x[:, 1] += circuit.e_pre[:, 0]
     x_inputs[:, 4] += circuit.e_pre[:, 0]
-    held = (circuit.gain * gains)[:, None]
+    held = (circuit.gain * (gains + circuit.y_offset))[:, None]
     behind, behind_inputs = np.zeros((m + 2, size)), np.zeros((m + 2, _INPUTS))
     behind[:m], behind_inputs[:m] = held * x, held * x_inputs
     behind[m + 1, 1], behind_inputs[m, 2] = state["gear"], 1.0

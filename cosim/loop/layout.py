@@ -88,7 +88,7 @@ def plan(
     Parameters
     ----------
     driven
-        Multipliers whose gain is ever other than zero.
+        Multipliers whose control is ever other than zero; those with an offset there come on their own.
     gear
         Motor turns per joint turn: the pins vel see the motors' speeds.
     commands, speeds
@@ -149,7 +149,7 @@ def plan(
     def post_of(column: int) -> list[int]:
         return states(two.part, circuit.b_post[:, column] != 0)
 
-    channels = [c for c in driven if circuit.gain[c] != 0]
+    channels = [c for c in sorted({*driven, *np.flatnonzero(circuit.y_offset)}) if circuit.gain[c] != 0]
     used = np.zeros(before, bool)
     for c in channels:
         used[states(one.part, circuit.c_pre[c] != 0)] = True
@@ -213,6 +213,7 @@ def plan(
         c_pre=np.ascontiguousarray(circuit.c_pre), c_post=np.ascontiguousarray(circuit.c_post),
         d_pre=np.hstack([circuit.d_pre, in_series]), e_pre=np.ascontiguousarray(circuit.e_pre),
         d_post=np.ascontiguousarray(circuit.d_post), gain=np.ascontiguousarray(circuit.gain),
-        offset=np.ascontiguousarray(circuit.offset), limit=np.ascontiguousarray(circuit.limit),
+        offset=np.ascontiguousarray(circuit.offset), bias=np.ascontiguousarray(circuit.y_offset),
+        limit=np.ascontiguousarray(circuit.limit),
         data=np.zeros((SLOTS, max(sum(size), 1))), length=np.full(SLOTS, -1.0), slots=np.zeros(2, np.int64),
     )  # fmt: skip

@@ -97,6 +97,7 @@ class Plan(NamedTuple):
     d_post: Matrix
     gain: Vector
     offset: Vector
+    bias: Vector  # offsets of the multipliers' controls
     limit: Matrix
     # matrices by step length
     data: Matrix

@@ -24,6 +24,7 @@ from cosim.loop.driven import channels, drive
 from cosim.loop.exact import Exact, exact
 from cosim.loop.layout import plan
 from cosim.loop.maps import Plan
+from cosim.loop.offsets import shifted
 from cosim.loop.pins import pins
 from cosim.loop.setup import Memory, columns, pack, sample_columns
 from cosim.loop.signals import Layout, write_signals
@@ -126,8 +127,9 @@ def prepare(
     state["w"]["located"] = any(state["p"][name] for name in ("coulomb_on", "stops_on", "backlash_on"))
     names = channels(n)
     driven = [names.index(name) - n for name in driving.channels if name.startswith("ks")]
+    whole = shifted(circuit)
     maps = plan(
-        circuit, driven,
+        whole, driven,
         gear=constants.gear,
         commands=any(name.startswith("cmd") for name in driving.channels),
         speeds=driving.speeds,
@@ -139,7 +141,7 @@ def prepare(
     desk = bench(maps, np.zeros(maps.before + maps.after))
     first = FIRST_ROW_SHARE * scene.computer.period_s if record and dense else 0.0
     failures: list[Exception] = []
-    leaps, callback = exact(state, circuit, memory.knots, failures)
+    leaps, callback = exact(state, whole, memory.knots, failures)
     tables = propagation.Tables(memory.state, maps, desk, leaps)
     return Propagation(memory, circuit, maps, desk, leaps, callback, failures, first, tables)
 
@@ -151,13 +153,14 @@ def rest(
     n, m = circuit.joints, len(circuit.gain)
     level = np.zeros(4 * n + m)
     pins(state, level)
-    pot_u, gains = level[: 2 * n], circuit.gain * level[2 * n : 2 * n + m]
+    pot_u, gains = level[: 2 * n], circuit.gain * (level[2 * n : 2 * n + m] + circuit.y_offset)
     z = _still(circuit.a_pre, circuit.b_pre @ pot_u, "a_pre")
-    x = circuit.c_pre @ z + circuit.d_pre @ pot_u
+    x = circuit.c_pre @ z + circuit.d_pre @ pot_u + circuit.x_offset
     if component is not None:
         x += component.values[0, component.group]
     after = np.concatenate([gains * x, level[2 * n + m :]])
-    return np.concatenate([z, _still(circuit.a_post, circuit.b_post @ after, "a_post")])
+    one = np.ones(int(circuit.x_offset.any()))  # see `shifted`
+    return np.concatenate([z, one, _still(circuit.a_post, circuit.b_post @ after, "a_post")])
 
 
 def _still(a: NDArray[np.float64], drive: NDArray[np.float64], name: str) -> NDArray[np.float64]:
@@ -205,7 +208,9 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     circuit: LinearCircuit | None = payload.get("circuit")
     if circuit is None:
         asked: dict[str, Any] = {
-            key: payload[key] for key in ("board", "model", "band_hz", "tolerance") if key in payload
+            key: payload[key]
+            for key in ("board", "model", "band_hz", "tolerance", "offsets")
+            if key in payload
         }
         circuit = extract(asked, report)
     component = component_grid(scene, board, report)

@@ -62,7 +62,7 @@ def write_signals(
         assert work_j is not None  # whoever turns shafts keeps account of them
         workers, stores = workers + 1, stores + 1
     nobody = NoOperator().pack()[0]
-    torque_per_amp = layout.constants.kt * layout.constants.gear
+    torque_per_amp = layout.constants.torque_per_amp
     first = columns.index("q1")
     totals = np.zeros(workers)
     held, spring = [], []

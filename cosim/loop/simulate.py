@@ -125,7 +125,7 @@ class Recorder:
 def read_constants(simulator: Simulator, file: str) -> DesignConstants:
     """Design constants of the loaded board."""
     values: dict[str, float | None] = {}
-    for name in DesignConstants.names():
+    for name in (*DesignConstants.names(), "motor_k"):
         try:
             values[name] = simulator.constant(name)
         except CosimError:

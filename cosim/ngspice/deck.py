@@ -6,24 +6,27 @@ simulates adds ``xboard <nets> <board>`` and the sources behind `Deck.text`. ngs
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.errors import InputError, Problem, fail, nearest
+from cosim.ngspice import conditions
 from cosim.ngspice.flatten import Reader
 from cosim.ngspice.lines import Line, assignments, read_lines, tokens
 from cosim.ngspice.netlist import Block, Netlist, parse
-from cosim.ngspice.overrides import apply_overrides
-from cosim.ngspice.parts import Part, PartSwap, Shelf
+from cosim.ngspice.overrides import apply_overrides, set_param
+from cosim.ngspice.parts import Feature, Part, PartSwap, Shelf
 
-__all__ = ["Amplifier", "Deck", "PartSwap", "board_pins", "load_deck"]
+__all__ = ["NOMINAL_C", "Amplifier", "Deck", "Feature", "PartSwap", "board_pins", "load_deck"]
 
 _JOINT_PINS = ("pot{j}", "vel{j}", "u{j}", "cmd{j}", "imot{j}")
 _PAIR_PINS = ("ksp{i}{j}", "ksd{i}{j}")
 MOST_JOINTS = 6
 #: What is done about initial conditions, which need not agree with the circuit.
 _CONSISTENT = ": a run starts from the circuit's operating point"
+#: Temperature at which parts have their nominal values, ngspice's own [C].
+NOMINAL_C = 27.0
 _NUMBERED_PIN = re.compile(r"(pot|vel|cmd|imot)\d+|ks[pd]\d\d")
 
 
@@ -113,6 +116,8 @@ def load_deck(
     levels: Mapping[str, str] | None = None,
     parts: Mapping[str, PartSwap | str] | None = None,
     overrides: Mapping[str, str] | None = None,
+    features: Iterable[Feature] = (),
+    temperature_c: float = NOMINAL_C,
     trust: bool = False,
     root: str | Path | None = None,
 ) -> Deck:
@@ -129,6 +134,10 @@ def load_deck(
         Name or role of a part -> the part's name or the vendor's model that stands in for it.
     overrides
         Name of a ``.param``, designator of an element, or ``instance.parameter`` -> new value.
+    features
+        Single effects that parts and blocks carry as a ``.param`` of 0 or 1; others keep their file's value.
+    temperature_c
+        Temperature of the whole board [C].
     trust
         Whether to let control blocks, file access and includes from anywhere pass.
     root
@@ -146,12 +155,15 @@ def load_deck(
     board = _board(path, net)
     _complete(net, board, shelf)
     apply_overrides(net, board, overrides or {})
+    said = _switch(net, shelf, features)
+    warm = _heat(net, temperature_c)
+    conditions.settle(net)
     joints = _joints(board)
     blocks = _reachable(net, board)
     lines = [Line(f"{board.name}: {joints} joint{'s' if joints > 1 else ''}")]
     if shelf.pspice:
         lines.append(Line("*@ ngbehavior=psa"))
-    lines += net.top
+    lines += net.top + warm
     for block in blocks:
         lines += block.lines
     return Deck(
@@ -161,10 +173,52 @@ def load_deck(
         joints,
         tuple(_amplifiers(net, board, shelf)),
         tuple(shelf.used[name] for name in sorted(shelf.used) if name in net.blocks),
-        tuple(_notes(net, blocks)),
+        (*_notes(net, blocks), *said),
         path,
         _reactances(net, board),
     )
+
+
+def _switch(net: Netlist, shelf: Shelf, features: Iterable[Feature]) -> list[str]:
+    """Set the parameter of every single effect; return what cannot be switched, in words.
+
+    Raises
+    ------
+    InputError
+        Naming each part that cannot carry an effect in force.
+    """
+    problems, said = [], dict[str, None]()
+    for feature in features:
+        found = set_param(net, feature.name, str(int(feature.on)))
+        for part in (shelf.used[name] for name in sorted(shelf.used) if name in net.blocks):
+            if part.role not in feature.roles or part.level == "full":
+                continue
+            if part.level is None:
+                said[f"{part.name} is a vendor's model: it carries what its file holds, the effects of "
+                     f"{part.role} (level, offset, slew and the like) do not switch it"] = None  # fmt: skip
+            elif feature.on and not (found and conditions.mentions(net.blocks[part.name], feature.name)):
+                problems.append(
+                    Problem(
+                        f"the part {part.name} does not carry this effect at its level {part.level}: its "
+                        f"section would have to use .param {feature.name}",
+                        file=net.blocks[part.name].header.file,
+                        key=f"effects.{feature.name}",
+                        value=feature.on,
+                    )
+                )
+        if not found and not feature.roles:
+            said[f"no block of the board states .param {feature.name}: it is as the netlist has it"] = None
+    if problems:
+        raise InputError(problems)
+    return list(said)
+
+
+def _heat(net: Netlist, temperature_c: float) -> list[Line]:
+    """Tell ngspice and the parameter of that name the temperature, where it is not the nominal one."""
+    if temperature_c == NOMINAL_C:
+        return []
+    set_param(net, "temperature_c", repr(temperature_c))
+    return [Line(f".temp {temperature_c!r}")]
 
 
 def _lower(parts: Mapping[str, PartSwap | str]) -> dict[str, PartSwap | str]:

@@ -8,7 +8,7 @@ from cosim.errors import InputError, Problem, nearest
 from cosim.ngspice.lines import join, number, tokens
 from cosim.ngspice.netlist import Block, Instance, Netlist
 
-__all__ = ["apply_overrides"]
+__all__ = ["apply_overrides", "set_param"]
 
 _VALUE_PLACE = {"r": 3, "c": 3, "l": 3, "v": 3, "i": 3, "e": 5, "g": 5, "f": 4, "h": 4}
 """Where the value stands on an element's line, by the element's letter."""
@@ -46,7 +46,7 @@ def apply_overrides(net: Netlist, board: Block, overrides: Mapping[str, str]) ->
 
 def _name(net: Netlist, board: Block, key: str, value: str) -> str | None:
     """Set a parameter or an element by its bare name; return what is wrong."""
-    if _set_param(net, key, value):
+    if set_param(net, key, value):
         return None
     for is_part in (False, True):
         owners = [
@@ -100,7 +100,8 @@ def _own_copy(net: Netlist, block: Block, instance: Instance, child: Block) -> B
     return copy
 
 
-def _set_param(net: Netlist, key: str, value: str) -> bool:
+def set_param(net: Netlist, key: str, value: str) -> bool:
+    """Give a ``.param`` another value wherever it is defined; return whether it is."""
     found = False
     for rows in (net.top, *(block.body for block in net.blocks.values())):
         for index, line in enumerate(rows):

@@ -10,7 +10,7 @@ from cosim.ngspice.flatten import Reader, sections
 from cosim.ngspice.lines import Line, assignments, read_lines, tokens
 from cosim.ngspice.netlist import Block, Instance, Netlist, parse
 
-__all__ = ["ROLES", "Part", "PartSwap", "Shelf"]
+__all__ = ["ROLES", "Feature", "Part", "PartSwap", "Shelf"]
 
 ROLES = ("opamp", "vca", "driver", "motor", "potentiometer")
 """What a part can be, as the ``*@ role=`` line of its file says."""
@@ -40,6 +40,25 @@ class PartSwap:
     subckt: str
     pins: str | Iterable[str] = ""
     dialect: str = "ngspice"
+
+
+@dataclass(frozen=True)
+class Feature:
+    """A single effect of parts or blocks: a ``.param`` of their files that is 0 or 1.
+
+    Attributes
+    ----------
+    name
+        Name of the parameter.
+    on
+        Whether the effect is in force.
+    roles
+        Roles whose parts must carry it then; none where a block may.
+    """
+
+    name: str
+    on: bool
+    roles: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -64,6 +64,7 @@ Damping = Annotated[float, Field(ge=0, le=1e5), Unit("N s/m")]
 Force = Annotated[float, Field(ge=-1e4, le=1e4), Unit("N")]
 Gravity = Annotated[float, Field(ge=-100, le=100), Unit("m/s^2")]
 Frequency = Annotated[float, Field(gt=0, le=1e7), Unit("Hz")]
+Temperature = Annotated[float, Field(ge=-55, le=150), Unit("C")]
 Volts = Annotated[float, Field(gt=0, le=1e3), Unit("V")]
 Vector = Annotated[tuple[float, float], AfterValidator(_normalised)]
 Point = tuple[Place, Place]
@@ -120,6 +121,13 @@ class PotLevel(StrEnum):
 
     IDEAL = "ideal"
     FULL = "full"
+
+
+class Differentiator(StrEnum):
+    """Differentiator as a pure one, or as the circuit with its corners and its op-amp."""
+
+    IDEAL = "ideal"
+    CORNER = "corner"
 
 
 class PotNoise(StrEnum):
@@ -290,6 +298,7 @@ class Device(Table):
 
     `values` overrides parameters and elements of the netlist by name; ``--set R12=8.2k`` lands here.
     ``effects.component_noise`` is drawn up to `component_noise_bandwidth_hz`.
+    `temperature_c` holds where ``effects.temperature`` is in force.
     """
 
     board: Path
@@ -299,6 +308,7 @@ class Device(Table):
     start: Start
     potentiometer: Potentiometer = Potentiometer()
     component_noise_bandwidth_hz: Annotated[float, Field(gt=0, le=1e5), Unit("Hz")] = 1000.0
+    temperature_c: Temperature = 27.0
     parts: Mapping[str, Part] = {}
     values: Mapping[str, str] = {}
 
@@ -410,11 +420,20 @@ class Effects(Table):
 
     auto: bool = False
     opamp: Annotated[Level, _Word] = Level.IDEAL
+    opamp_slew: bool = False
+    opamp_saturation: bool = False
+    opamp_offset: bool = False
     vca: Annotated[Level, _Word] = Level.IDEAL
+    vca_gain_error: bool = False
+    vca_offset: bool = False
+    vca_nonlinearity: bool = False
+    differentiator: Annotated[Differentiator, _Word] = Differentiator.IDEAL
     driver: Annotated[Drive, _Word] = Drive.VOLTAGE
     driver_level: Annotated[Level, _Word] = Level.IDEAL
+    driver_limit: bool = False
     motor: Annotated[MotorLevel, _Word] = MotorLevel.IDEAL
     potentiometer: Annotated[PotLevel, _Word] = PotLevel.IDEAL
+    temperature: bool = False
     pot_noise: Annotated[PotNoise, _Word] = PotNoise.NONE
     pot_linearity: bool = False
     pot_calibration: bool = False

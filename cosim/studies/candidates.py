@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from cosim.effects import EFFECTS, Effect, Size
-from cosim.effects import levels as effect_levels
+from cosim.effects import EFFECTS, Effect, Size, features, levels, temperature_c
 from cosim.effects.scale import scale
 from cosim.errors import InputError
 from cosim.measures import UNITS, tolerances
@@ -76,7 +75,7 @@ class Candidates:
     ) -> None:
         self._path, self._overrides, self._trust, self._child = path, overrides, trust, child
         self._plans: dict[tuple[Any, ...], Plan | InputError] = {}
-        self._boards: dict[tuple[Any, ...], Deck] = {}  # by the levels of their parts
+        self._boards: dict[tuple[Any, ...], Deck] = {}  # by what the effects make of the netlist
         self.scene = load_scene(path, overrides)
         stated = self.scene.effects.model_fields_set
         self.fixed = {
@@ -157,11 +156,11 @@ class Candidates:
             stated = [f"effects.{name}={_toml(value)}" for name, value in settings.items()]
             try:
                 scene = load_scene(self._path, [*self._overrides, *stated, "effects.auto=false"])
-                levels = tuple(effect_levels(scene).items())
-                board = self._boards.get(levels)
+                netlist = (*levels(scene).items(), features(scene), temperature_c(scene))
+                board = self._boards.get(netlist)
                 plan = resolve(scene.model_copy(update={"tolerance": {}}), trust=self._trust, board=board)
                 plan.stated(self._child)
-                self._boards[levels] = plan.board
+                self._boards[netlist] = plan.board
                 self._plans[key] = plan
             except InputError as error:
                 self._plans[key] = error
