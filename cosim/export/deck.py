@@ -101,7 +101,7 @@ def _monolithic(plan: Plan, run: Run) -> list[str]:
     linkage = mechanism(scene, gear)
     q, v = start(scene, linkage)
     p, op = linkage.pack()[0], operator(scene).pack()[0]
-    moving = mechanics(p, op, q, v, gear, _constant(run, "kt"), circuit.speeds)
+    moving = mechanics(p, op, q, v, gear, _constant(run, "motor_k") or _constant(run, "kt"), circuit.speeds)
     commands = channels(scene, run.signals, circuit.channels)
     shown = ["x", "y"]
     if scene.operator.type != "none":

@@ -187,7 +187,7 @@ def rests(
     m = len(circuit.gain)
     products = circuit.gain * law.volts[n : n + m] * (before @ np.concatenate([q, law.volts[:n]]))
     current = after @ np.concatenate([products, law.volts[n + m :], np.zeros(n)]) + circuit.offset
-    motors = constants.kt * constants.gear * current
+    motors = constants.torque_per_amp * current
     outer = linkage.jacobian(q).T @ external_force(scene, linkage, q, t)
     bias = linkage.bias(q, np.zeros(n))
     scale = max(float(np.abs(part).max()) for part in (motors, outer, bias))

@@ -39,7 +39,7 @@ def dissipation(run: Run, stated: Stated) -> list[Dissipation]:
     found = []
     for joint in range(1, run.scene.joints + 1):
         current = np.asarray(run.signals[f"imot{joint}"])
-        volts = ohm * current + stated.kt * stated.gear * np.asarray(run.signals[f"v{joint}"])
+        volts = ohm * current + stated.torque_per_amp * np.asarray(run.signals[f"v{joint}"])
         motor = ohm * current**2
         driver = np.abs(current) * (SUPPLY_V - volts * np.sign(current))
         found.append(

@@ -35,7 +35,7 @@ def device_of(scene: Scene, constants: DesignConstants, circuit: LinearCircuit, 
     law = law_point(scene, constants, linkage, np.asarray(q, float))
     gains = law.volts[n : n + m]
     viscous = np.diag(linkage.pack()[0]["viscous"][:n]).astype(complex)
-    per_amp = constants.kt * constants.gear
+    per_amp = constants.torque_per_amp
     w = linkage.jacobian(q).T @ np.array(scene.wall.normal)
 
     def damping(omega: Array) -> Complex:

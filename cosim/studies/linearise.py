@@ -117,7 +117,7 @@ def linearise(
         _, _, current = rests(scene, constants, circuit, linkage, q, at)
         inner = circuit.before(0.0)[0].real @ np.concatenate([q, law.volts[:n]])
     a, b, e, c, d, feed = _electric(circuit, constants.gear, law.volts[n : n + m], inner)
-    per_amp = constants.kt * constants.gear
+    per_amp = constants.torque_per_amp
     jac = linkage.jacobian(q)
     inverse = np.linalg.inv(linkage.mass_matrix(q, person))
     viscous = np.diag(linkage.pack()[0]["viscous"][:n]) + op["damping"] * jac.T @ jac
