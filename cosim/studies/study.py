@@ -36,6 +36,7 @@ RECORD, POINTS = "study.json", "points.jsonl"
 STUDIES = {
     "congruence": "cosim.studies.congruence",
     "drop": "cosim.studies.drop",
+    "eta": "cosim.studies.eta",
     "poses": "cosim.studies.poses",
     "trace": "cosim.studies.trace",
 }

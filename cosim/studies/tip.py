@@ -1,0 +1,146 @@
+"""What a board renders at the fingertip along a wall's normal, and the device's viscosity there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.circuits.linear import LinearCircuit
+from cosim.circuits.port import DesignConstants
+from cosim.errors import InputError, Problem
+from cosim.loop.setup import mechanism
+from cosim.plan import resolve
+from cosim.scene import CircuitModelName, Scene
+from cosim.studies.model import circuit_of
+from cosim.studies.stability import touching
+
+__all__ = ["Tip", "Wanted", "reached", "tip_of"]
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Analog gains at the tip along the normal: N/m and N s/m."""
+
+    stiffness: float = 0.0
+    damping: float = 0.0
+
+
+@dataclass(frozen=True)
+class Tip:
+    """A scene's circuit, looked at from the tip on its wall.
+
+    Attributes
+    ----------
+    scene, constants, circuit
+        The scene, its board's constants and linear circuit.
+    q
+        Pose [rad].
+    """
+
+    scene: Scene
+    constants: DesignConstants
+    circuit: LinearCircuit
+    q: Array
+
+    @cached_property
+    def torques(self) -> Array:
+        """Joint torques of a unit force along the normal, w = J^T n [n] m/rad."""
+        assert self.scene.wall is not None
+        jac = mechanism(self.scene, self.constants.gear).jacobian(self.q)
+        out: Array = jac.T @ np.array(self.scene.wall.normal)
+        return out
+
+    @cached_property
+    def motion(self) -> Array:
+        """Joint motion for a unit of motion along the normal, none along the wall [n] rad/m."""
+        assert self.scene.wall is not None
+        jac = mechanism(self.scene, self.constants.gear).jacobian(self.q)
+        out: Array = np.linalg.pinv(jac) @ np.array(self.scene.wall.normal)
+        return out
+
+    def control(self, wanted: Wanted) -> Array:
+        """Return the volts at the gain pins [m] for k n n^T and c n n^T at the tip."""
+        c, square = self.constants, np.outer(self.torques, self.torques).ravel()
+        return np.concatenate(
+            [wanted.stiffness * square * c.v_fs / c.k_fs, wanted.damping * square * c.v_fs / c.c_fs]
+        )
+
+    def impedance(self, wanted: Wanted, hz: Array) -> Complex:
+        """Return force over motion along the normal [F] N/m, the tip led along it: k + jwc of an ideal board.
+
+        The motors' back-EMF is left out: it is no part of what is commanded.
+        """
+        n = self.circuit.joints
+        y = self.circuit.response(2j * np.pi * np.asarray(hz), self.control(wanted))[:, :, :n]
+        per_amp = self.constants.kt * self.constants.gear
+        out: Complex = -per_amp * np.einsum("i,fij,j->f", self.motion, y, self.motion)
+        return out
+
+    def joint_viscosity(self) -> Array:
+        """Return bearings and back-EMF at low frequency [n, n] N m s/rad."""
+        n, c = self.circuit.joints, self.constants
+        back = self.circuit.after(0.0)[0].real[:, len(self.circuit.gain) + n :]
+        bearings = np.diag(mechanism(self.scene, c.gear).pack()[0]["viscous"][:n])
+        out: Array = bearings - c.kt * c.gear**2 * 0.5 * (back + back.T)
+        return out
+
+    def viscosity(self) -> float:
+        """Return the device's viscosity along the normal, free along the wall: 1/(w^T B^-1 w) [N s/m].
+
+        A late spring k n n^T takes k times its delay from just this, whatever B is.
+        """
+        w = self.torques
+        return float(1.0 / (w @ np.linalg.solve(self.joint_viscosity(), w)))
+
+    def at(self, q: Array) -> Tip:
+        """Return the same at another pose."""
+        return Tip(self.scene, self.constants, self.circuit, np.asarray(q, float))
+
+
+def tip_of(scene: Scene) -> Tip:
+    """Return the scene with its `linear` circuit at the pose that touches its wall.
+
+    Raises
+    ------
+    InputError
+        Without a wall, or for a board that has no linear model.
+    """
+    if scene.wall is None:
+        raise InputError(
+            Problem("what is rendered is looked at along a wall's normal",
+                    file=str(scene.file) if scene.file else None, key="wall")
+        )  # fmt: skip
+    solver = scene.solver.model_copy(update={"model": CircuitModelName.LINEAR})
+    linear = scene.model_copy(update={"solver": solver})
+    circuit, constants = circuit_of(resolve(linear))
+    return Tip(linear, constants, circuit, touching(linear, constants))
+
+
+def reached(tip: Tip, points: int, margin_rad: float) -> list[Tip]:
+    """Return the scene at a grid of poses over its workspace; a slider has the one.
+
+    Parameters
+    ----------
+    points
+        Of each joint angle.
+    margin_rad
+        Poses nearer to full stretch or fold are left out.
+
+    Raises
+    ------
+    InputError
+        For a chain of another number of joints than two.
+    """
+    if tip.scene.is_slider:
+        return [tip]
+    if tip.scene.joints != 2:
+        raise InputError(Problem("poses are mapped for two joints", key="device.chain"))
+    bends = np.linspace(margin_rad, np.pi - margin_rad, points)
+    turns = np.linspace(-np.pi, np.pi, points, endpoint=False)
+    return [tip.at(np.array([turn, bend])) for bend in bends for turn in turns]
