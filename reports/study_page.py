@@ -6,7 +6,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from cosim.studies.study import StudyResult, Verdict, write_table
+from cosim.studies.claims import Claim
+from cosim.studies.study import StudyResult, write_table
 from cosim.studies.study import Table as StudyTable
 from reports.page import Picture, picture, render, write_page
 from reports.style import look
@@ -29,9 +30,36 @@ class _Table:
 
 
 @dataclass(frozen=True)
+class _Judged:
+    """A verdict with the name and the title of the study that judged."""
+
+    claim: str
+    expected: str
+    found: str
+    holds: str
+    place: str
+    section: str
+
+
+@dataclass(frozen=True)
+class _Claim:
+    """What the paper says and when it counts, with the verdicts on it; none where it was not judged."""
+
+    id: str
+    says: str
+    counts: str
+    rows: list[_Judged]
+
+    @property
+    def anchor(self) -> str:
+        return "claim-" + "".join(c if c.isalnum() else "-" for c in self.id)
+
+
+@dataclass(frozen=True)
 class _Section:
     name: str
     title: str
+    judges: list[_Claim]
     notes: tuple[str, ...]
     pictures: list[Picture]
     tables: list[_Table]
@@ -39,7 +67,11 @@ class _Section:
 
 
 def write_study_page(
-    results: Sequence[tuple[str, StudyResult]], out: Path, title: str, command: str = ""
+    results: Sequence[tuple[str, StudyResult]],
+    out: Path,
+    title: str,
+    command: str = "",
+    claims: Sequence[Claim] = (),
 ) -> Path:
     """Write ``report.html`` with the figures (PNG, SVG, CSV) and tables (CSV) of studies.
 
@@ -49,38 +81,36 @@ def write_study_page(
         Name and result of each study, in the order of the page; a name is the first part of file names.
     out
         Folder to write into; made when it is absent. A page that it holds is replaced.
+    title, command
+        Heading, and the command line that made the page.
+    claims
+        What is to be judged, in the order of the page; verdicts with other ids follow.
 
     Raises
     ------
     InputError
         The folder cannot be written.
     """
+    judged = _claims(results, claims)
     sections, pictures = [], []
     for name, result in results:
         drawn = _draw(name, result)
         pictures += drawn
+        ids = {verdict.id for verdict in result.verdicts}
         sections.append(
             _Section(
                 name,
                 result.title,
+                [claim for claim in judged if claim.id in ids],
                 result.notes,
                 drawn,
                 [_table(table, f"data/{name}_{table.name}.csv") for table in result.tables],
                 f"Computed in {result.seconds:.3g} s.",
             )
         )
-    verdicts = [(result.title, verdict) for _, result in results for verdict in result.verdicts]
-    held = sum(verdict.holds is True for _, verdict in verdicts)
-    failed = [verdict.id for _, verdict in verdicts if verdict.holds is False]
-    summary = []
-    if verdicts:
-        summary.append(
-            f"{held} of {held + len(failed)} claims hold"
-            + (f"; not: {', '.join(dict.fromkeys(failed))}." if failed else ".")
-        )
     html = render(
-        "study.html.j2", title=title, command=command, summary=summary, sections=sections,
-        verdicts=_verdicts([verdict for _, verdict in verdicts]) if verdicts else None,
+        "study.html.j2", title=title, command=command, summary=_summary(judged), sections=sections,
+        claims=judged,
     )  # fmt: skip
     page = write_page(out, html, pictures)
     data = out / "data"
@@ -91,15 +121,43 @@ def write_study_page(
     return page
 
 
+def _claims(results: Sequence[tuple[str, StudyResult]], asked: Sequence[Claim]) -> list[_Claim]:
+    """Return every claim with its verdicts, those that nobody listed behind the others."""
+    found: dict[str, _Claim] = {claim.id: _Claim(claim.id, claim.says, claim.counts, []) for claim in asked}
+    for name, result in results:
+        for v in result.verdicts:
+            row = _Judged(v.claim, v.expected, v.found, _HOLDS[v.holds], name, result.title)
+            found.setdefault(v.id, _Claim(v.id, "", "", [])).rows.append(row)
+    return list(found.values())
+
+
+def _summary(claims: Sequence[_Claim]) -> list[str]:
+    """Say how many verdicts hold, which do not, and what was not judged."""
+    if not claims:
+        return []
+    said = [(claim.id, row.holds) for claim in claims for row in claim.rows]
+
+    def which(word: str) -> list[str]:
+        return list(dict.fromkeys(name for name, holds in said if holds == word))
+
+    held = sum(holds == _HOLDS[True] for _, holds in said)
+    decided = held + sum(holds == _HOLDS[False] for _, holds in said)
+    out = f"{held} of {decided} verdicts hold"
+    if failed := which(_HOLDS[False]):
+        out += f"; not all of {', '.join(failed)}"
+    answered = sum(holds == _HOLDS[None] for _, holds in said)
+    if answered:
+        out += f". {answered} more answer a question with a number"
+    sentences = [out + "."]
+    if absent := [claim.id for claim in claims if not claim.rows]:
+        sentences.append(f"Not judged: {', '.join(absent)}.")
+    return sentences
+
+
 def _draw(name: str, result: StudyResult) -> list[Picture]:
     draw = import_module(f"reports.studies.{result.study}").draw
     with look():
         return [picture(f"{name}_{part}", heading, drawn) for part, heading, drawn in draw(result)]
-
-
-def _verdicts(verdicts: Sequence[Verdict]) -> _Table:
-    rows = [[v.id, v.claim, v.expected, v.found, _HOLDS[v.holds]] for v in verdicts]
-    return _Table("Claim by claim", ["", "claim", "expected", "found", ""], rows, set(), "")
 
 
 def _table(table: StudyTable, file: str) -> _Table:

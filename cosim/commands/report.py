@@ -69,11 +69,15 @@ def study_files(given: list[Path]) -> list[Path]:
 def _report_studies(args: argparse.Namespace, files: list[Path]) -> tuple[dict[str, Any], str]:
     from cosim.commands.progress import progress
     from cosim.settings import overrides
+    from cosim.studies.claims import Claims, load_claims
     from cosim.studies.study import load_study, run_study
     from reports.study_page import write_study_page
 
     changes = overrides(args.set)
     specs = [load_study(file, changes) for file in files]  # all are checked before the first runs
+    # the claims of a folder are about all of its studies, not about one of them
+    folders = [path for path in map(Path, args.results) if path.is_dir()]
+    claims = load_claims(folders[0]) if len(folders) == 1 else Claims()
     out = (
         Path(args.out)
         if args.out
@@ -85,14 +89,20 @@ def _report_studies(args: argparse.Namespace, files: list[Path]) -> tuple[dict[s
             results.append(
                 (spec.file.stem, run_study(spec, out / "studies" / spec.file.stem, on_progress=show))
             )
-    title = specs[0].title if len(specs) == 1 else f"Studies of {files[0].parent.name}"
-    page = write_study_page(results, out, title, " ".join(["cosim report", *args.results]))
-    verdicts = [verdict for _, result in results for verdict in result.verdicts]
-    marks = {True: "ok  ", False: "NOT ", None: "    "}
-    lines = [f"{marks[v.holds]} {v.id:5} {v.claim}: {v.found}" for v in verdicts]
-    return {"page": str(page), "verdicts": [vars(verdict) for verdict in verdicts]}, "\n".join(
-        [*lines, f"wrote {page}"]
+    title = claims.title or (specs[0].title if len(specs) == 1 else f"Studies of {files[0].parent.name}")
+    asked = [f"--set {change}" for change in args.set]
+    page = write_study_page(
+        results, out, title, " ".join(["cosim report", *args.results, *asked]), claims.claims
     )
+    verdicts = [verdict for _, result in results for verdict in result.verdicts]
+    judged = {verdict.id for verdict in verdicts}
+    left = [claim.id for claim in claims.claims if claim.id not in judged]
+    marks = {True: "ok  ", False: "NOT ", None: "    "}
+    lines = [f"{marks[v.holds]} {v.id:6} {v.claim}: {v.found}" for v in verdicts]
+    lines += [f"     {name:6} not judged" for name in left]
+    lines.append(f"wrote {page}")
+    data = {"page": str(page), "verdicts": [vars(v) for v in verdicts], "not_judged": left}
+    return data, "\n".join(lines)
 
 
 def result_folders(folder: Path) -> list[Path]:
