@@ -20,7 +20,7 @@ from cosim.ngspice.deck import NOMINAL_C, Feature
 from cosim.scene import CircuitModelName, Differentiator, Scene
 
 __all__ = ["EFFECTS", "Cost", "Effect", "Size", "check", "circuit_model", "features", "in_force",
-           "left_out", "levels", "shifts", "temperature_c"]  # fmt: skip
+           "left_out", "levels", "shifts", "temperature_c", "without_dynamics"]  # fmt: skip
 
 #: Every effect, in the order in which a plan lists them.
 EFFECTS: tuple[Effect, ...] = (*CIRCUIT, *NOISE, *SENSING, *COMPUTER, *LINKAGE)
@@ -127,6 +127,21 @@ def circuit_model(scene: Scene) -> str:
     if problems:
         raise InputError(problems)
     return forced.value
+
+
+def without_dynamics(scene: Scene) -> tuple[str, ...]:
+    """Return the overrides that bring a scene to the model `ideal`: the assumption of footnote 1.
+
+    An effect that this model cannot carry takes a lesser value that it can, or its null form.
+    """
+    out = []
+    for effect in EFFECTS:
+        if "ideal" in effect.carriers(scene):
+            continue
+        lesser = [v for v in effect.on if v != "full" and "ideal" in effect.models]
+        value = lesser[-1] if lesser and effect.value(scene) == "full" else effect.null
+        out.append(f"effects.{effect.name}={str(value).lower() if isinstance(value, bool) else value}")
+    return (*out, "solver.model=ideal")
 
 
 def levels(scene: Scene) -> dict[str, str]:
