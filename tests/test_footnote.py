@@ -1,16 +1,21 @@
 """Footnote 1 as studies: numbers of theory, independent ways to the same quantity, and null forms."""
 
+import re
+
 import numpy as np
 import pytest
 from support import SCENES
 
 from cosim.circuits.delay import spring_delays
+from cosim.ngspice.child import call
 from cosim.plan import resolve
-from cosim.scene import load_scene
+from cosim.scene import PotNoise, load_scene
 from cosim.studies.eta import active_from, block_delays, unstable_from
 from cosim.studies.points import Points
+from cosim.studies.rendering import passes, shown
 from cosim.studies.study import load_study
 from cosim.studies.tip import Wanted, reached, tip_of
+from cosim.studies.tipnoise import component_form, flat, pot_density, pot_form
 
 PAPER = SCENES / "paper"
 
@@ -90,3 +95,128 @@ def test_poses_reach_the_whole_workspace(arm):
     for tip in poses:
         assert tip.viscosity() == pytest.approx(inner[0, 0] / (tip.torques @ tip.torques), rel=1e-6)
     assert block_delays([]) == {}
+
+
+ONLY_WINDING = ("effects.opamp=ideal", "effects.vca=ideal", "effects.driver_level=ideal")
+HZ = np.geomspace(0.1, 1e3, 9)
+
+
+def test_a_spring_behind_the_winding_loses_what_one_pole_takes():
+    """k/(1 + jwL/R): K falls by 1/(1 + (wL/R)^2), and delay eats k L/R of the damping by as much."""
+    tip = tip_of(scene("slope", *ONLY_WINDING))
+    stiff, damping = shown(tip, Wanted(100.0), HZ)
+    still = tip.impedance(Wanted(100.0), np.array([1e-4]))[0].real
+    x = 2.0 * np.pi * HZ * 1.5e-3 / 5.0
+    assert stiff == pytest.approx(still / (1.0 + x**2), rel=1e-6)
+    assert damping == pytest.approx(-still * 3e-4 / (1.0 + x**2), rel=1e-6)
+
+
+def test_a_damper_behind_the_corners_of_its_differentiator():
+    """c/((1 + jw 1.58 ms)(1 + jw 0.1 ms)): the values of the netlist, all else ideal."""
+    tip = tip_of(scene("slope", *ONLY_WINDING, "effects.motor=emf"))
+    stiff, damping = shown(tip, Wanted(0.0, 2.0), HZ)
+    jw = 2j * np.pi * HZ
+    expected = jw * 2.0 / ((1.0 + jw * 1.58e-3) * (1.0 + jw * 1e-4))
+    scale = damping[0] / (expected.imag[0] / (2.0 * np.pi * HZ[0]))
+    assert scale == pytest.approx(1.0, abs=1e-3)  # the board's resistors against its design constants
+    assert damping == pytest.approx(scale * expected.imag / (2.0 * np.pi * HZ), rel=1e-6)
+    assert stiff == pytest.approx(scale * expected.real, rel=1e-6)
+
+
+def test_where_an_error_passes_a_limit_is_found_between_points():
+    hz = np.geomspace(1.0, 100.0, 21)
+    assert passes(hz, 1e-4 * hz**2, 0.05) == pytest.approx(
+        np.sqrt(500.0), rel=1e-12
+    )  # straight in logarithms
+    assert passes(hz, 1e-9 * hz, 0.05) is None
+    assert passes(hz, 1.0 + hz, 0.05) == 1.0
+    assert passes(hz, np.full(21, np.nan), 0.05) == 1.0  # NaN is no small error
+
+
+def test_the_corner_of_the_differentiator_is_what_the_damper_s_stiffness_betrays():
+    """c w^2 sum(tau) of stiffness from a late damper: at 10 Hz 2 (20 pi)^2 2 ms is 15 N/m of 100."""
+    spec = load_study(PAPER / "5_2_rendering.toml")
+    with Points(None) as points:
+        result = spec.study.analyse(spec, points)
+    holds = {verdict.claim.split(" is ")[0]: verdict.holds for verdict in result.verdicts}
+    assert holds["stiffness of the spring alone"]
+    assert holds["damping of the damper alone"]
+    assert not holds["stiffness of spring and damper together"]
+    reach = result.table("reach").columns
+    worst = reach["worst error up to 10 Hz [%]"]
+    late = 1.58e-3 + 1e-4 + 3e-4
+    expected = 2.0 * (20.0 * np.pi) ** 2 * late
+    # of the next order in w tau: (0.12)^2
+    assert worst[2] == pytest.approx(expected, rel=0.02)
+    # the certificate bounds each path by its own maximum; what is seen of the spring is far below it
+    assert result.table("certificate").columns["spring [%]"][0] > worst[0]
+
+
+@pytest.mark.parametrize(("corner_hz", "newtons"), [(5, 0.05), (20, 0.20), (100, 1.0), (1000, 9.3)])
+def test_noise_through_the_differentiator_is_theory_s(corner_hz, newtons):
+    """White 6 mrad over 10 kHz through c = 2 N s/m, one corner: 0.05 / 0.20 / 1.0 / 9.3 N rms, as printed."""
+    resistor = 1.0 / (2.0 * np.pi * corner_hz * 1e-6)
+    tip = tip_of(
+        scene("drop", *ONLY_WINDING, "effects.motor=emf", f"device.values.r_der_in={resistor!r}",
+              "device.values.c_der_fb=1f")
+    )  # fmt: skip
+    found = float(pot_form(tip, flat(0.006, 1e4)).rms(0.0, 2.0))
+    assert found == pytest.approx(newtons, rel=0.03)  # two digits are printed
+    slope = 2.0 * 2.0 * np.pi * corner_hz * 0.006 * 0.1333
+    exact = slope * np.sqrt(1.0 - corner_hz / 1e4 * np.arctan(1e4 / corner_hz))
+    # the board's resistors against its constants 1e-3, and the trapezoid's error
+    assert found == pytest.approx(exact, rel=2e-3)
+
+
+def test_noise_of_a_spring_is_what_it_is_multiplied_by(carriage):
+    """0.006 rad at 133 mm and 100 N/m: 0.080 N, the whole band far below the winding's pole."""
+    found = float(pot_form(carriage, flat(0.006, 10.0)).rms(100.0, 0.0))
+    assert found == pytest.approx(0.080, rel=2e-3)
+    assert float(pot_form(carriage, flat(0.006, 10.0)).rms(0.0, 0.0)) == 0.0
+
+
+def test_the_density_of_drawn_noise_has_the_kind_s_variance():
+    """White keeps its rms; a width of w, uniform at the ticks, is w/sqrt(12) there and 2/3 of it between."""
+    given = scene("slope")
+    for kind, expected in ((PotNoise.WHITE, 0.006**2), (PotNoise.PEAK_TO_PEAK, 0.006**2 / 12.0 * 2.0 / 3.0)):
+        hz, power = pot_density(given, kind)
+        assert np.trapezoid(power, hz) == pytest.approx(expected, rel=1e-3)
+    assert pot_density(given, PotNoise.STATIC) is None
+    assert pot_density(given, PotNoise.POSITION) is None
+
+
+def test_component_noise_is_what_noise_says(carriage):
+    """The form in (1, k, c) against `ComponentNoise.rms` at the same gains, another rule of integration."""
+    board = resolve(carriage.scene).board
+    noise = call("cosim.circuits.noise:component_noise", {"board": board}, deck=str(board.path))
+    form = component_form(carriage, noise, 1e3)
+    for wanted in (Wanted(), Wanted(100.0), Wanted(150.0, 2.0)):
+        current = noise.rms(carriage.control(wanted), (0.1, 1e3))[0]
+        expected = current * carriage.constants.torque_per_amp / 0.1333
+        assert float(form.rms(wanted.stiffness, wanted.damping)) == pytest.approx(expected, rel=1e-3)
+
+
+def test_the_verdict_of_footnote_1(tmp_path):
+    """At the paper's point: by delay as the headline says, by stiffness error as the spectra say."""
+    short = tmp_path / "short.toml"
+    text = (PAPER / "5_3_footnote.toml").read_text(encoding="utf-8")
+    text = text.replace('"../slope.toml"', f'"{SCENES / "slope.toml"}"')
+    text = re.sub(r"(?m)^corners_hz.*$", "corners_hz = [100.73097664044009]", text)
+    text = re.sub(r"(?m)^drivers_hz.*$", "drivers_hz = [1e6]", text)
+    short.write_text(re.sub(r"(?m)^points.*$", "points = 3", text), encoding="utf-8")
+    spec = load_study(short)
+    with Points(None) as points:
+        result = spec.study.analyse(spec, points)
+    at, parts = result.table("at").columns, result.table("parts").columns
+    holds = [verdict.holds for verdict in result.verdicts]
+    assert holds == [True, True, False, None]
+    tip = tip_of(scene("slope"))
+    assert at["eta [%]"][0] == pytest.approx(1e4 * tau_of(tip.scene) / tip.viscosity(), rel=1e-5)
+    stiff, _ = shown(tip, Wanted(100.0, 2.0), np.array([10.0]))
+    assert at["stiffness error [%]"][2] == pytest.approx(abs(float(stiff[0]) - 100.0), rel=1e-9)
+    # values of the netlist, extracted again: within 1e-6 of each path (tests of re-extraction)
+    eta = [0.05 * value for value in parts["eta / limit"][:3]]
+    assert eta == pytest.approx([0.01 * value for value in at["eta [%]"][:3]], rel=1e-4)
+    # both joints' noise through k w: 0.006 k |w|, less what the winding takes of a band of 100 Hz
+    white = at["force noise, white [N rms]"][0]
+    assert white == pytest.approx(0.006 * 100.0 * np.linalg.norm(tip.torques), rel=0.02)

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 from cosim.ngspice.deck import Deck
-from cosim.ngspice.lines import Line, assignments, tokens
+from cosim.ngspice.lines import Line, assignments, number, tokens
 from cosim.ngspice.netlist import Block, Instance, Netlist, parse
 from cosim.ngspice.overrides import apply_overrides
 
-__all__ = ["Handle", "Way", "altered", "handle"]
+__all__ = ["Handle", "Way", "altered", "handle", "nominal_value"]
 
 _PASSIVE = "rcl"
 #: Place of the value on the line of a resistor, capacitor or inductor.
@@ -91,6 +91,16 @@ def handle(board: Deck, name: str) -> Handle:
         return Handle(Way.ELEMENTS, elements) if elements else Handle(Way.PARAMETER, (key,))
     owners = [b for part in (False, True) for b in net.blocks.values() if b.is_part is part and _has(b, key)]
     return _passive(key, [path for path, block, _ in _walk(net, board.board) if block is owners[0]], 1)
+
+
+def nominal_value(board: Deck, name: str) -> float | None:
+    """Return a parameter's own value, if it is a plain number."""
+    for line in reversed(board.lines):
+        if line.keyword in (".param", ".params"):
+            value = assignments(tokens(line.text)[1:]).get(name)
+            if value is not None:
+                return number(value)
+    return None
 
 
 def _netlist(board: Deck) -> Netlist:

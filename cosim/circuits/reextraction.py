@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.circuits.alter import Handle, Way, altered, handle
+from cosim.circuits.alter import Handle, Way, altered, handle, nominal_value
 from cosim.circuits.cache import Asked
 from cosim.circuits.extraction import SWEEP, extracted, linear, with_offsets
 from cosim.circuits.fit import FitError
@@ -24,7 +24,6 @@ from cosim.circuits.rowfit import GRID, Batch, Fitted, Unfit, batches, fitted, p
 from cosim.circuits.statics import current_limits
 from cosim.errors import InputError, Problem, SimulationError
 from cosim.ngspice.deck import Deck
-from cosim.ngspice.lines import assignments, number, tokens
 
 __all__ = ["Reextraction", "circuits"]
 
@@ -162,7 +161,7 @@ class Reextraction:
             into = params if kind.way is Way.PARAMETER else elements
             into |= dict.fromkeys(kind.targets, float(values[name]))
         if any(name not in params for name in self._params):
-            nominal = {name: self._nominal(name) for name in self._params}
+            nominal = {name: nominal_value(self._board, name) for name in self._params}
             if None in nominal.values():
                 self._renew()
             else:
@@ -172,15 +171,6 @@ class Reextraction:
             self._params, self._elements = params, {}
         self._session.alter({k: v for k, v in elements.items() if self._elements.get(k) != v})
         self._elements = elements
-
-    def _nominal(self, name: str) -> float | None:
-        """Return a parameter's own value, if it is a plain number."""
-        for line in reversed(self._board.lines):
-            if line.keyword in (".param", ".params"):
-                value = assignments(tokens(line.text)[1:]).get(name)
-                if value is not None:
-                    return number(value)
-        return None
 
     def _learn(self, paths: Paths) -> None:
         """Find out which poles each row of paths has."""

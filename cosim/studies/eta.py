@@ -6,6 +6,7 @@ eaten is eta = k sum(tau)/b; at eta = 1 nothing is left and the spring alone is 
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from scipy.optimize import brentq
 
 from cosim.circuits.delay import SpringDelay, spring_delays
 from cosim.errors import InputError, Problem
+from cosim.ngspice.child import Child, start_early
 from cosim.plan import resolve
 from cosim.scene import Method, Scene
 from cosim.scene.parameters import Field, Parameters, Unit
@@ -23,24 +25,17 @@ from cosim.studies.passivity import least_damping
 from cosim.studies.points import Points
 from cosim.studies.stability import border, held, with_computer
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
-from cosim.studies.tip import Tip, reached, tip_of
+from cosim.studies.tip import Case, Tip, reached, row, tip_of
 
-__all__ = ["STUDY", "Case", "EtaParameters", "active_from", "block_delays", "unstable_from"]
+__all__ = ["STUDY", "EtaParameters", "active_from", "block_delays", "unstable_from"]
 
 Array = NDArray[np.float64]
-
-
-class Case(Parameters):
-    """``[[parameters.cases]]``: what is changed in the scene."""
-
-    name: str = Field(min_length=1)
-    set: tuple[str, ...] = ()
 
 
 class EtaParameters(Parameters):
     """``[parameters]`` of the headline; the first case is drawn block by block."""
 
-    cases: tuple[Case, ...] = (Case(name="as built"),)
+    cases: tuple[Case, ...] = Field(default=(Case(name="as built"),), min_length=1)
     stiffness_n_per_m: Stiffness = 100.0
     largest_eta: Annotated[float, Field(gt=0, le=1)] = 0.05
     points: int = Field(default=41, ge=3, le=401)
@@ -88,23 +83,23 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     given: EtaParameters = spec.parameters
     columns: dict[str, list[Any]] = {}
     limits: dict[str, list[Any]] = {}
-    spread: dict[str, list[float]] = {"x [m]": [], "y [m]": [], "b [N s/m]": []}
     points.expect(len(given.cases))
-    first: dict[str, Any] = {}
-    for number, case in enumerate(given.cases):
-        found = points.get(case.name, lambda case=case, number=number: _case(spec, case, number == 0))  # type: ignore[misc]
-        if number == 0:
-            first = found
-            spread = found["workspace"]
+    every: list[dict[str, Any]] = []
+    with start_early("cosim.studies.model") as child:
+        for number, case in enumerate(given.cases):
+            every.append(points.get(case.name, partial(_case, spec, case, number == 0, child)))
+    first = every[0]
+    spread: dict[str, list[float]] = first["workspace"]
+    for case, found in zip(given.cases, every, strict=True):
         for name, late in found["blocks"].items():
-            _row(columns, {
+            row(columns, {
                 "case": case.name, "block": name, "delay [us]": 1e6 * late,
                 f"eta at {given.stiffness_n_per_m:g} N/m [%]":
                     100.0 * given.stiffness_n_per_m * late / found["b"],
                 "practical limit k = b/tau [N/m]": found["b"] / late if late > 1e-15 else None,
             })  # fmt: skip
         total, b = found["total"], found["b"]
-        _row(limits, {
+        row(limits, {
             "case": case.name, "sum of delays [us]": 1e6 * total, "b at the wall's pose [N s/m]": b,
             f"eta at {given.stiffness_n_per_m:g} N/m [%]": 100.0 * given.stiffness_n_per_m * total / b,
             "practical limit b/sum [N/m]": b / total if total > 0.0 else None,
@@ -147,11 +142,11 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     )  # fmt: skip
 
 
-def _case(spec: StudyFile, case: Case, with_poses: bool) -> dict[str, Any]:
+def _case(spec: StudyFile, case: Case, with_poses: bool, child: Child) -> dict[str, Any]:
     given: EtaParameters = spec.parameters
     scene = spec.scene("solver.model=linear", *case.set)
-    paths = spring_delays(resolve(scene).board)
-    tip = tip_of(scene)
+    paths = spring_delays(resolve(scene).board, child)
+    tip = tip_of(scene, child)
     b = tip.viscosity()
     if not b > 0.0:
         raise InputError(
@@ -175,11 +170,6 @@ def _place(tip: Tip) -> tuple[float, float]:
 
     x, y = mechanism(tip.scene, tip.constants.gear).forward(tip.q)
     return float(x), float(y)
-
-
-def _row(columns: dict[str, list[Any]], row: dict[str, Any]) -> None:
-    for name, value in row.items():
-        columns.setdefault(name, []).append(value)
 
 
 STUDY = Study("eta", "footnote 1: damping that the circuit's delay eats", EtaParameters, analyse)

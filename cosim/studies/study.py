@@ -37,7 +37,9 @@ STUDIES = {
     "congruence": "cosim.studies.congruence",
     "drop": "cosim.studies.drop",
     "eta": "cosim.studies.eta",
+    "footnote": "cosim.studies.footnote",
     "poses": "cosim.studies.poses",
+    "rendering": "cosim.studies.rendering",
     "trace": "cosim.studies.trace",
 }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,15 +13,30 @@ from cosim.circuits.linear import LinearCircuit
 from cosim.circuits.port import DesignConstants
 from cosim.errors import InputError, Problem
 from cosim.loop.setup import mechanism
+from cosim.ngspice.child import Child
 from cosim.plan import resolve
 from cosim.scene import CircuitModelName, Scene
+from cosim.scene.parameters import Field, Parameters
 from cosim.studies.model import circuit_of
 from cosim.studies.stability import touching
 
-__all__ = ["Tip", "Wanted", "reached", "tip_of"]
+__all__ = ["Case", "Tip", "Wanted", "reached", "row", "tip_of"]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+
+
+class Case(Parameters):
+    """``[[parameters.cases]]`` of a study: what is changed in its scene."""
+
+    name: str = Field(min_length=1)
+    set: tuple[str, ...] = ()
+
+
+def row(columns: dict[str, list[Any]], values: dict[str, Any]) -> None:
+    """Add a row to the columns of a table."""
+    for name, value in values.items():
+        columns.setdefault(name, []).append(value)
 
 
 @dataclass(frozen=True)
@@ -78,7 +94,7 @@ class Tip:
         """
         n = self.circuit.joints
         y = self.circuit.response(2j * np.pi * np.asarray(hz), self.control(wanted))[:, :, :n]
-        per_amp = self.constants.kt * self.constants.gear
+        per_amp = self.constants.torque_per_amp
         out: Complex = -per_amp * np.einsum("i,fij,j->f", self.motion, y, self.motion)
         return out
 
@@ -87,7 +103,7 @@ class Tip:
         n, c = self.circuit.joints, self.constants
         back = self.circuit.after(0.0)[0].real[:, len(self.circuit.gain) + n :]
         bearings = np.diag(mechanism(self.scene, c.gear).pack()[0]["viscous"][:n])
-        out: Array = bearings - c.kt * c.gear**2 * 0.5 * (back + back.T)
+        out: Array = bearings - c.torque_per_amp * c.gear * 0.5 * (back + back.T)
         return out
 
     def viscosity(self) -> float:
@@ -103,7 +119,7 @@ class Tip:
         return Tip(self.scene, self.constants, self.circuit, np.asarray(q, float))
 
 
-def tip_of(scene: Scene) -> Tip:
+def tip_of(scene: Scene, child: Child | None = None) -> Tip:
     """Return the scene with its `linear` circuit at the pose that touches its wall.
 
     Raises
@@ -118,7 +134,7 @@ def tip_of(scene: Scene) -> Tip:
         )  # fmt: skip
     solver = scene.solver.model_copy(update={"model": CircuitModelName.LINEAR})
     linear = scene.model_copy(update={"solver": solver})
-    circuit, constants = circuit_of(resolve(linear))
+    circuit, constants = circuit_of(resolve(linear), child=child)
     return Tip(linear, constants, circuit, touching(linear, constants))
 
 
