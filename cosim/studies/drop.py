@@ -28,6 +28,7 @@ from cosim.plan import resolve
 from cosim.scene import Scene
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.schema import Period
+from cosim.studies.limits import limits as limits_of
 from cosim.studies.model import circuit_of
 from cosim.studies.points import Points
 from cosim.studies.stability import border, held, with_computer
@@ -123,6 +124,11 @@ def limit(scene: Scene, constants: DesignConstants, circuit: LinearCircuit) -> f
         return held(with_computer(scene, discrete_stiffness_n_per_m=stiffness), constants, circuit)
 
     return border(at, 1.0, 1e5, rtol=1e-9).value
+
+
+def passive_limit(job: Job) -> float | None:
+    """Return the largest passive discrete stiffness [N/m]; None where the analog part alone is active."""
+    return limits_of(job.scene, job.constants, job.circuit).passive_n_per_m
 
 
 class _Falls:
@@ -250,6 +256,24 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
             names.append((family.name, period))
     found = dict(zip(names, points.map(drop, asked), strict=True))
     kinds = {family.name: family.kind for family in given.families}
+    first = given.families[0].name
+    passive = points.map(
+        passive_limit,
+        {
+            f"passivity at {1e3 * period:.4g} ms": asked[f"{name} at {1e3 * period:.4g} ms"]
+            for name, period in names
+            if name == first
+        },
+    )
+    line = Table(
+        "passive",
+        f"Passive up to: {first}",
+        {
+            "period [ms]": [1e3 * period for name, period in names if name == first],
+            "stiffness [N/m]": passive,
+        },
+        "Colgate and Schenkel's condition for the device's own damping, its circuit included.",
+    )
     keys = ("exact_n_per_m", "first_n_per_m", "all_n_per_m", "none_n_per_m", "runs", "samples")
     limits = Table(
         "limits",
@@ -285,7 +309,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         for family in given.families
         if family.kind == "curve" and scenes[family.name].computer.analog_damping_n_s_per_m
     }
-    return spec.result(limits, shares, verdicts=verdicts(found, given.families, scenes, ideal))
+    return spec.result(limits, shares, line, verdicts=verdicts(found, given.families, scenes, ideal))
 
 
 def _ideal_gain(spec: StudyFile, family: Family, found: Found) -> float:

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import NullFormatter, ScalarFormatter
 
 from cosim.studies.study import StudyResult, Table
-from reports.style import FAINT, JOINTS, Drawn, figure, legend
+from reports.style import FAINT, INK, JOINTS, Drawn, figure, legend
 
 __all__ = ["draw"]
 
@@ -17,7 +17,11 @@ _MARKS = ("o", "s", "^", "D", "v", "P")
 def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
     """Return the limits over the period, and the share of the phases at rest around them."""
     return [
-        ("limits", "Largest discrete stiffness over the sampling period", _limits(result.table("limits"))),
+        (
+            "limits",
+            "Largest discrete stiffness over the sampling period",
+            _limits(result.table("limits"), result.table("passive")),
+        ),
         ("shares", "How sharp the limit is", _shares(result.table("limits"), result.table("shares"))),
     ]
 
@@ -32,7 +36,7 @@ def _curves(table: Table, column: str) -> dict[str, tuple[list[float], list[floa
     return found
 
 
-def _limits(table: Table) -> Drawn:
+def _limits(table: Table, passive: Table) -> Drawn:
     columns = list(table.columns)
     exact, first = _curves(table, columns[2]), _curves(table, columns[3])
     kinds = dict(zip(table.columns["curve"], table.columns["kind"], strict=True))
@@ -48,6 +52,9 @@ def _limits(table: Table) -> Drawn:
         power, factor = np.polyfit(np.log(periods), np.log(values), 1)
         place.plot(periods, np.exp(factor) * np.array(periods) ** power, "--", color=FAINT, linewidth=1.0,
                    label=f"fit of {main[0]}: $T^{{{power:.2f}}}$")  # fmt: skip
+    line = [(t, k) for t, k in zip(*passive.columns.values(), strict=True) if k is not None]
+    if line:
+        place.plot(*zip(*line, strict=True), ":", color=INK, linewidth=1.2, label=f"passive: {main[0]}")
     band = [first[name] for name in first if kinds[name] == "sensitivity"]
     if band:
         shared = sorted(set.intersection(*(set(x) for x, _ in band)) & set(periods))
