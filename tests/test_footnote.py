@@ -13,6 +13,7 @@ from cosim.scene import PotNoise, load_scene
 from cosim.studies.eta import active_from, block_delays, unstable_from
 from cosim.studies.points import Points
 from cosim.studies.rendering import passes, shown
+from cosim.studies.shift import Gains, largest, speed_rms
 from cosim.studies.study import load_study
 from cosim.studies.tip import Wanted, reached, tip_of
 from cosim.studies.tipnoise import component_form, flat, pot_density, pot_form
@@ -220,3 +221,39 @@ def test_the_verdict_of_footnote_1(tmp_path):
     # both joints' noise through k w: 0.006 k |w|, less what the winding takes of a band of 100 Hz
     white = at["force noise, white [N rms]"][0]
     assert white == pytest.approx(0.006 * 100.0 * np.linalg.norm(tip.torques), rel=0.02)
+
+
+IDEAL = (*ONLY_WINDING, "effects.motor=emf", "effects.encoder=false", "effects.dac=false",
+         "effects.dac_settling=false")  # fmt: skip
+MASS = 0.1428 + 0.05 + 2e-6 * 64 / 0.1333**2
+DISCRETE = Gains(name="discrete only")
+
+
+@pytest.mark.parametrize("period", [0.003, 0.025, 0.1])
+def test_an_ideal_circuit_has_theory_s_border(period):
+    """k* = b (1 - E)/(tau (1 - E) - T E), with the board's command gain (1/v_nm of the constants: 1e-6)."""
+    tip = tip_of(scene("drop", *IDEAL))
+    b = tip.viscosity()
+    tau = MASS / b
+    e = np.exp(-period / tau)
+    expected = b * (1.0 - e) / (tau * (1.0 - e) - period * e)
+    assert largest(tip, DISCRETE, period) == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_winding_costs_stiffness_as_a_delay_does():
+    """K < b/(T/2 + t_d) for b T/m << 1 (here 0.018), t_d = L/R, whose braking is late as well."""
+    b = tip_of(scene("drop", *IDEAL)).viscosity()
+    tip = tip_of(scene("drop", *IDEAL, "effects.motor=full"))
+    assert largest(tip, DISCRETE, 0.003) == pytest.approx(b / (0.0015 + 0.0003), rel=0.02)
+
+
+def test_the_speed_at_rest_under_white_force():
+    """v^2 = S/(4 m b) for force noise of the one-sided density S, far wider than the mass follows."""
+    wide = "device.potentiometer.noise_bandwidth_hz=1e4"
+    tip = tip_of(scene("drop", *IDEAL, wide))
+    b = tip.viscosity()
+    density = 1.5 * (0.006 * 0.1333 * 100.0) ** 2 / 1e4  # 2 h var, h = 1/(2 bandwidth), var = 1.5 rms^2
+    gains = Gains(name="soft", stiffness_n_per_m=100.0)
+    found = speed_rms(tip, gains, 0.003, 1.0, PotNoise.WHITE)
+    # the computer's 1 N/m takes b by K T/2 = 0.0015 of 1.18
+    assert found == pytest.approx(np.sqrt(density / (4.0 * MASS * b)), rel=3e-3)

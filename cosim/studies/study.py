@@ -40,6 +40,7 @@ STUDIES = {
     "footnote": "cosim.studies.footnote",
     "poses": "cosim.studies.poses",
     "rendering": "cosim.studies.rendering",
+    "shift": "cosim.studies.shift",
     "trace": "cosim.studies.trace",
 }
 
