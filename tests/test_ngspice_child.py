@@ -142,6 +142,13 @@ def test_slow_but_steady_work_is_left_alone() -> None:
     assert len(seen) > 5
 
 
+def test_a_long_import_is_no_stall() -> None:
+    """It takes 3 s; callbacks compile while they are imported, longer on a slow machine than a run may stall."""
+    assert call("slow_import:done", 5, stall_limit_s=2.0) == 5
+    with start_early("slow_import") as child:
+        assert call("slow_import:done", 6, stall_limit_s=2.0, child=child) == 6
+
+
 def test_time_limit() -> None:
     with pytest.raises(SimulationError, match=r"time limit of 0\.5 s"):
         run("standstill", time_limit_s=0.5)

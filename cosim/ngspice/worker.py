@@ -26,8 +26,8 @@ HEAD = struct.Struct("<Q")
 _PACE_S = 0.05
 """Progress is passed on at most this often."""
 
-_PULSE_S = 5.0
-"""While numba compiles, the parent hears so often that the work goes on."""
+_PULSE_S = 1.0
+"""While modules are imported or compiled, the parent hears so often that the work goes on."""
 
 _sending = threading.Lock()
 
@@ -40,32 +40,45 @@ def _send(descriptor: int, message: tuple[str, Any]) -> None:
             view = view[os.write(descriptor, view) :]
 
 
-@cache
-def _tell_of_compiling(descriptor: int) -> None:
-    """Let compiling count as progress: it may take longer than a stalled simulation is waited for."""
-    if "numba" not in sys.modules:
-        return
-    from numba.core import event
+_busy = 0
+"""Imports and compilations under way: both may take longer than a stalled simulation is waited for."""
 
-    under_way = 0
+
+def _pulse(descriptor: int) -> NoReturn:
+    """Show the parent that an import or a compilation goes on."""
+    while True:
+        time.sleep(_PULSE_S)
+        if _busy > 0:
+            _send(descriptor, ("progress", {"stage": "compile"}))
+
+
+def _import(name: str) -> Any:
+    """Import a module; many compile callbacks while they are imported."""
+    global _busy
+    _busy += 1
+    try:
+        return importlib.import_module(name)
+    finally:
+        _busy -= 1
+        if "numba" in sys.modules:
+            _watch_compiler()
+
+
+@cache
+def _watch_compiler() -> None:
+    """Count numba's compilations from now on among what is under way."""
+    from numba.core import event
 
     class Listener(event.Listener):  # type: ignore[misc]
         def on_start(self, event: Any) -> None:
-            nonlocal under_way
-            under_way += 1
+            global _busy
+            _busy += 1
 
         def on_end(self, event: Any) -> None:
-            nonlocal under_way
-            under_way -= 1
-
-    def pulse() -> None:
-        while True:
-            time.sleep(_PULSE_S)
-            if under_way > 0:
-                _send(descriptor, ("progress", {"stage": "compile"}))
+            global _busy
+            _busy -= 1
 
     event.register("numba:compiler_lock", Listener())
-    threading.Thread(target=pulse, daemon=True).start()
 
 
 def _receive(requests: "SimpleQueue[bytes]") -> NoReturn:
@@ -109,8 +122,7 @@ def _serve(descriptor: int, request: bytes) -> None:
     try:
         target, payload = pickle.loads(request)
         module, _, name = target.partition(":")
-        function = getattr(importlib.import_module(module), name)
-        _tell_of_compiling(descriptor)
+        function = getattr(_import(module), name)
         _send(descriptor, ("progress", {}))  # imports may have taken long
         _send(descriptor, ("result", function(pickle.loads(payload), report)))
     except BaseException as error:  # whatever it is, the parent must hear of it
@@ -129,9 +141,10 @@ def main() -> None:
         _die_with_parent()
     requests: SimpleQueue[bytes] = SimpleQueue()
     threading.Thread(target=_receive, args=(requests,), daemon=True).start()
+    threading.Thread(target=_pulse, args=(descriptor,), daemon=True).start()
     for module in sys.argv[3:]:
         try:
-            importlib.import_module(module)
+            _import(module)
         except Exception:  # the request will fail for the same reason, and be heard
             break
     while True:
