@@ -542,4 +542,4 @@ def test_a_plan_states_size_and_cost_of_the_shaft(tmp_path: Path) -> None:
     force = next(float(row["size"]["force_n"]) for row in told["effects"] if row["name"] == "shaft")
     assert 0.0 < force < 10.0 * share * 20.0
     assert found["backlash"]["size"]["value"] == 1e-3
-    assert found["shaft"]["cost"]["points_per_s"] == pytest.approx(5.0 * math.sqrt(60.0 / MOTOR), rel=1e-6)
+    assert found["shaft"]["cost"]["events_per_s"] == pytest.approx(5.0 * math.sqrt(60.0 / MOTOR), rel=1e-6)

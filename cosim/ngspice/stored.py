@@ -43,6 +43,7 @@ def load(folder: Path, *, trust: bool = False) -> Deck:
             parts=tuple(Part(**each) for each in record["parts"]),
             notes=tuple(record["notes"]),
             path=Path(record["path"]),
+            reactances=record["reactances"],
         )
     except FileNotFoundError:
         fail(
