@@ -17,6 +17,7 @@ from cosim import __version__
 from cosim.commands import (
     check,
     compare,
+    device,
     effects,
     export,
     new,
@@ -43,6 +44,7 @@ COMMANDS = (
     sweep.COMMAND,
     stability.COMMAND,
     noise.COMMAND,
+    device.COMMAND,
     export.COMMAND,
     new.COMMAND,
 )

@@ -34,7 +34,7 @@ from cosim.studies.points import Points
 from cosim.studies.stability import border, held, with_computer
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 
-__all__ = ["STUDY", "Dropped", "Job", "Rest", "drop", "limit", "scan"]
+__all__ = ["STUDY", "Dropped", "Falls", "Job", "Rest", "drop", "limit", "scan"]
 
 #: Bisections of the last step of the scan.
 _REFINED = 6
@@ -131,7 +131,7 @@ def passive_limit(job: Job) -> float | None:
     return limits_of(job.scene, job.constants, job.circuit).passive_n_per_m
 
 
-class _Falls:
+class Falls:
     """Drops of one scene: packed once, its maps kept, only stiffness and phase change."""
 
     def __init__(self, job: Job) -> None:
@@ -178,7 +178,7 @@ def scan(job: Job) -> Dropped:
     exact = limit(job.scene, job.constants, job.circuit)
     if not 0.0 < exact < math.inf:
         raise CosimError(f"the held contact has no stability limit: {exact} N/m")
-    falls, rest = _Falls(job), job.rest
+    falls, rest = Falls(job), job.rest
     found: dict[float, float] = {}
     stiffness, hopeless = rest.from_share * exact, 0
     lower = stiffness

@@ -16,6 +16,7 @@ from cosim.scene import Method, Scene
 from cosim.studies.energy import device_of, law_of
 from cosim.studies.lifted import Lifted
 from cosim.studies.passivity import Device, least_damping, needed_damping, share_used
+from cosim.studies.rules import gil_hulin
 from cosim.studies.stability import Border, Stability, border, held, stability, touching, with_computer
 
 __all__ = ["Limits", "limits", "locus"]
@@ -144,7 +145,7 @@ def limits(
         least_damping_n_m_s=least,
         needed_n_s_per_m=None if law.lag_s else needed_damping(law).value,
         passive_n_per_m=passive,
-        gil_hulin_n_per_m=(viscosity + damping) / (0.5 * c.period_s + late),
+        gil_hulin_n_per_m=gil_hulin(viscosity, c.period_s, damping, late),
     )
 
 

@@ -35,9 +35,11 @@ RECORD, POINTS = "study.json", "points.jsonl"
 #: The analyses by name, and the module of each; its `STUDY` says the rest.
 STUDIES = {
     "congruence": "cosim.studies.congruence",
+    "device": "cosim.studies.device",
     "drop": "cosim.studies.drop",
     "eta": "cosim.studies.eta",
     "footnote": "cosim.studies.footnote",
+    "maps": "cosim.studies.maps",
     "poses": "cosim.studies.poses",
     "rendering": "cosim.studies.rendering",
     "shift": "cosim.studies.shift",

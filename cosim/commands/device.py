@@ -1,0 +1,64 @@
+"""``cosim device``: the four numbers of a device - force, stiffness, damping, workspace."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from cosim.commands.command import Command, load_variants, scene_arguments
+
+
+def _arguments(parser: argparse.ArgumentParser) -> None:
+    scene_arguments(parser)
+    parser.add_argument("-o", "--out", metavar="FILE", help="write the numbers as CSV")
+
+
+def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    from cosim.ngspice.child import start_early
+
+    with start_early("cosim.studies.model") as child:
+        from cosim.plan import resolve
+        from cosim.studies.device import PRESETS, device_numbers, flat
+        from cosim.studies.model import circuit_of
+
+        cases, texts, columns = [], [], {}
+        for variant, scene in load_variants(args):
+            circuit, constants = circuit_of(resolve(scene, trust=args.trust), child=child)
+            found = device_numbers(scene, constants, circuit)
+            cases.append({"set": dict(variant.values), **found.as_dict()})
+            head = variant.label or scene.title
+            columns[head] = flat(found)
+            lines = [f"{head} (circuit model {found.model}, {1e3 * found.period_s:g} ms)"]
+            lines += [f"  {name:38s}{_text(value)}" for name, value in columns[head].items()]
+            texts.append("\n".join([*lines, f"  workspace: {found.workspace.note}"]))
+    if args.out:
+        _write(Path(args.out), columns)
+        texts.append(f"wrote {args.out}")
+    known = "; ".join(
+        f"{p.name} {p.force_n:g} N, {p.stiffness_n_per_m:g} N/m, {p.damping_n_s_per_m:g} N s/m"
+        for p in PRESETS
+    )
+    texts.append(f"for comparison, limits recommended for controllers (CHAI3D): {known}")
+    published = [vars(preset) for preset in PRESETS]
+    return {"cases": cases, "published": published}, "\n".join(texts)
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return "        -"
+    return f"{value:9.4g}" if isinstance(value, float) else str(value)
+
+
+def _write(file: Path, columns: dict[str, dict[str, Any]]) -> None:
+    """Write one row a number, one column a case."""
+    import csv
+
+    from cosim.staging import disk_errors
+
+    with disk_errors(file), file.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(["number", *columns])
+        for name in next(iter(columns.values())):
+            writer.writerow([name.strip(), *(case[name] for case in columns.values())])
+
+
+COMMAND = Command("device", "tell force, stiffness, damping and workspace of the device", _arguments, _run)
