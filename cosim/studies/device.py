@@ -186,7 +186,7 @@ class DeviceNumbers:
         )  # fmt: skip
         heads = (
             "device", "force, continuous [N]", "force, peak [N]", "stiffness [N/m]", "damping [N s/m]",
-            "workspace, radius [m]",
+            "workspace [m]",
         )  # fmt: skip
         others = [
             (p.name, None, p.force_n, p.stiffness_n_per_m, p.damping_n_s_per_m, p.radius_m) for p in PRESETS
@@ -255,7 +255,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         "not identified dynamics. Ours: force in any direction at the wall's pose; stiffness and damping "
         f"along the wall's normal, stable at {1e3 * full.period_s:g} ms with the scene's operator, the "
         "analog part within the board's full scale; radius of a disc of the workspace's area "
-        f"({full.workspace.note})."
+        f"({full.workspace.note}). Stability alone: the encoder's steps make damping rough well before."
     )
     names = list(columns)
     table = Table(

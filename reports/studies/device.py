@@ -1,9 +1,10 @@
 """Four numbers of a device: force over the reach of its arm, and beside published devices."""
 
 import numpy as np
+from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from cosim.studies.study import StudyResult, Table
-from reports.style import FAINT, JOINTS, Drawn, figure, legend
+from reports.style import FAINT, JOINTS, Drawn, figure
 
 __all__ = ["draw"]
 
@@ -27,8 +28,9 @@ def _presets(table: Table) -> Drawn:
         colours = [JOINTS[0], *[FAINT] * (len(names) - 1)]
         place.barh(places, values, color=colours, height=0.6)
         for y, value in zip(places, values, strict=True):
-            place.annotate(f"{value:.3g}", (value, y), xytext=(3, 0), textcoords="offset points",
-                           va="center", fontsize=8)  # fmt: skip
+            told = f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
+            place.annotate(told, (value, y), xytext=(3, 0), textcoords="offset points", va="center",
+                           fontsize=8)  # fmt: skip
         place.set_xlim(0.0, 1.25 * max(values))
         place.set_title(key)
         place.grid(visible=False)
@@ -53,11 +55,15 @@ def _reach(table: Table) -> Drawn:
     ):
         left.semilogy(x, table.columns[f"{key} [N]"], dashes, color=JOINTS[number], label=key)
     left.set_ylabel("force at the tip [N]")
-    right.semilogy(x, table.columns["full-scale stiffness, any direction [N/m]"], color=JOINTS[0])
+    left.set_yticks([1, 2, 5, 10, 20, 50])
+    left.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    left.yaxis.set_minor_formatter(NullFormatter())
+    right.set_ylim(0.0, 1.1 * max(table.columns["full-scale stiffness, any direction [N/m]"]))
+    right.plot(x, table.columns["full-scale stiffness, any direction [N/m]"], color=JOINTS[0])
     right.set_ylabel("analog stiffness at full scale [N/m]")
     for place in axes[0]:
         place.set_xlabel("distance of the tip from the base [m]")
-    legend(left, columns=1)
+    left.legend(loc="upper center")
     return Drawn(
         drawing,
         "Equal torques give less force, and equal gains less stiffness, the farther the tip is off the base.",

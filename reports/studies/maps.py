@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import NullFormatter, ScalarFormatter
+from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
 from cosim.studies.study import StudyResult, Table
@@ -54,7 +54,7 @@ def _plane(result: StudyResult, name: str, *, logarithmic: bool) -> Drawn:
             place.set_xscale("log")
             place.set_yscale("log")
             for axis in (place.xaxis, place.yaxis):
-                axis.set_major_formatter(ScalarFormatter())
+                axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
                 axis.set_minor_formatter(NullFormatter())
     exact = [k for k in limits.columns["exact border [N/m]"] if k]
     tried = points.columns["stiffness [N/m]"]
@@ -127,13 +127,21 @@ def _widths(table: Table, walls: Table) -> Drawn:
     drawing, axes = figure(6.4, 2, 1, sharex=True, gridspec_kw={"height_ratios": (2, 1)})
     upper, lower = axes[:, 0]
     names = walls.columns["wall"]
+    kinds = list(dict.fromkeys(name.split(",")[0] for name in names))
     keys = ("frequency [Hz]", "free air [N s/m]", "wall [N s/m]", "width [dB]")
     for number, name in enumerate(names):
         at = [i for i, wall in enumerate(table.columns["wall"]) if wall == name]
         hz, free, wall, width = (np.array(_taken(table.columns[key], at)) for key in keys)
-        colour = JOINTS[number % len(JOINTS)]
+        kind = name.split(",")[0]  # the same wall in another circuit keeps its colour
+        colour = JOINTS[kinds.index(kind) % len(JOINTS)]
         dashes = "--" if walls.columns["circuit"][number] == "ideal" else "-"
         if number == 0:
+            for place in (upper, lower):
+                half = 0.5e3 / walls.columns["period [ms]"][0]
+                place.axvline(half, color=FAINT, linewidth=0.8, linestyle=":")
+            upper.annotate("half the sampling rate", (half, 0.98), xycoords=("data", "axes fraction"),
+                           xytext=(-3, 0), textcoords="offset points", rotation=90, ha="right", va="top",
+                           fontsize=8, color=FAINT)  # fmt: skip
             upper.loglog(hz, free, color=INK, linewidth=1.8, label="free air")
             upper.fill_between(hz, free, wall, where=list(wall > free), color=WALL, alpha=0.45, linewidth=0)
         told = f"{name}: {walls.columns['displayed [N/m]'][number]:.0f} N/m"
@@ -146,9 +154,9 @@ def _widths(table: Table, walls: Table) -> Drawn:
     upper.legend(loc="lower right")
     return Drawn(
         drawing,
-        "From free air to the stiffest wall that is stable with a margin; shaded: the computer alone. The "
-        "analog spring widens it at low frequency; towards the resonance with its own mass, and above, every "
-        "wall feels as light or as heavy as the device.",
+        "From free air to the stiffest wall that is stable with a margin; shaded: the computer alone. What "
+        "the analog path adds is at low frequency. At its resonance with the device's mass a wall feels "
+        "lighter than free air; above, all that is felt is the mass.",
     )
 
 
