@@ -9,14 +9,17 @@ from support import SCENES
 from cosim.circuits.delay import spring_delays
 from cosim.ngspice.child import call
 from cosim.plan import resolve
-from cosim.scene import PotNoise, load_scene
+from cosim.scene import Method, PotNoise, load_scene
+from cosim.studies.corner import CornerParameters, passive
 from cosim.studies.eta import active_from, block_delays, unstable_from
+from cosim.studies.limits import limits
 from cosim.studies.points import Points
 from cosim.studies.rendering import passes, shown
 from cosim.studies.shift import Gains, largest, speed_rms
+from cosim.studies.stability import with_computer
 from cosim.studies.study import load_study
 from cosim.studies.tip import Wanted, reached, tip_of
-from cosim.studies.tipnoise import component_form, flat, pot_density, pot_form
+from cosim.studies.tipnoise import component_form, flat, position_density, pot_density, pot_form
 
 PAPER = SCENES / "paper"
 
@@ -257,3 +260,27 @@ def test_the_speed_at_rest_under_white_force():
     found = speed_rms(tip, gains, 0.003, 1.0, PotNoise.WHITE)
     # the computer's 1 N/m takes b by K T/2 = 0.0015 of 1.18
     assert found == pytest.approx(np.sqrt(density / (4.0 * MASS * b)), rel=3e-3)
+
+
+def test_noise_that_belongs_to_the_angle_has_its_rms_and_its_slope():
+    """Blended values: mean square 1 and mean square slope (pi/2)^2 for each step of one, at any speed."""
+    given = scene("drop")
+    hz, power = position_density(given, 0.75)
+    assert np.trapezoid(power, hz) == pytest.approx(0.006**2, rel=2e-3)
+    slope = np.trapezoid(power * (2.0 * np.pi * hz) ** 2, hz)
+    # the slope jumps at the knots, so its density falls with 1/f^2: 30 steps' worth leave 1 % beyond
+    assert slope == pytest.approx((0.5 * np.pi * 0.006 * 0.75 / 0.1) ** 2, rel=0.02)
+
+
+def test_passive_stiffness_over_the_corner_is_that_of_the_limits():
+    """The same extension of the passivity condition by `limits`, and the active damper told as such."""
+    tip = tip_of(scene("drop", "computer.period_s=0.025", "effects.encoder=false", "effects.dac=false"))
+    given = CornerParameters(stiffness_n_per_m=0.0, damping_n_s_per_m=2.0)
+    found = passive(tip, given)
+    changed = with_computer(tip.scene, method=Method.COMBINED, analog_stiffness_n_per_m=0.0,
+                            analog_damping_n_s_per_m=2.0, discrete_stiffness_n_per_m=1.0)  # fmt: skip
+    assert found == pytest.approx(
+        limits(changed, tip.constants, tip.circuit, tip.q).passive_n_per_m, rel=1e-3
+    )
+    # c in three lags, b behind one of them: far beyond 8 b it must be active
+    assert passive(tip, CornerParameters(damping_n_s_per_m=20.0)) is None

@@ -35,6 +35,7 @@ RECORD, POINTS = "study.json", "points.jsonl"
 #: The analyses by name, and the module of each; its `STUDY` says the rest.
 STUDIES = {
     "congruence": "cosim.studies.congruence",
+    "corner": "cosim.studies.corner",
     "device": "cosim.studies.device",
     "drop": "cosim.studies.drop",
     "eta": "cosim.studies.eta",

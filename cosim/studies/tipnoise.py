@@ -16,7 +16,7 @@ from cosim.scene import PotNoise, Scene
 from cosim.studies.covariance import noise_grid
 from cosim.studies.tip import Tip, Wanted
 
-__all__ = ["NoiseForm", "component_form", "flat", "pot_density", "pot_form"]
+__all__ = ["NoiseForm", "component_form", "flat", "position_density", "pot_density", "pot_form"]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -59,6 +59,21 @@ def pot_density(scene: Scene, kind: PotNoise) -> tuple[Array, Array] | None:
     h = grid.periods * scene.computer.period_s / grid.ticks
     hz = np.concatenate([[0.0], np.geomspace(_LOW_HZ, 8.0 / h, _POINTS)])
     return hz, 2.0 * h * grid.variance * np.sinc(hz * h) ** 4
+
+
+def position_density(scene: Scene, speed_rad_per_s: float) -> tuple[Array, Array]:
+    """Return the same of noise that belongs to the angle, for a joint that turns at a speed.
+
+    Runs blend independent values every `position_period_rad` by half cosines, so its density is that of the
+    pulse cos(pi y/2), |y| < 1, in units of the time from value to value.
+    """
+    pot = scene.device.potentiometer
+    h = pot.position_period_rad / speed_rad_per_s
+    hz = np.concatenate([[0.0], np.geomspace(_LOW_HZ * min(1.0, 1.0 / h), 30.0 / h, 2 * _POINTS)])
+    x = hz * h
+    # (4/pi) cos(2 pi x)/(1 - (4 x)^2), written without the division by zero at x = 1/4
+    pulse = np.sinc(2.0 * x - 0.5) + np.sinc(2.0 * x + 0.5)
+    return hz, 2.0 * h * pot.noise_rad**2 * pulse**2
 
 
 def pot_form(tip: Tip, density: tuple[Array, Array]) -> NoiseForm:
