@@ -7,19 +7,21 @@ import numpy as np
 import pytest
 
 from benchmarks.choice import SCENES, compared
-from cosim.assets import scenes_folder
+from cosim.assets import netlists_folder, scenes_folder
 from cosim.cli import main
 from cosim.effects import EFFECTS
 from cosim.errors import InputError
 from cosim.measures import Tolerance, tolerances
 from cosim.plan import resolve
 from cosim.results import Run, effects_digest
-from cosim.scene import load_scene
+from cosim.scene import Level, load_scene
+from cosim.scene.schema import CHOICES
 from cosim.studies import auto
 from cosim.studies.auto import choose
 from cosim.studies.candidates import Candidates, ladder
 
 DROP = scenes_folder() / "drop.toml"
+BOARD = netlists_folder() / "board1.cir"
 FREE = ("solver.model=auto", "effects=auto")
 
 
@@ -89,6 +91,43 @@ def test_auto_forgets_the_effects_of_the_file_it_extends_but_not_what_stands_bes
     both = Candidates(tmp_path / "table.toml")
     assert both.fixed["gravity"] == "stated by the scene"
     assert both.null["gravity"] is True
+
+
+def test_auto_keeps_what_is_a_choice_of_the_experiment(tmp_path):
+    """The hand of the extended scene has its mass and damping, the driver its kind: nothing chooses them."""
+    slope, word = scenes_folder() / "slope.toml", tmp_path / "word.toml"
+    rest = f'extends = "{slope.as_posix()}"\n[tolerance]\npeak_force = 0.01\n'
+    word.write_text(f'effects = "auto"\n{rest}')
+    base = load_scene(slope).effects
+    for scene in (load_scene(word), load_scene(slope, ["effects=auto", "tolerance.peak_force=0.01"])):
+        assert scene.effects.model_fields_set - {"auto"} == CHOICES & base.model_fields_set
+        assert scene.effects.operator_dynamics is True
+        assert scene.effects.opamp is Level.IDEAL
+    word.write_text(f"{rest}[effects]\nauto = true\noperator_dynamics = false\n")
+    assert load_scene(word).effects.operator_dynamics is False
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["check", "SCENE"],
+        ["compare", str(BOARD), str(BOARD), "SCENE"],
+        ["export", "SCENE"],
+        ["sweep", "SCENE", "computer.period_s=0.01:0.02:2"],
+        ["noise", "SCENE"],
+        ["stability", "SCENE"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_command_that_does_not_choose_says_who_does(tmp_path, capsys, words):
+    scene = tmp_path / "open.toml"
+    scene.write_text(f'effects = "auto"\nextends = "{DROP.as_posix()}"\n[tolerance]\npeak_force = 0.01\n')
+    out = ["-o", str(tmp_path / "out")] if words[0] in ("compare", "export", "sweep") else []
+    assert main([*(str(scene) if word == "SCENE" else word for word in words), *out]) == 2
+    said = capsys.readouterr().err
+    assert "still to be chosen" in said
+    assert str(scene) in said
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_ladder_climbs_from_the_models_that_many_carry_to_those_that_few_do():

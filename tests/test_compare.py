@@ -12,11 +12,16 @@ from cosim.assets import netlists_folder, scenes_folder
 from cosim.circuits.port import Stated
 from cosim.circuits.spice import SUPPLY_V
 from cosim.cli import main
+from cosim.effects import EFFECTS
+from cosim.effects.circuit import CIRCUIT
 from cosim.errors import InputError
 from cosim.ngspice import stored
 from cosim.ngspice.deck import load_deck
 from cosim.ngspice.lines import Line
+from cosim.plan import resolve
+from cosim.scene import load_scene
 from cosim.settings import Variant
+from cosim.studies import ledger
 from cosim.studies.compare import sides_of
 from cosim.studies.dissipation import dissipation
 
@@ -148,9 +153,25 @@ def test_effects_ledger_knows_what_matters(tmp_path, capsys):
     assert main(["effects", str(scenes_folder() / "slope.toml"), "--json", "--out", str(tmp_path)]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["runs"] <= 2 * len(result["rows"]) + 2
-    assert set(result["not_applicable"]) == {"dac_skew", "delay", "end_stops"}  # the scene states no data
+    # what the scene states no data for
+    assert set(result["not_applicable"]) == {
+        "differentiator", "temperature", "dac_skew", "delay", "end_stops", "shaft", "backlash",
+    }  # fmt: skip
     size = {(row["effect"], row["value"]): abs(row["on"]["peak_force"]) for row in result["rows"]}
     # delays of a microsecond take b / sum(tau), above 1e5 N/m, to matter; noise and the motor matter at once
     assert size["opamp", "gbw"] < 0.01 * size["motor", "full"]
     assert size["opamp", "gbw"] < 0.01 * size["pot_noise", "white"]
     assert (tmp_path / "effects.png").is_file()
+
+
+def test_every_choice_of_the_ledger_runs_on_a_board_of_its_own():
+    """What one effect makes of the netlist may not be the board of another."""
+    path = scenes_folder() / "press.toml"
+    runner = ledger._Runner(path, ("solver.model=auto", "device.temperature_c=50"), None, None)
+    null = {effect.name: effect.null for effect in EFFECTS}
+    for effect in CIRCUIT:
+        for value in effect.on:
+            settings = {**ledger._with_required(null, effect), effect.name: value}
+            words = [f"effects.{name}={ledger._toml(each)}" for name, each in settings.items()]
+            alone = resolve(load_scene(path, [*runner.overrides, *words]))
+            assert runner._plan(settings).board.text == alone.board.text, (effect.name, value)

@@ -18,7 +18,7 @@ from cosim.scene import Effects, load_scene
 from cosim.studies.ledger import effects_ledger
 
 NAMES = {effect.name: effect for effect in EFFECTS}
-IDEAL = ("opamp=ideal", "vca=ideal", "driver_level=ideal", "motor=emf")
+IDEAL = ("opamp=ideal", "vca=ideal", "driver_level=ideal", "motor=emf", "differentiator=ideal")
 
 
 def plan_of(scene: Any) -> Plan:

@@ -433,8 +433,9 @@ def test_a_wheel_lays_out_a_project_and_runs_it_anywhere(tmp_path: Path) -> None
         return done.stdout
 
     where = subprocess.run(
-        [python, "-c", "import cosim; print(cosim.__file__)"], cwd=elsewhere, capture_output=True, text=True
-    ).stdout
+        [python, "-c", "import cosim; print(cosim.__file__)"],
+        cwd=elsewhere, env=environment, capture_output=True, text=True,
+    ).stdout  # fmt: skip
     assert str(venv) in where
     cosim("new", "mydevice")
     cosim("run", "mydevice/scenes/slope.toml", "-o", "out", "--set", "duration_s=0.5")

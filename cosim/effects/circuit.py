@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from cosim.circuits.port import Stated
 from cosim.effects import errors
 from cosim.effects.effect import ALL, DYNAMIC, SPICE, Cost, Effect, Size
-from cosim.effects.errors import gain_before, unstated
+from cosim.effects.errors import driver_gain, gain_before, unstated
 from cosim.effects.scale import Scale, scale
 from cosim.scene import Level, Scene
 
@@ -17,11 +17,22 @@ _STAGES = 3
 
 
 def _opamp(scene: Scene, constants: Stated) -> Size:
-    at, rate = scale(scene, constants), constants.of("opamp", "gbw")
-    if not rate:
-        return unstated(at, "gbw")
-    delay = _STAGES * (1.0 + gain_before(constants)) / (2.0 * math.pi * min(rate))
-    return Size(delay, "s", at.of_delay(delay), "of delay", "k v tau, tau = noise gain / (2 pi GBW) a stage")
+    at, rate, gain = scale(scene, constants), constants.of("opamp", "gbw"), constants.of("opamp", "aol")
+    if not rate or not gain:
+        return unstated(at, "aol" if rate else "gbw")
+    noise_gain = _STAGES * (1.0 + gain_before(constants))
+    delay = noise_gain / (2.0 * math.pi * min(rate))
+    force, text = at.of_delay(delay) + noise_gain / min(gain) * at.force_n, "of delay"
+    if scene.effects.opamp is Level.FULL:
+        parts = (errors.slew, errors.saturation, errors.offset)
+        force, text = force + _sum(parts, scene, constants), "of delay; slew, saturation and offset"
+    source = "k v tau + F n / A0, tau = n / (2 pi GBW), n the noise gains"
+    return Size(delay, "s", at.capped(force), text, source)
+
+
+def _sum(parts: Iterable[Callable[[Scene, Stated], Size]], scene: Scene, constants: Stated) -> float:
+    """Return the force of the single effects that a level brings along [N]."""
+    return sum(part(scene, constants).force_n for part in parts)
 
 
 def _vca(scene: Scene, constants: Stated) -> Size:
@@ -29,22 +40,27 @@ def _vca(scene: Scene, constants: Stated) -> Size:
     if not rate:
         return unstated(at, "bandwidth")
     delay = 1.0 / (2.0 * math.pi * min(rate))
+    force, text = at.of_delay(delay), "of delay"
     if scene.effects.vca is Level.FULL:
-        errors = [constants.of("vca", name) for name in ("scale", "nlx", "nly", "ft")]
-        share = sum(max(each) for each in errors if each) / 100.0
-        volts = share * constants.v_fs
-        force = volts / constants.w_rated * constants.i_rated * constants.kt * constants.gear / at.reach_m
-        return Size(100.0 * share, "% of full scale", at.capped(force), "of total error", "data sheet")
-    return Size(delay, "s", at.of_delay(delay), "of delay", "k v tau, tau = 1 / (2 pi f)")
+        parts = (errors.vca_gain, errors.vca_offset, errors.vca_nonlinearity)
+        force += _sum(parts, scene, constants)
+        text = "of delay; gain error, offset, nonlinearity"
+    return Size(delay, "s", at.capped(force), text, "k v tau, tau = 1 / (2 pi f); data sheet")
 
 
 def _driver_level(scene: Scene, constants: Stated) -> Size:
-    at, rate, r = scale(scene, constants), constants.of("driver", "gbw"), constants.of("motor", "r")
-    if not rate:
-        return unstated(at, "gbw")
-    gain = 1.0 + constants.i_limit * max(r, default=0.0) / constants.v_fs
-    delay = gain / (2.0 * math.pi * min(rate))
-    return Size(delay, "s", at.of_delay(delay), "of delay", "k v tau, tau = noise gain / (2 pi GBW)")
+    at = scale(scene, constants)
+    rate, open_loop = constants.of("driver", "gbw"), constants.of("driver", "aol")
+    if not rate or not open_loop:
+        return unstated(at, "aol" if rate else "gbw")
+    noise_gain = 1.0 + driver_gain(constants)
+    delay = noise_gain / (2.0 * math.pi * min(rate))
+    force, text = at.of_delay(delay) + noise_gain / min(open_loop) * at.force_n, "of delay"
+    if scene.effects.driver_level is Level.FULL:
+        parts = (errors.limit, errors.driver_offset)
+        force, text = force + _sum(parts, scene, constants), "of delay; limit and offset"
+    source = "k v tau + F n / A0, tau = n / (2 pi GBW), n the noise gain"
+    return Size(delay, "s", at.capped(force), text, source)
 
 
 def back_emf(constants: Stated, at: Scale) -> float:
@@ -132,7 +148,7 @@ CIRCUIT = (
         "motor", "ideal", ("full", "emf"), "netlist", ALL,
         size=_motor, cost=_motor_cost, at_full=DYNAMIC,
     ),
-    Effect("driver", "voltage", ("current",), "netlist", ALL, size=_drive, cost=_drive_cost, design=True),
+    Effect("driver", "voltage", ("current",), "netlist", ALL, size=_drive, cost=_drive_cost),
     Effect("potentiometer", "ideal", ("full",), "netlist", ALL, size=_track, at_full=ALL),
     Effect(
         "temperature", False, (True,), "netlist", ALL, size=errors.temperature, lacks=errors.nominal,

@@ -107,6 +107,6 @@ COMPUTER = (
     ),
     Effect(
         "geometric_stiffness", False, (True,), "computer", ALL,
-        size=_geometric, lacks=_lacks_springs, design=True,
+        size=_geometric, lacks=_lacks_springs,
     ),
 )  # fmt: skip

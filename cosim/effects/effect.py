@@ -8,6 +8,7 @@ from typing import Any
 
 from cosim.circuits.port import Stated
 from cosim.scene import Scene
+from cosim.scene.schema import CHOICES
 
 #: Every circuit model; those that know the circuit's dynamics; and the one that bends.
 ALL = frozenset({"ideal", "linear", "spice"})
@@ -23,7 +24,8 @@ class Size:
     Attributes
     ----------
     value, unit : the effect's own quantity: a delay, a step, a weight
-    force_n : upper estimate of what it changes in the force at the fingertip [N]; always finite
+    force_n : estimate from above of what it changes in the force at the fingertip [N]; always finite. Of a
+        force that stays: one that sets in at once makes an undamped wall swing by up to twice as much
     text : what the value is, in a few words
     source : equation, paper or data sheet that leads from the value to the force
     """
@@ -37,7 +39,7 @@ class Size:
     def __str__(self) -> str:
         """Return the size in a line."""
         shown = f"{self.value:.3g} {self.unit}".strip()
-        return f"{shown} {self.text}; at most {self.force_n:.2g} N ({self.source})"
+        return f"{shown} {self.text}; up to {self.force_n:.2g} N ({self.source})"
 
 
 @dataclass(frozen=True)
@@ -84,8 +86,6 @@ class Effect:
     requires : names of effects without which this one means nothing; asking for it without them is an error
     excludes : names of effects that cannot be in force together with it
     at_full : circuit models that can carry its level `full`
-    design : whether its settings are other devices, not finer models of one: ``effects = "auto"`` leaves
-        it as the scene states it
     """
 
     name: str
@@ -99,7 +99,14 @@ class Effect:
     requires: tuple[str, ...] = ()
     excludes: tuple[str, ...] = ()
     at_full: frozenset[str] = frozenset({"spice"})
-    design: bool = False
+
+    @property
+    def design(self) -> bool:
+        """Whether its settings are other devices or experiments, not finer models of one.
+
+        ``effects = "auto"`` leaves it as the scene states it.
+        """
+        return self.name in CHOICES
 
     def value(self, scene: Scene) -> Any:
         """Return the setting of the scene: a word or a truth value."""

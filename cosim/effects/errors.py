@@ -25,6 +25,11 @@ def gain_before(constants: Stated) -> float:
     return constants.w_rated / (constants.v_rad * angle)
 
 
+def driver_gain(constants: Stated) -> float:
+    """Return the voltage gain of a driver: rated current through the winding at the rated input."""
+    return constants.i_rated * max(constants.of("motor", "r"), default=0.0) / constants.w_rated
+
+
 def newton_per_volt(constants: Stated, at: Scale) -> float:
     """Return the force per volt at a multiplier's output, from the design constants [N/V]."""
     return constants.i_rated * constants.kt * constants.gear / at.reach_m / constants.w_rated
@@ -76,10 +81,24 @@ def offset(scene: Scene, constants: Stated) -> Size:
     angle = vos * (2.0 + 1.0 / gain_before(constants)) / constants.v_rad
     # the noise gain of the summing amplifier is below that of its multipliers' inputs, one each
     summed = vos * (1.0 + 2.0 * scene.joints) * newton_per_volt(constants, at)
-    force = at.capped(at.analog_n_per_m * at.reach_m * angle + summed)
+    behind = driver_offset(scene, constants).force_n
+    force = at.capped(at.analog_n_per_m * at.reach_m * angle + summed + behind)
     return Size(
-        vos, "V", force, "of offset voltage", "k r V_os (2 + 1/G) / v_rad, and the summing amplifier's"
-    )
+        vos, "V", force, "of offset voltage",
+        "k r V_os (2 + 1/G) / v_rad, and that of summing amplifier and driver",
+    )  # fmt: skip
+
+
+def driver_offset(scene: Scene, constants: Stated) -> Size:
+    """Return what the driver's own offset drives through the winding."""
+    at, volts, ohms = scale(scene, constants), constants.of("driver", "vos"), constants.of("motor", "r")
+    if not volts or not ohms:
+        return unstated(at, "offset")
+    vos = max(abs(each) for each in volts)
+    amperes = vos * (1.0 + driver_gain(constants)) / min(ohms)
+    # its bias current makes less of it: 100 nA in some kOhm
+    force = at.capped(2.0 * at.joints * amperes * constants.kt * constants.gear / at.reach_m)
+    return Size(vos, "V", force, "of offset voltage", "V_os (1 + gain) / R, and as much for the bias current")
 
 
 def vca_gain(scene: Scene, constants: Stated) -> Size:

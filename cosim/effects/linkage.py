@@ -160,6 +160,6 @@ LINKAGE = (
         size=_backlash, cost=_backlash_cost, lacks=_lacks_backlash, requires=("shaft",),
     ),
     Effect(
-        "operator_dynamics", False, (True,), "operator", ALL, size=_person, lacks=_lacks_hand, design=True
+        "operator_dynamics", False, (True,), "operator", ALL, size=_person, lacks=_lacks_hand
     ),
 )  # fmt: skip

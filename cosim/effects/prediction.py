@@ -32,7 +32,7 @@ def predict(scene: Scene, constants: Stated, model: str) -> dict[str, float]:
     points = samples * (RESTART_POINTS + scene.computer.period_s / step)
     noisy = 0.0
     for effect in EFFECTS:
-        if effect.is_in_force(scene):
+        if effect.is_in_force(scene) and not effect.lacks(scene):
             events = effect.cost(scene, constants).events_per_s * scene.duration_s
             added = events * EVENT_POINTS[model]
             points += added

@@ -94,7 +94,7 @@ def scale(scene: Scene, constants: Stated) -> Scale:
         analog = max(computer.joint_stiffness_n_m_per_rad) / reach**2
     stiffness = analog + computer.discrete_stiffness_n_per_m
     mass = sum(masses) + held
-    speed = _speed(scene, reach)
+    speed = _speed(scene, mass, reach)
     return Scale(
         reach_m=reach,
         device_kg=sum(masses),
@@ -105,24 +105,30 @@ def scale(scene: Scene, constants: Stated) -> Scale:
         analog_n_s_per_m=computer.analog_damping_n_s_per_m,
         discrete_n_s_per_m=computer.discrete_damping_n_s_per_m,
         speed_m_per_s=speed,
-        depth_m=_depth(scene, stiffness, mass, speed),
+        depth_m=_depth(scene, stiffness, mass, speed, _pull(scene)),
         limit_n=constants.i_limit * constants.kt * constants.gear / reach,
         period_s=computer.period_s,
         joints=scene.joints,
     )
 
 
-def _speed(scene: Scene, reach: float) -> float:
+def _pull(scene: Scene) -> float:
+    """Acceleration of free fall [m/s^2]; zero where gravity is not in force."""
+    table = scene.device.slider or scene.device.chain
+    assert table is not None  # the scene's checks hold this
+    return math.hypot(*table.gravity_m_per_s2) if scene.effects.gravity else 0.0
+
+
+def _speed(scene: Scene, mass: float, reach: float) -> float:
     """Fastest that the tip is meant to go [m/s]: at the start, on the hand's path, at the end of a fall."""
     fastest = [_TREMBLE_M_PER_S, reach * max((abs(v) for v in scene.start_speed_rad_per_s), default=0.0)]
-    person = scene.operator
+    person, pull = scene.operator, _pull(scene)
     if isinstance(person, HandOperator):
         for (t0, *start), (t1, *end) in pairwise(person.waypoints_s_m):
             fastest.append(_MINIMUM_JERK_PEAK * math.dist(start, end) / (t1 - t0))
-    elif scene.effects.gravity:
-        table = scene.device.slider or scene.device.chain
-        assert table is not None  # the scene's checks hold this
-        pull = math.hypot(*table.gravity_m_per_s2)
+        if person.stiffness_n_per_m > 0.0:  # let go from rest, held by the hand's spring
+            fastest.append(pull * math.sqrt(mass / person.stiffness_n_per_m))
+    else:
         fastest.append(math.sqrt(2.0 * pull * _above_wall(scene)))
     return max(fastest)
 
@@ -141,11 +147,12 @@ def _above_wall(scene: Scene) -> float:
     return abs(float((tip - np.array(scene.wall.point_m)) @ np.array(scene.wall.normal)))
 
 
-def _depth(scene: Scene, stiffness: float, mass: float, speed: float) -> float:
+def _depth(scene: Scene, stiffness: float, mass: float, speed: float, pull: float) -> float:
     """Deepest that the tip sinks into the wall [m]: pushed by the hand, or caught at speed."""
     if scene.wall is None or stiffness <= 0.0:
         return 0.0
-    deepest = speed * math.sqrt(mass / stiffness)  # all its energy into the spring
+    sag = mass * pull / stiffness
+    deepest = sag + math.hypot(sag, speed * math.sqrt(mass / stiffness))  # all its energy into the spring
     person = scene.operator
     if isinstance(person, HandOperator):
         push = max((math.hypot(fx, fy) for _, fx, fy in person.force_s_n), default=0.0)

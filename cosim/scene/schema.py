@@ -411,11 +411,15 @@ class PythonOperator(Table):
 Operator = Annotated[NoOperator | MassOperator | HandOperator | PythonOperator, Field(discriminator="type")]
 
 
+#: Keys of `[effects]` whose settings are other devices or experiments, not finer models of one.
+CHOICES = frozenset({"driver", "geometric_stiffness", "operator_dynamics"})
+
+
 class Effects(Table):
     """``[effects]``: what is in force. Every default is the null form.
 
     With `auto`, written ``effects = "auto"`` where nothing else is stated, the effects that the table does
-    not state are chosen until ``tolerance`` holds.
+    not state are chosen until ``tolerance`` holds. Of a file that is extended only `CHOICES` stay.
     """
 
     auto: bool = False

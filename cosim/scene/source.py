@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.errors import InputError, Problem, fail
+from cosim.scene.schema import CHOICES
 
 Key = tuple[str | int, ...]
 
@@ -156,9 +157,9 @@ def _merge(base: dict[str, Any], top: dict[str, Any], path: tuple[str, ...]) -> 
     # Another type of operator has other keys: the old ones would only be in the way.
     if path == ("operator",) and top.get("type", base.get("type")) != base.get("type"):
         return top
-    # What is to be chosen is not what the file below has already stated.
+    # What is to be chosen is not what the file below has already stated; what is never chosen is.
     if path == ("effects",) and top.get("auto") is True and base.get("auto") is not True:
-        return top
+        base = {key: value for key, value in base.items() if key in CHOICES}
     # q_rad and tip_m are two ways of saying one thing: the later way replaces the earlier.
     if path == ("device", "start") and {"q_rad", "tip_m"} & top.keys():
         base = {key: value for key, value in base.items() if key not in ("q_rad", "tip_m", "elbow")}

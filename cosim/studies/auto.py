@@ -315,7 +315,7 @@ def _decided(search: _Search, chosen: Settings, rung: Rung, in_force: bool, leas
     except InputError as error:  # what it requires is left out, or what it excludes is in
         return Decision(name, value, False, "; ".join(problem.message for problem in error.problems))
     if move is None:
-        why = f"not run: a priori at most {size.force_n:.2g} N, the tolerance is {least_n:.2g} N"
+        why = f"not run: a priori up to {size.force_n:.2g} N, the tolerance is {least_n:.2g} N"
         if size.force_n <= _NOTHING_N:
             why = "nothing to switch on"
     else:

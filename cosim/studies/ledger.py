@@ -15,7 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from cosim.effects import EFFECTS, Effect, levels
+from cosim.effects import EFFECTS, Effect, features, levels, temperature_c
 from cosim.errors import InputError, SimulationError
 from cosim.ngspice.child import Child, start_early
 from cosim.ngspice.deck import Deck
@@ -199,7 +199,7 @@ class _Runner:
             stated = [f"effects.{name}={_toml(value)}" for name, value in settings.items()]
             try:
                 scene = load_scene(self.path, [*self.overrides, *stated, "effects.auto=false"])
-                at = tuple(levels(scene).items())
+                at = (*levels(scene).items(), features(scene), temperature_c(scene))
                 plan = resolve(scene.model_copy(update={"tolerance": {}}), board=self._boards.get(at))
                 self._boards[at] = plan.board
                 self._plans[key] = plan
