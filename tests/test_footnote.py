@@ -4,12 +4,14 @@ import re
 
 import numpy as np
 import pytest
+from scipy import optimize
 from support import SCENES
 
 from cosim.circuits.delay import spring_delays
 from cosim.ngspice.child import call
 from cosim.plan import resolve
 from cosim.scene import Method, PotNoise, load_scene
+from cosim.studies.budget import loaded
 from cosim.studies.corner import CornerParameters, passive
 from cosim.studies.eta import active_from, block_delays, unstable_from
 from cosim.studies.limits import limits
@@ -284,3 +286,38 @@ def test_passive_stiffness_over_the_corner_is_that_of_the_limits():
     )
     # c in three lags, b behind one of them: far beyond 8 b it must be active
     assert passive(tip, CornerParameters(damping_n_s_per_m=20.0)) is None
+
+
+def test_a_loaded_wiper_bends_the_scale():
+    """R = R_L over 340 degrees, maximum of (2 x - 1)(1 - 1/(1 + x (1 - x))) found by its derivative."""
+    x = optimize.brentq(
+        lambda x: 2.0 * (x - x * x) * (1.0 + x - x * x) + (2.0 * x - 1.0) * (1.0 - 2.0 * x), 0.6, 0.95
+    )
+    most = (2.0 * x - 1.0) * (1.0 - 1.0 / (1.0 + x - x * x))
+    assert loaded(1e4, 1e4, 5.934) == pytest.approx(
+        most * 5.934 / 2.0, rel=1e-5
+    )  # 2000 points, quadratic top
+    assert loaded(1e4, 1e12, 5.934) < 1e-7
+
+
+def test_budgets_have_the_sizes_of_their_data_sheets(arm):
+    spec = load_study(PAPER / "5_6_budget.toml")
+    with Points(None) as points:
+        result = spec.study.analyse(spec, points)
+    errors, forces = result.table("errors").columns, result.table("forces").columns
+    mrad = dict(zip(errors["source"], errors["at the joint [mrad]"], strict=True))
+    assert mrad["noise, white"] == 6.0
+    assert mrad["encoder, a count"] == pytest.approx(0.3927 / np.sqrt(12.0), rel=1e-3)  # x4, gear 8
+    assert mrad["DAC of u, a code"] == pytest.approx(1.449 / np.sqrt(12.0), rel=1e-3)  # 12 bit of 20 V
+    # 100 Ohm and a quarter of 10 kOhm, 30 pA of a TL072, 3.37 V/rad
+    assert mrad["wiper loading, bias current"] == pytest.approx(1e3 * 2600 * 30e-12 / 3.37034, rel=1e-6)
+    newtons = dict(zip(forces["source"], forces["force [N rms]"], strict=True))
+    w, motion = np.linalg.norm(arm.torques), np.linalg.norm(arm.motion)
+    assert newtons["white, tip held"] == pytest.approx(0.006 * 100.0 * w, rel=0.02)  # the winding takes 1 %
+    assert newtons["encoder, discrete stiffness"] == pytest.approx(133 * w * 0.3927e-3 / 12**0.5, rel=1e-3)
+    assert newtons["DAC of cmd"] == pytest.approx(motion * 20 / 4096 / 15.625 / 12**0.5, rel=1e-9)
+    board = resolve(arm.scene).board
+    noise = call("cosim.circuits.noise:component_noise", {"board": board}, deck=str(board.path))
+    together = float(component_form(arm, noise, 1e3).rms(100.0, 0.0))
+    assert newtons["all together"] == pytest.approx(together, rel=1e-9)
+    assert all(verdict.holds is not False for verdict in result.verdicts)

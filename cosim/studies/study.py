@@ -34,6 +34,7 @@ __all__ = ["STUDIES", "Parameters", "Study", "StudyFile", "StudyResult", "Table"
 RECORD, POINTS = "study.json", "points.jsonl"
 #: The analyses by name, and the module of each; its `STUDY` says the rest.
 STUDIES = {
+    "budget": "cosim.studies.budget",
     "congruence": "cosim.studies.congruence",
     "corner": "cosim.studies.corner",
     "device": "cosim.studies.device",
