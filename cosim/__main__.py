@@ -1,8 +1,24 @@
-"""``python -m cosim``: the command line."""
+"""``python -m cosim`` and the installed command: the command line, quiet under Ctrl-C from its first moment."""
 
+import os
+import signal
 import sys
 
-from cosim.cli import main
+
+def _leave(*_: object) -> None:
+    """End at once with one line: nothing has begun yet."""
+    os.write(sys.stderr.fileno(), b"cosim: interrupted\n")
+    os._exit(130)
+
+
+def main() -> int:
+    """Run the command line; return its exit code."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not where Ctrl-C is to be ignored
+        signal.signal(signal.SIGINT, _leave)  # while Python imports; `cosim.cli.main` takes over
+    from cosim.cli import main as command_line
+
+    return command_line()
+
 
 if __name__ == "__main__":
     sys.exit(main())

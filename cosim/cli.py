@@ -72,6 +72,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         # a batch system's or `timeout`'s request to end is obeyed like a Ctrl-C: nothing is left half-written
         signal.signal(signal.SIGTERM, signal.default_int_handler)
     args = build_parser().parse_args(argv)
+    if callable(signal.getsignal(signal.SIGINT)) and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # from here on there is something to tidy up
     code, text, stream = _outcome(args)
     try:
         print(text, file=stream, flush=True)

@@ -1,7 +1,10 @@
 """Output folders that appear whole or not at all."""
 
 import errno
+import hashlib
 import os
+import platform
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -25,10 +28,27 @@ def disk_errors(path: str | os.PathLike[str]) -> Iterator[None]:
         raise InputError(Problem(f"cannot be written: {reason}", file=os.fspath(path))) from error
 
 
+def _label() -> str:
+    """Return this machine's mark in the names of temporary folders; a shared disk has several machines."""
+    return hashlib.sha256(platform.node().encode()).hexdigest()[:6]
+
+
+def _lives(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):  # another user's, or no number of a process
+        return True
+    return True
+
+
 class Staging:
     """A temporary folder beside `target` that takes its place when it is complete.
 
-    Made before a simulation starts, it also tells early that the place cannot be written.
+    Made before a simulation starts, it also tells early that the place cannot be written. Its name tells
+    machine and process (``.<target>.<machine>-<pid>.<random>``): what a killed process of this machine left
+    for the same target is removed.
 
     Parameters
     ----------
@@ -51,11 +71,24 @@ class Staging:
         self._refuse_foreign()
         with disk_errors(self.target):
             self.target.parent.mkdir(parents=True, exist_ok=True)
-            self.path = Path(tempfile.mkdtemp(prefix=f".{self.target.name}.", dir=self.target.parent))
+            self._sweep()
+            self.path = self._beside()
             # mkdtemp makes it private; a result is as public as the user's other files.
             umask = os.umask(0)
             os.umask(umask)
             self.path.chmod(0o777 & ~umask)
+
+    def _beside(self) -> Path:
+        prefix = f".{self.target.name}.{_label()}-{os.getpid()}."
+        return Path(tempfile.mkdtemp(prefix=prefix, dir=self.target.parent))
+
+    def _sweep(self) -> None:
+        """Remove what processes that are gone left for this target; a kill leaves no time to."""
+        form = re.compile(rf"\.{re.escape(self.target.name)}\.{_label()}-([1-9]\d*)\.[a-z0-9_]{{8}}")
+        for entry in list(self.target.parent.iterdir()):
+            match = form.fullmatch(entry.name)
+            if match and entry.is_dir() and not entry.is_symlink() and not _lives(int(match[1])):
+                shutil.rmtree(entry, ignore_errors=True)
 
     def _refuse_foreign(self) -> None:
         with disk_errors(self.target):
@@ -91,7 +124,7 @@ class Staging:
 
     def _step_aside(self) -> None:
         """Remove the earlier result by way of a new name: a folder that is not empty is not renamed over."""
-        old = Path(tempfile.mkdtemp(prefix=f".{self.target.name}.", dir=self.target.parent))
+        old = self._beside()
         try:
             self.target.rename(old)
         except FileNotFoundError:  # another process was quicker

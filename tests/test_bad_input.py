@@ -4,6 +4,7 @@ The command line runs in this process where no simulation is reached, which is t
 """
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -176,18 +177,26 @@ def test_netlist_syntax_gives_ngspices_words_and_the_users_line(
     [
         (
             "C77 adrift 0 1n\nC78 adrift inn 1n",
-            "floating node: xboard.xdiff2.adrift has no DC path to ground",
+            "floating node: xboard.xdiff[12].adrift has no DC path to ground",
         ),
         ("V77 held 0 1\nV78 held 0 2", "no DC operating point: loop of voltage sources"),
+        # no row in ngspice's matrix: it takes the current's number for the voltage and says nothing
+        ("I77 0 adrift 1m", "diffamp.cir:7: .*floating node: xboard.xdiff[12].adrift"),
+        ("I77 inn adrift 1m\nI78 adrift 0 1m", "floating node: xboard.xdiff[12].adrift has no DC path"),
+        # an element touches it, yet no current finds a way to ground
+        ("I77 0 adrift 1m\nC77 adrift 0 1n", "floating node: xboard.xdiff[12].adrift has no DC path"),
+        ("I77 0 adrift 1m\nR77 adrift a2 1k", "floating node: xboard.xdiff[12].adrift has no DC path"),
+        ("G77 0 adrift inn 0 1m", "floating node: xboard.xdiff[12].adrift has no DC path"),
+        ("L77 held 0 1m\nV77 held 0 1", "no DC operating point: loop of voltage sources"),
     ],
 )
-def test_no_operating_point_and_floating_node(
+def test_hard_case_41_no_operating_point_and_floating_node(
     project: Project, capsys: pytest.CaptureFixture[str], lines: str, words: str
 ) -> None:
     project.edit("netlists/blocks/diffamp.cir", LEG, f"{LEG}\n{lines}")
     told = refused(project, capsys)
-    assert words in told
-    assert "board2.cir" in told
+    assert re.search(words, told), told
+    assert "board2.cir: " in told or "diffamp.cir:7: " in told
 
 
 def test_design_constants_must_be_stated_and_positive(

@@ -77,6 +77,28 @@ def test_closed_pipe_is_quiet() -> None:
         assert process.stderr.read() == b""
 
 
+@pytest.mark.parametrize("moment", ["cosim.cli", "cosim.scene", "cosim.plan"])
+def test_interrupt_while_importing_is_one_line_and_130(moment: str) -> None:
+    """Before anything runs there is nothing to tidy up, and nobody wants a traceback of our imports."""
+    code = f"""
+import os, signal, sys
+class Hook:
+    def find_spec(name, *rest):
+        if name == {moment!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Hook)
+from cosim.__main__ import main
+sys.argv[1:] = ["plan", {str(scenes_folder() / "drop.toml")!r}]
+sys.exit(main())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == cli.EXIT_INTERRUPTED
+    assert not done.stdout
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stderr.startswith("cosim")
+    assert "interrupted" in done.stderr
+
+
 def test_help_imports_nothing_heavy() -> None:
     heavy = ("numpy", "scipy", "numba", "pydantic", "pyarrow", "matplotlib", "PySpice", "rich", "jinja2")
     code = (

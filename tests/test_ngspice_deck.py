@@ -322,3 +322,14 @@ def test_tokens_and_numbers() -> None:
         assert number(text) == pytest.approx(value, rel=1e-15)
     for text in ("nan", "inf", "k", "", "1k 2", "{x}"):
         assert number(text) is None
+
+
+def test_a_node_that_only_current_sources_touch_is_refused_across_subcircuits(tmp_path: Path) -> None:
+    """ngspice gives it no row and no word (hard case 41); what feeds it may lie inside a subcircuit."""
+    feed, end = ".subckt feed a b\nI1 0 a 1m\nR1 b 0 1k\n.ends\n", ".ends Board1"
+    board = rewrite(tmp_path, end, f"Xf lost u1 feed\n{end}\n{feed}")
+    with pytest.raises(InputError, match=r"floating node: xboard\.lost has no DC path to ground") as caught:
+        load_deck(board)
+    assert caught.value.problems[0].value == "I1 0 a 1m"
+    board.write_text(board.read_text().replace(end, f"R99 lost 0 1k\n{end}"))
+    load_deck(board)

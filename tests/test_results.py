@@ -6,6 +6,7 @@ import os
 import resource
 import shutil
 import subprocess
+import sys
 import tracemalloc
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -343,6 +344,30 @@ def test_interrupt_while_staging_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         interrupted()
     assert not list(tmp_path.iterdir())
+
+
+def test_what_a_killed_process_left_is_removed_and_nothing_else(tmp_path: Path) -> None:
+    """SIGKILL leaves a staging folder; the next one for the same target removes it, once its owner is gone."""
+    code = (
+        "import sys, time; from cosim.staging import Staging; stage = Staging(sys.argv[1]);"
+        "(stage.path / 'half').write_text('x'); print(stage.path, flush=True); time.sleep(60)"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path / "out")], stdout=subprocess.PIPE, text=True
+    ) as owner:
+        assert owner.stdout is not None
+        left = Path(owner.stdout.readline().strip())
+        elsewhere = left.name.replace(".out.", ".out2.", 1)  # the same dead process, another target
+        machine, _, pid = left.name.removeprefix(".out.").partition(".")[0].partition("-")
+        others = [elsewhere, left.name.replace(machine, "0" * 6), ".out.notes", f".out.{machine}-{pid}.x"]
+        for name in others:
+            (tmp_path / name).mkdir()
+        with Staging(tmp_path / "out"):
+            assert left.is_dir(), "its owner lives"
+        owner.kill()
+    assert left.is_dir()
+    with Staging(tmp_path / "out") as stage:
+        assert sorted(p.name for p in tmp_path.iterdir()) == sorted([*others, stage.path.name])
 
 
 def test_published_folder_is_as_public_as_the_users_files(tmp_path: Path) -> None:

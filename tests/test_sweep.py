@@ -10,6 +10,7 @@ from cosim.assets import scenes_folder
 from cosim.cli import main
 from cosim.errors import InputError, SimulationError
 from cosim.studies import sweep as module
+from cosim.studies.study import load_study
 from cosim.studies.sweep import parse_range
 
 DROP = str(scenes_folder() / "drop.toml")
@@ -110,3 +111,23 @@ def test_slips_are_told_before_anything_runs(tmp_path, counted, capsys):
         assert said in capsys.readouterr().err
     assert not counted[0]
     assert not (tmp_path / "out").exists()
+
+
+def test_an_edited_law_or_operator_is_another_sweep_and_another_study(tmp_path):
+    law, hand = tmp_path / "law.py", tmp_path / "hand.py"
+    law.write_text("class Law:\n    def control(self, sample): ...\n")
+    hand.write_text("class Hand:\n    def force(self, t, r, v): return 0, 0\n")
+    own = (f"computer.law={law}:Law", f"operator={{type = 'python', file = '{hand}:Hand'}}")
+    file = tmp_path / "preload.toml"
+    file.write_text(f'study = "congruence"\ntitle = "t"\nscene = "{scenes_folder() / "slope.toml"}"\n')
+
+    def digests():
+        return module._digest(DROP, own, False), load_study(file, own).digest()
+
+    before = digests()
+    assert digests() == before
+    for user in (law, hand):
+        user.write_text(user.read_text() + "# edited\n")
+        after = digests()
+        assert all(new != old for new, old in zip(after, before, strict=True))
+        before = after

@@ -17,6 +17,7 @@ from cosim.ngspice.lines import Line, assignments, read_lines, tokens
 from cosim.ngspice.netlist import Block, Netlist, parse
 from cosim.ngspice.overrides import apply_overrides, set_param
 from cosim.ngspice.parts import Feature, Part, PartSwap, Shelf
+from cosim.ngspice.unfed import unfed_nodes
 
 __all__ = ["NOMINAL_C", "Amplifier", "Deck", "Feature", "PartSwap", "board_pins", "load_deck"]
 
@@ -146,7 +147,8 @@ def load_deck(
     Raises
     ------
     InputError
-        For a missing file or pin, a refused statement, an unknown part, level or override.
+        For a missing file or pin, a refused statement, an unknown part, level or override, and a node that
+        only current sources touch.
     """
     path = Path(path)
     reader = Reader(Path(root) if root is not None else path.parent, trust)
@@ -160,6 +162,9 @@ def load_deck(
     conditions.settle(net)
     joints = _joints(board)
     blocks = _reachable(net, board)
+    unfed = unfed_nodes(net.blocks, board, set(_globals(net)))
+    if unfed:
+        raise InputError(unfed)
     lines = [Line(f"{board.name}: {joints} joint{'s' if joints > 1 else ''}")]
     if shelf.pspice:
         lines.append(Line("*@ ngbehavior=psa"))

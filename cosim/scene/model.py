@@ -57,6 +57,18 @@ class Scene(SceneTables):
         canonical = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(canonical.encode()).hexdigest()
 
+    def code_digest(self) -> str:
+        """Return the SHA-256 of the content of the user's own law and operator files.
+
+        What these import from elsewhere is not looked at.
+        """
+        found = hashlib.sha256()
+        for where in (self.computer.law, getattr(self.operator, "file", None)):
+            path = Path(str(where).rpartition(":")[0]) if where else None
+            found.update(path.read_bytes() if path is not None and path.is_file() else b"")
+            found.update(b"\0")
+        return found.hexdigest()
+
 
 def _relative(value: Any, folder: Path) -> Any:
     if isinstance(value, dict):

@@ -146,11 +146,11 @@ class StudyFile:
         return StudyResult(self.study.name, self.title, tables, tuple(verdicts), tuple(notes))
 
     def digest(self) -> str:
-        """SHA-256 of all that the result depends on: parameters, scene, flat deck, and our own sources."""
+        """SHA-256 of all that the result depends on: parameters, scene, user's code, flat deck, our own."""
         scene = self.scene()
         parts = (
             self.study.name, self.title, self.parameters.model_dump_json(), scene.digest(),
-            resolve(scene).board.digest, _sources(),
+            scene.code_digest(), resolve(scene).board.digest, _sources(),
         )  # fmt: skip
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 

@@ -167,9 +167,9 @@ def _measured(plan: Plan, child: Child | None) -> dict[str, float]:
 
 
 def _digest(path: str | Path, overrides: tuple[str, ...], trust: bool) -> str:
-    """Return what the points depend on besides their own values: scene, board and version."""
+    """Return what the points depend on besides their own values: scene, user's code, board and version."""
     plan = resolve(load_scene(path, overrides), trust=trust)
-    text = f"{cosim.__version__} {plan.scene.digest()} {plan.board.digest}"
+    text = f"{cosim.__version__} {plan.scene.digest()} {plan.scene.code_digest()} {plan.board.digest}"
     return hashlib.sha256(text.encode()).hexdigest()
 
 
