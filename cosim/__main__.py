@@ -1,4 +1,4 @@
-"""``python -m cosim`` and the installed command: the command line, quiet under Ctrl-C from its first moment."""
+"""``python -m cosim`` and the installed command; Ctrl-C is quiet from the first moment."""
 
 import os
 import signal

@@ -347,7 +347,7 @@ def test_interrupt_while_staging_leaves_nothing(tmp_path: Path) -> None:
 
 
 def test_what_a_killed_process_left_is_removed_and_nothing_else(tmp_path: Path) -> None:
-    """SIGKILL leaves a staging folder; the next one for the same target removes it, once its owner is gone."""
+    """SIGKILL leaves a staging folder; the next one for that target removes it once its owner is gone."""
     code = (
         "import sys, time; from cosim.staging import Staging; stage = Staging(sys.argv[1]);"
         "(stage.path / 'half').write_text('x'); print(stage.path, flush=True); time.sleep(60)"
