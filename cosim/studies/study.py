@@ -34,6 +34,7 @@ __all__ = ["STUDIES", "Parameters", "Study", "StudyFile", "StudyResult", "Table"
 RECORD, POINTS = "study.json", "points.jsonl"
 #: The analyses by name, and the module of each; its `STUDY` says the rest.
 STUDIES = {
+    "acceptance": "cosim.studies.acceptance",
     "budget": "cosim.studies.budget",
     "congruence": "cosim.studies.congruence",
     "corner": "cosim.studies.corner",
@@ -42,6 +43,7 @@ STUDIES = {
     "eta": "cosim.studies.eta",
     "footnote": "cosim.studies.footnote",
     "maps": "cosim.studies.maps",
+    "passive": "cosim.studies.passive",
     "poses": "cosim.studies.poses",
     "rendering": "cosim.studies.rendering",
     "shift": "cosim.studies.shift",
