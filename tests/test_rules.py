@@ -120,3 +120,43 @@ def test_a_simulated_swing_turns_at_diolaitis_cycle(tmp_path):
     assert end < 0.9 * begin
     begin, end = swing(tmp_path, 1.02 * cycle, 8.0)
     assert end > 1.1 * begin
+
+
+@pytest.mark.parametrize(("share", "rests"), [(0.95, True), (1.05, False)])
+def test_a_quantised_wall_rests_as_far_as_friction_holds_half_a_step(tmp_path, share, rests):
+    """K = 2 f_c/Delta of Abbott and Okamura, sigma = 1/2 of Diolaiti: sharp where the push is between steps.
+
+    The position is pushed to the middle between two of the forces that the wall can show: what is left on
+    either side is K Delta/2, which friction holds or does not. Viscosity is plenty: 2 b/T is ten times K.
+    """
+    coulomb, period, pulses = 0.02, 1e-3, 1047
+    step = 2.0 * math.pi / (pulses * 8) * RADIUS
+    stiffness = share * 2.0 * coulomb / step
+    viscosity = 10.0 * stiffness * period / 2.0
+    assert rules.abbott_okamura(viscosity, period, coulomb, step) == pytest.approx(stiffness / share)
+    assert (rules.diolaiti(stiffness, viscosity, period, coulomb, step).region == "rests") is rests
+    push = 500.5 * step * stiffness
+    scene = scene_of(tmp_path, slider(
+        duration_s=3.0,
+        computer={
+            "period_s": period, "method": "discrete", "analog_stiffness_n_per_m": 0.0,
+            "discrete_stiffness_n_per_m": stiffness / COMMAND,
+            "encoder": {"pulses_per_rev": pulses, "decoding": 1},
+        },
+        device={
+            "slider": {"mass_kg": 0.1, "viscous_n_m_s": viscosity * RADIUS**2,
+                       "coulomb_n_m": coulomb * RADIUS},
+            "start": {"q_rad": [-495.0 * step / RADIUS]},
+        },
+        operator={"type": "hand", "mass_kg": 0.0, "damping_n_s_per_m": 0.0, "stiffness_n_per_m": 0.0,
+                  "waypoints_s_m": [[0.0, 0.0, 0.0]], "force_s_n": [[0.0, 0.0, -push]]},
+        effects={"viscous": True, "coulomb": True, "encoder": True},
+    ))  # fmt: skip
+    made = propagate(scene, ideal(1, emf=False), rows=False)
+    # exact tip positions of the last second
+    place = samples(made, "y")[-1000:]
+    moved = np.ptp(place)
+    if rests:
+        assert moved == 0.0
+    else:
+        assert 0.0 < moved < 2.0 * step
