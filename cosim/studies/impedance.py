@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from cosim.circuits.linear import LinearCircuit
 from cosim.circuits.port import DesignConstants
+from cosim.errors import fail
 from cosim.loop.setup import mechanism
 from cosim.scene import Method, Scene
 from cosim.studies.contact import law_point
@@ -125,6 +126,8 @@ def largest(
         return Displayed(0.0, "nothing is stable")
     if found.value >= cap:
         return Displayed(cap, "full scale")
+    if math.isinf(found.value):
+        return Displayed(high, "end of the scan")
     return Displayed(found.value, "stability")
 
 
@@ -141,6 +144,11 @@ def displayed(
         itself oscillates, before the discrete stiffness is raised.
     margin
         Share of the border at which the wall is displayed, 0 to 1.
+
+    Raises
+    ------
+    InputError
+        When the wall is not stable there.
     """
     linkage = mechanism(scene, constants.gear)
     pose = touching(scene, constants)
@@ -159,5 +167,9 @@ def displayed(
             found = largest(out, constants, circuit, key, cap=cap, q=pose)
             share = margin if found.by == "stability" else 1.0
             out = with_computer(out, **{key: share * found.value})
-    assert stability(held(out, constants, circuit, pose)).stable or margin >= 1.0
+    if margin < 1.0 and not stability(held(out, constants, circuit, pose)).stable:
+        fail(
+            f"at {margin:g} of its border the wall is not stable: its stable range does not begin at zero",
+            file=str(scene.file), key="computer",
+        )  # fmt: skip
     return out
