@@ -4,6 +4,7 @@ import math
 import os
 import shutil
 import tomllib
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ from cosim.errors import fail
 from cosim.staging import Staging, disk_errors
 
 _MAX_JOINTS = 6
+#: What the studies of a folder are to judge, see `cosim.studies.claims`.
+CLAIMS = "claims.toml"
 
 
 def new_project(folder: str | os.PathLike[str], joints: int = 2) -> list[Path]:
@@ -52,14 +55,28 @@ def _lay_out(folder: Path, name: str, joints: int) -> None:
         shutil.copytree(netlists_folder() / part, board.parent / part)
     board.write_text(board_text(joints), encoding="utf-8")
     scenes.mkdir()
-    for source in _scenes_for(board.name):
+    copied = _scenes_for(board.name)
+    for source in copied:
         shutil.copyfile(source, scenes / source.name)
-    if not any(scenes.iterdir()):
+    _copy_studies(scenes, {source.name for source in copied})
+    if not copied:
         (scenes / "press.toml").write_text(_press_scene(joints), encoding="utf-8")
-    first = min(scenes.iterdir()).name
+    first = min(scenes.glob("*.toml")).name
     (folder / "README.md").write_text(
         _README.format(name=name, board=board.name, scene=first), encoding="utf-8"
     )
+
+
+def _copy_studies(scenes: Path, known: Collection[str]) -> None:
+    """Copy the paper's studies of these scenes, and the list of its claims beside them."""
+    shipped = scenes_folder() / "paper"
+    for source in sorted(shipped.glob("*.toml")):
+        about = tomllib.loads(source.read_text("utf-8")).get("scene")
+        if about is not None and Path(about).name in known:
+            (scenes / "paper").mkdir(exist_ok=True)
+            shutil.copyfile(source, scenes / "paper" / source.name)
+    if (scenes / "paper").is_dir() and (shipped / CLAIMS).is_file():
+        shutil.copyfile(shipped / CLAIMS, scenes / "paper" / CLAIMS)
 
 
 def _scenes_for(board: str) -> list[Path]:

@@ -7,7 +7,7 @@ import pytest
 from support import SCENES
 
 from cosim.errors import InputError
-from cosim.studies.congruence import apparent, pressed
+from cosim.studies.congruence import apparent, felt, pressed
 from cosim.studies.points import Points
 from cosim.studies.poses import drag, gains, unevenness
 from cosim.studies.study import STUDIES, is_study, load_study, run_study, study_named
@@ -98,6 +98,21 @@ def test_apparent_stiffness_is_what_pressing_finds(compensated):
 
 
 NORMAL = np.array([-1.0, 1.0]) / np.sqrt(2.0)
+
+
+def test_the_compensating_law_holds_the_stiffness_in_runs():
+    """What the circuit shows within a period, against the formula; 20 mN on 100 N/m move it by 0.2 mm."""
+    spec = load_study(SCENES / "paper" / "7_footnote2.toml", ("effects.opamp=ideal", "effects.vca=ideal"))
+    normal, q = np.array(spec.scene().wall.normal), np.array(spec.parameters.pose_rad)
+    wanted = 100.0 * np.outer(normal, normal)
+    with Points(None) as points:
+        plain, held = (felt(spec, 1.0, points, compensated=c) for c in (False, True))
+    shift = apparent(CHAIN, q, wanted, -1.0 * normal, compensated=False) - wanted
+    assert np.linalg.norm(shift, 2) > 5.0
+    # second order: curvature of the arm over 0.2 mm in 0.1 m, 2e-3 of 100 N/m in each direction; the hand has
+    # not quite come to rest: exp(-2 s/0.2 s) of 10 mN/mm
+    assert plain - wanted == pytest.approx(shift, abs=0.3)
+    assert held == pytest.approx(wanted, abs=0.3)
 
 
 @pytest.mark.parametrize(

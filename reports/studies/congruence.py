@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.colors import BoundaryNorm
 
 from cosim.studies.study import StudyResult
-from reports.style import Drawn, figure
+from reports.style import JOINTS, Drawn, figure, legend
 
 __all__ = ["draw"]
 
@@ -36,4 +36,31 @@ def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
         "where it differs most, at every place of the fingertip (elbow bent one way). "
         "Left: gains J^T K J. Right: K_g(F) added."
     )
-    return [("congruence", "Stiffness under a preload", Drawn(drawing, caption))]
+    drawn = [("congruence", "Stiffness under a preload", Drawn(drawing, caption))]
+    if any(table.name == "preloads" for table in result.tables):
+        drawn.append(("preloads", "With and without the compensating law, in runs", _preloads(result)))
+    return drawn
+
+
+def _preloads(result: StudyResult) -> Drawn:
+    table = result.table("preloads").columns
+    preload = table["preload [N]"]
+    drawing, grid = figure(3.6)
+    axes = grid[0, 0]
+    for number, (which, label) in enumerate((("plain", "as the paper commands it"),
+                                             ("compensated", "K_g(F) added by the law"))):  # fmt: skip
+        seen, theory = (
+            table[f"{which}: {what}, worst direction [N/m]"] for what in ("off the commanded", "theory")
+        )
+        colour = JOINTS[number]
+        axes.plot(preload, seen, "os"[number], color=colour, label=f"{label}: runs")
+        axes.plot(preload, theory, color=colour, linewidth=1.0, label=f"{label}: theory")
+    axes.set_xlabel("preload along the wall's normal [N]")
+    axes.set_ylabel("off the commanded stiffness [N/m]")
+    axes.set_xlim(left=0.0)
+    legend(axes, columns=2)
+    caption = (
+        "What the hand finds between two samples, in the direction where it is furthest from what was "
+        "commanded: the circuit holds gains and equilibria of a preload while the force changes a little."
+    )
+    return Drawn(drawing, caption)
