@@ -62,9 +62,10 @@ def _lay_out(folder: Path, name: str, joints: int) -> None:
     if not copied:
         (scenes / "press.toml").write_text(_press_scene(joints), encoding="utf-8")
     first = min(scenes.glob("*.toml")).name
-    (folder / "README.md").write_text(
-        _README.format(name=name, board=board.name, scene=first), encoding="utf-8"
-    )
+    text = _README.format(name=name, board=board.name, scene=first)
+    if (scenes / "paper").is_dir():
+        text += _STUDIES.format(study=min((scenes / "paper").glob("[0-9]*.toml")).name)
+    (folder / "README.md").write_text(text, encoding="utf-8")
 
 
 def _copy_studies(scenes: Path, known: Collection[str]) -> None:
@@ -195,4 +196,11 @@ Run a scene and write its report:
 Edit a value in `netlists/blocks/` and run again, or try values without editing:
 
     cosim run scenes/{scene} -o out/tried --set r_diff_in=9k,10k,11k
+"""
+
+_STUDIES = """
+The paper's studies on your board (minutes each), one page for all, or one study with a changed resistor:
+
+    cosim report scenes/paper/ -o out/paper
+    cosim report scenes/paper/{study} -o out/changed --set r_sum_spring=24k
 """

@@ -1,5 +1,6 @@
 """``cosim new``: a project that loads, and never over something that is there."""
 
+import csv
 import shutil
 import subprocess
 from pathlib import Path
@@ -7,9 +8,12 @@ from pathlib import Path
 import pytest
 
 from cosim.assets import netlists_folder
+from cosim.cli import main
 from cosim.errors import InputError
 from cosim.newproject import new_project
 from cosim.scene import load_scene
+from cosim.studies.claims import load_claims
+from cosim.studies.study import is_study, load_study
 
 
 @pytest.mark.parametrize("joints", range(1, 7))
@@ -47,6 +51,43 @@ def test_readme_names_a_scene_that_is_there(tmp_path: Path) -> None:
         named = {word for word in text.split() if word.startswith("scenes/") and word.endswith(".toml")}
         assert named
         assert all((folder / word).is_file() for word in named)
+
+
+def test_the_paper_s_studies_run_on_the_project_s_board(tmp_path: Path) -> None:
+    folder = tmp_path / "dev"
+    new_project(folder)
+    files = [path for path in sorted((folder / "scenes" / "paper").glob("*.toml")) if is_study(path)]
+    assert {"0_1_acceptance.toml", "3_fig16_18.toml", "7_footnote2.toml"} <= {path.name for path in files}
+    for file in files:  # every study finds its scene, and the scene the project's own board
+        assert load_study(file).scene().device.board == folder / "netlists" / "board2.cir"
+    assert load_claims(folder / "scenes" / "paper").claims
+    new_project(tmp_path / "one", 1)  # the drop test is of one joint
+    assert (tmp_path / "one" / "scenes" / "paper" / "1_fig13.toml").is_file()
+    new_project(tmp_path / "three", 3)
+    assert not (tmp_path / "three" / "scenes" / "paper").exists()
+
+
+def test_a_resistor_of_the_project_reaches_its_studies(tmp_path: Path) -> None:
+    """The practical limit of analog stiffness is b/sum(tau): tau is L/R of the motor, b is kt^2/R."""
+    folder = tmp_path / "dev"
+    new_project(folder)
+    study = folder / "scenes" / "paper" / "mine.toml"
+    study.write_text(
+        'study = "eta"\ntitle = "Mine"\nscene = "../slope.toml"\n[parameters]\npoints = 5\n'
+        'stiffness_n_per_m = 100.0\n[[parameters.cases]]\nname = "as built"\n'
+    )
+
+    def limits(out: str, *more: str) -> list[float]:
+        command = ["report", str(study), "-o", str(tmp_path / out), *more]
+        assert main(command) == 0
+        with (tmp_path / out / "data" / "mine_limits.csv").open() as stream:
+            return [float(row["practical limit b/sum [N/m]"]) for row in csv.DictReader(stream)]
+
+    before = limits("before")
+    after = limits("after", "--set", "motor_l=3m")
+    assert "--set motor_l=3m" in (tmp_path / "after" / "report.html").read_text()
+    # twice the inductance doubles the winding's share of the delay, 99 % of it with voltage drive
+    assert after[0] / before[0] == pytest.approx(0.5, rel=0.02)
 
 
 def test_nothing_is_overwritten(tmp_path: Path) -> None:
