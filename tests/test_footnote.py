@@ -8,6 +8,7 @@ from scipy import optimize
 from support import SCENES
 
 from cosim.circuits.delay import spring_delays
+from cosim.errors import InputError
 from cosim.ngspice.child import call
 from cosim.plan import resolve
 from cosim.scene import Method, PotNoise, load_scene
@@ -321,3 +322,25 @@ def test_budgets_have_the_sizes_of_their_data_sheets(arm):
     together = float(component_form(arm, noise, 1e3).rms(100.0, 0.0))
     assert newtons["all together"] == pytest.approx(together, rel=1e-9)
     assert all(verdict.holds is not False for verdict in result.verdicts)
+
+
+NO_VISCOSITY = ("effects.motor=ideal", "effects.viscous=false")
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "overrides", "said"),
+    [
+        ("5_1_eta", "", "", NO_VISCOSITY, "no viscosity that delay could eat"),
+        ("5_3_footnote", '"opa548_gbw"', '"opa549_gbw"', (), "nearest is opa548_gbw"),
+        ("5_3_footnote", '"r_der_in"', '"r_no"', (), "r_no.*must be .params of the board"),
+        ("5_4_shift", "drop.toml", "slope.toml", (), "that of one joint"),
+        ("5_5_corner", '"c_der_in"', '"c_no"', (), "corner_parameter.*must be .params"),
+    ],
+)
+def test_what_cannot_be_studied_is_said(tmp_path, file, old, new, overrides, said):
+    text = (PAPER / f"{file}.toml").read_text(encoding="utf-8").replace(old, new)
+    path = tmp_path / "bad.toml"
+    path.write_text(text.replace('"../', f'"{SCENES}/'), encoding="utf-8")
+    spec = load_study(path, overrides)
+    with Points(None) as points, pytest.raises(InputError, match=said):
+        spec.study.analyse(spec, points)

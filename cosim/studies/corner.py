@@ -113,7 +113,7 @@ def _extracted(spec: StudyFile, child: Child) -> tuple[float, list[dict[str, Any
     board = resolve(tip.scene).board
     capacitor, own = (nominal_value(board, n) for n in (given.corner_capacitor, given.corner_parameter))
     if capacitor is None or own is None:
-        fail("the corner's resistor and capacitor must be plain .param values", file=str(spec.file),
+        fail("resistor and capacitor of the corner must be .params of the board", file=str(spec.file),
              key="parameters.corner_parameter", value=given.corner_parameter)  # fmt: skip
     circuits: list[LinearCircuit | CosimError] = call(
         "cosim.circuits.reextraction:circuits",

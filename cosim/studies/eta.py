@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from cosim.circuits.delay import SpringDelay, spring_delays
-from cosim.errors import InputError, Problem
 from cosim.ngspice.child import Child, start_early
 from cosim.plan import resolve
 from cosim.scene import Method, Scene
@@ -148,10 +147,6 @@ def _case(spec: StudyFile, case: Case, with_poses: bool, child: Child) -> dict[s
     paths = spring_delays(resolve(scene).board, child)
     tip = tip_of(scene, child)
     b = tip.viscosity()
-    if not b > 0.0:
-        raise InputError(
-            Problem("the device has no viscosity that delay could eat", file=str(spec.scene_file), value=b)
-        )
     active, unstable = active_from(tip), unstable_from(tip)
     spread: dict[str, list[float]] = {"x [m]": [], "y [m]": [], "b [N s/m]": []}
     for there in reached(tip, given.points, given.margin_rad) if with_poses else ():

@@ -121,9 +121,10 @@ def _opamp(spec: StudyFile, case: Case, child: Child) -> dict[str, Any]:
     scene = spec.scene("solver.model=linear", *case.set)
     tip = tip_of(scene, child)
     board = resolve(scene).board
+    altered(board, {given.driver_parameter: "1"})  # raises where there is no such name
     capacitor, own = (nominal_value(board, n) for n in (given.corner_capacitor, given.corner_parameter))
     if capacitor is None or own is None:
-        fail("the corner's resistor and capacitor must be plain .param values", file=str(spec.file),
+        fail("resistor and capacitor of the corner must be .params of the board", file=str(spec.file),
              key="parameters.corner_parameter", value=given.corner_parameter)  # fmt: skip
     resistors = [1.0 / (2.0 * math.pi * corner * capacitor) for corner in given.corners_hz]
     noises = [

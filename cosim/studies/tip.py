@@ -110,9 +110,23 @@ class Tip:
         """Return the device's viscosity along the normal, free along the wall: 1/(w^T B^-1 w) [N s/m].
 
         A late spring k n n^T takes k times its delay from just this, whatever B is.
+
+        Raises
+        ------
+        InputError
+            For a device without viscosity: there is nothing that delay could take.
         """
-        w = self.torques
-        return float(1.0 / (w @ np.linalg.solve(self.joint_viscosity(), w)))
+        w, inner = self.torques, self.joint_viscosity()
+        least = float(np.linalg.eigvalsh(inner)[0])
+        if not least > 0.0:
+            raise InputError(
+                Problem(
+                    "a joint has no viscosity that delay could eat, neither back-EMF nor friction",
+                    file=str(self.scene.file) if self.scene.file else None, key="effects.viscous",
+                    value=least, unit="N m s/rad",
+                )
+            )  # fmt: skip
+        return float(1.0 / (w @ np.linalg.solve(inner, w)))
 
     def at(self, q: Array) -> Tip:
         """Return the same at another pose."""
