@@ -46,8 +46,12 @@ def _plane(result: StudyResult, name: str, *, logarithmic: bool) -> Drawn:
     for place in axes.flat[len(panels) :]:
         place.set_visible(False)
     across = list(limits.columns)[1]
+    exact = [k for k in limits.columns["exact border [N/m]"] if k]
+    tried = points.columns["stiffness [N/m]"]
+    lowest, highest = min([*exact, *tried]), max([*exact, *tried])
+    bottom, top = (0.7 * lowest, 1.4 * highest) if logarithmic else (0.0, 1.08 * highest)
     for place, panel in zip(axes.flat, panels, strict=False):
-        _limits(place, limits, panel, across)
+        _limits(place, limits, panel, across, top)
         _points(place, points, panel, across)
         place.set_title(panel)
         if logarithmic:
@@ -56,14 +60,8 @@ def _plane(result: StudyResult, name: str, *, logarithmic: bool) -> Drawn:
             for axis in (place.xaxis, place.yaxis):
                 axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
                 axis.set_minor_formatter(NullFormatter())
-    exact = [k for k in limits.columns["exact border [N/m]"] if k]
-    tried = points.columns["stiffness [N/m]"]
-    lowest, highest = min([*exact, *tried]), max([*exact, *tried])
     for place in axes.flat:
-        if logarithmic:
-            place.set_ylim(0.7 * lowest, 1.4 * highest)
-        else:
-            place.set_ylim(0.0, 1.08 * highest)
+        place.set_ylim(bottom, top)
     for place in axes[:, 0]:
         place.set_ylabel("discrete stiffness [N/m]")
     for place in axes[-1]:
@@ -100,11 +98,11 @@ def _of(table: Table, panel: str, heading: str) -> NDArray[np.float64]:
     return np.array([value for name, value in values if name == panel], float)
 
 
-def _limits(place: Axes, table: Table, panel: str, across: str) -> None:
+def _limits(place: Axes, table: Table, panel: str, across: str, top: float) -> None:
     x = _of(table, panel, across)
     for heading, (colour, dashes, width) in _LINES.items():
         y = _of(table, panel, heading)
-        if not np.isfinite(y).any():
+        if not (y < top).any():  # nowhere, or beyond the picture
             continue
         if heading.startswith("exact"):
             place.fill_between(x, y, 1e-9, color=WALL, alpha=0.35, linewidth=0)
