@@ -120,7 +120,8 @@ def column(asked: Column) -> dict[str, Any]:
     late = (c.delay_periods + c.delay_fraction) * c.period_s if scene.effects.delay else 0.0
     b, damping = found.viscosity_n_s_per_m, c.discrete_damping_n_s_per_m
     exact = found.border.value
-    tried = [share * exact for share in asked.stiffness] if asked.of_border else list(asked.stiffness)
+    shares = asked.stiffness if 0.0 < exact < math.inf else ()  # of no border there is no share
+    tried = [share * exact for share in shares] if asked.of_border else list(asked.stiffness)
     falls = Falls(asked.job)
     return {
         "exact_n_per_m": exact if math.isfinite(exact) else None,
