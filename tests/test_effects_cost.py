@@ -144,6 +144,53 @@ def test_an_effect_that_is_off_changes_no_byte(tmp_path: Path, null: dict[str, A
     assert {k: plain.stats[k] for k in STATES} == {k: other.stats[k] for k in STATES}
 
 
+#: Data of every effect that is no part of the netlist, as large as they may be; the effect itself is off.
+DATA: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = (
+    (("pot_noise", "pot_linearity", "pot_calibration"), {"device": {"potentiometer": {
+        "noise_rad": 0.1, "noise_bandwidth_hz": 1e4, "linearity_rad": 0.1, "gain_error": 0.1, "zero_rad": 0.1,
+    }}}),
+    (("component_noise",), {"device": {"component_noise_bandwidth_hz": 1e4}}),
+    (("encoder",), {"computer": {"encoder": {"pulses_per_rev": 4, "decoding": 1}}}),
+    (("dac", "dac_settling", "dac_skew"),
+     {"computer": {"dac": {"bits": 4, "settling_s": 1e-3, "skew_s": 1e-3}}}),
+    (("delay",), {"computer": {"delay_periods": 3, "delay_fraction": 0.5}}),
+    (("period_jitter",), {"computer": {"jitter_share": 0.4}}),
+    (("gravity", "viscous", "coulomb", "rotor_inertia", "end_stops", "shaft", "backlash"),
+     {"device": {"slider": {
+         "gravity_m_per_s2": [0.0, -9.81], "viscous_n_m_s": 0.1, "coulomb_n_m": 0.1,
+         "rotor_inertia_kg_m2": 1e-5, "stops_rad": [[-0.031, 0.031]], "shaft_stiffness_n_m_per_rad": 10.0,
+         "backlash_rad": 0.01,
+     }}}),
+    (("temperature",), {"device": {"temperature_c": 80.0}}),
+)  # fmt: skip
+#: What has no data of its own: on or off is all there is (its null limit is in test_null_limits.py).
+NO_DATA = {"geometric_stiffness", "coriolis", "operator_dynamics"}
+
+
+def test_every_effect_is_shown_to_leave_nothing_when_it_is_off() -> None:
+    """Those of the netlist by its equations (test_ideal_levels_add_no_equations), the others by runs."""
+    netlist = {effect.name for effect in EFFECTS if effect.home == "netlist"}
+    assert {effect.name for effect in EFFECTS} == netlist | NO_DATA.union(*(names for names, _ in DATA))
+
+
+@pytest.mark.parametrize("model", ["ideal", "spice"])
+def test_data_of_effects_that_are_off_are_not_there(tmp_path: Path, model: str) -> None:
+    """All at once and each group alone: same bytes, points, breakpoints, calls and draws."""
+    groups = [data for _, data in DATA]
+    every: dict[str, Any] = {}
+    for data in groups:
+        every = merge(every, data)
+    base = pressed(solver={"model": model})
+    plain = quick(tmp_path, base)
+    for data in (every, *groups) if model == "ideal" else (every,):
+        other = quick(tmp_path, merge(base, data))
+        assert bytes_of(plain) == bytes_of(other), data
+        known = [name for name in STATES if name in plain.stats]
+        assert [plain.stats[name] for name in known] == [other.stats[name] for name in known]
+        assert other.plan["effects"] == plain.plan["effects"]
+        assert other.plan["circuit_states"] == plain.plan["circuit_states"]
+
+
 def test_what_converters_delay_and_noise_add(tmp_path: Path) -> None:
     plain = stats(tmp_path, pressed())
     coded = stats(tmp_path, pressed(effects={"dac": True}))

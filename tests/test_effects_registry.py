@@ -18,6 +18,7 @@ from cosim.scene import Effects, load_scene
 from cosim.studies.ledger import effects_ledger
 
 NAMES = {effect.name: effect for effect in EFFECTS}
+FORCES = ("peak_force", "peak_normal_force", "mean_normal_force", "steady_normal_force", "force_ripple")
 IDEAL = ("opamp=ideal", "vca=ideal", "driver_level=ideal", "motor=emf", "differentiator=ideal")
 
 
@@ -209,3 +210,53 @@ def test_the_ledger_runs_each_choice_once_and_names_what_cannot_apply(tmp_path: 
     assert measured | set(ledger.not_applicable) == set(NAMES)
     assert not measured & set(ledger.not_applicable)
     assert {"dac_skew", "viscous", "opamp", "period_jitter"} <= measured
+
+
+#: One flipped count or code hides what a small effect does: both as fine as they may be.
+FINE = ("computer.encoder.pulses_per_rev=1000000", "computer.dac.bits=30")
+#: Two models solve one scene to some 1e-4 of its forces, and an effect may call for another model.
+MODEL_SHARE = 1e-4
+#: A force that sets in at once makes a wall without damping swing by twice itself.
+SWING = 2.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["press", "drop", "slope"])
+def test_a_priori_sizes_are_estimates_from_above(name: str) -> None:
+    """No measure of force changes by more, alone and on top of all, but for a choice between devices.
+
+    Where an effect is switched off, what means nothing without it goes as well: their sizes add up. Without
+    gravity the drop's mass meets no floor, so that there only the side on top of all says something.
+    """
+    path = SCENES / f"{name}.toml"
+    ledger = effects_ledger(path, ("solver.model=auto", *FINE))
+    stated = load_scene(path)
+    null = {e.name: e.value(stated) if e.design else e.null for e in EFFECTS}
+    every = dict(null)
+    for row in ledger.rows:
+        if not NAMES[row.effect].design and every[row.effect] == NAMES[row.effect].null:
+            every[row.effect] = row.value if row.value not in ("True", "False") else row.value == "True"
+
+    def force(settings: dict[str, Any], names: list[str]) -> float:
+        words = [f"effects.{key}={str(value).lower()}" for key, value in settings.items()]
+        plan = shipped(name, "solver.model=auto", *FINE, *words)
+        return float(sum(size(plan, each).force_n for each in names))
+
+    too_small = []
+    for row in ledger.rows:
+        effect = NAMES[row.effect]
+        if effect.design:
+            continue
+        value = row.value if row.value != "True" else True
+        needed = {other: NAMES[other].on[0] for other in effect.requires}
+        gone = [e.name for e in EFFECTS if e is effect or effect.name in e.requires]
+        gone += [e.name for e in EFFECTS if set(e.requires) & set(gone) and e.name not in gone]
+        sides = [(row.off, {**every, effect.name: value}, [g for g in gone if every[g] != NAMES[g].null])]
+        if name != "drop":
+            sides.append((row.on, {**null, **needed, effect.name: value}, [effect.name]))
+        for changes, settings, names in sides:
+            moved = max((abs(changes[key]) for key in FORCES if key in changes), default=0.0)
+            room = SWING * force(settings, names) + MODEL_SHARE * ledger.full["peak_force"]["value"]
+            if not moved <= room:
+                too_small.append((effect.name, value, names, moved, room))
+    assert too_small == []
