@@ -11,10 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from support import scene_of, slider
 from test_propagation import CONSTANTS, ideal, lagging, propagate, rows
 
 from cosim.circuits.linear import LinearCircuit
+from cosim.loop.exact import system, transition
 from cosim.loop.propagate_run import prepare
 from cosim.scene import Scene
 
@@ -84,6 +86,57 @@ def test_bandwidth_changes_neither_error_nor_steps(tmp_path: Path) -> None:  # 1
         assert (np.abs(found - truth).max(axis=0) / largest * largest[0] < MULTIPLE * 1e-8).all()
         points.append(count)
     assert max(points) <= 1.2 * min(points)
+
+
+def ramped(tmp_path: Path, duration_s: float) -> tuple[Scene, LinearCircuit]:
+    """A carriage pushed out of a wall of 50 + 100 N/m by DACs that take a tenth of the period to settle."""
+    tables = slider(
+        duration_s=duration_s, device={"start": {"q_rad": [-0.05]}},
+        computer={
+            "period_s": 0.01, "method": "combined", "discrete_stiffness_n_per_m": 50.0,
+            "dac": {"settling_s": 1e-3},
+        },
+        effects={"dac_settling": True, "motor": "emf"},
+    )  # fmt: skip
+    return scene_of(tmp_path, tables), lagging(ideal(1), 3e3, 6e3)
+
+
+def test_a_leap_over_a_ramp_is_the_ramp_stepped_over(tmp_path: Path) -> None:
+    # with rows the loop lands on the end of each ramp, without it takes one matrix for both; both are exact,
+    # but where the gains ramp: out of contact from 0.07 s on
+    scene, circuit = ramped(tmp_path, 0.06)
+    ends, points = [], []
+    for record in (True, False):
+        made = prepare(
+            scene, CONSTANTS, circuit, record=record, dense=False, row_capacity=100, sample_capacity=20
+        )
+        made.run()
+        state = made.memory.state[0]
+        ends.append(np.array([state["q"][0], state["v"][0], made.bench.current[0]]))
+        points.append(int(state["points"]))
+        assert (made.memory.samples[: int(state["samples_used"]), 2] == 1).all()
+    assert points == [1 + 1 + 5 * 2, 1 + 6]  # no ramp at power-up
+    assert ends[1] == pytest.approx(ends[0], rel=1e-12)
+
+
+def test_the_matrix_of_a_ramp_is_that_of_its_two_pieces(tmp_path: Path) -> None:
+    # x' = A x + B i with i even over each piece, as one exponential of (x, i, i')
+    scene, circuit = ramped(tmp_path, 0.06)
+    made = prepare(scene, CONSTANTS, circuit, record=False)
+    state, gains, h, ramp = made.memory.state[0], np.array([5.9, 0.3]), 0.01, 1e-3
+    a, b, c, d = system(state, circuit, gains)
+    n = len(a)
+    whole = np.zeros((n + 10, n + 10))
+    whole[:n, :n], whole[:n, n : n + 5], whole[n : n + 5, n + 5 :] = a, b, np.eye(5)
+    rng = np.random.default_rng(3)
+    start, change = rng.normal(size=n + 5), rng.normal(size=5)
+    late = np.array([1.0, 0.0, 0.0, 1.0, 1.0]) / h  # torque, u, cmd, pot and its rate
+    early = late + np.array([0.0, 1.0, 1.0, 0.0, 0.0]) / ramp
+    there = expm(whole * ramp) @ np.concatenate([start, early * change])
+    end = expm(whole * (h - ramp)) @ np.concatenate([there[: n + 5], late * change])
+    found = transition(state, circuit, gains, h, ramp, nodes=False) @ np.concatenate([start, change])
+    assert found[:n] == pytest.approx(end[:n], rel=1e-10)
+    assert found[n] == pytest.approx(float(c[0] @ end[:n] + d[0] @ end[n : n + 5]), rel=1e-10)
 
 
 @pytest.mark.parametrize("exact", [True, False], ids=["exponential", "collocation"])

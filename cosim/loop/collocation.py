@@ -46,6 +46,9 @@ _SHARE = 0.05
 #: Largest double integral of P3, the first term that the parabola of accelerations leaves out.
 _CUBIC = 1.0 / 113.0
 
+#: A motor is near its driver's limit from this share of it on.
+_WATCHED = 0.7
+
 #: Accelerations at the nodes -> their first and second integrals at the nodes, and values at x = 1.
 _ONCE = np.column_stack([NODES, NODES**2 / 2, NODES**3 / 3]) @ COEFFICIENTS
 _TWICE = np.column_stack([NODES**2 / 2, NODES**3 / 6, NODES**4 / 12]) @ COEFFICIENTS
@@ -233,7 +236,9 @@ def attempt(s: Record, k: Any, b: Bench, slot: int, t: float, h: float, tol: flo
                 s.v_trial[j] = s.v[j] + h * once
             for j in range(n):
                 s.tau[j] = s.torque_per_amp * clamped(k, b, j, b.results[3 * j + i])
-            dynamics(s.p, s.op, t + NODES[i] * h, s.q_trial, s.v_trial, s.tau, b.new[i], s.w)
+            dynamics(s.p, s.op, t + NODES[i] * h, s.q_trial, s.v_trial, s.tau, s.a_trial, s.w)
+            for j in range(m):
+                b.new[i, j] = s.a_trial[j]
             part = WEIGHTS[i] * h
             for j in range(n):
                 v = s.v_trial[j]
@@ -307,6 +312,13 @@ def attempt(s: Record, k: Any, b: Bench, slot: int, t: float, h: float, tol: flo
             error = abs(e)
     slow = min(h * h * _CUBIC, k.lag * k.lag)
     return float(max(error * h * max(h, s.c.period) * _CUBIC, jump * slow))
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def near(k: Any, joint: int, current: float) -> bool:
+    """Whether a motor current [A] is so near the driver's limit that steps must look for it."""
+    low, high = k.limit[joint, 0], k.limit[joint, 1]
+    return not (_WATCHED * low < current < _WATCHED * high)
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)

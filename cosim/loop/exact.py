@@ -13,15 +13,16 @@ from itertools import pairwise
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import from_dtype, njit
 from numpy.typing import NDArray
 
 from cosim.circuits.linear import LinearCircuit
-from cosim.loop.maps import NODES, WEIGHTS, Ints, Matrix, Vector
-from cosim.loop.native import call_plain
+from cosim.loop.collocation import Bench
+from cosim.loop.maps import NODES, WEIGHTS, Ints, Matrix, Plan, Vector
+from cosim.loop.native import call_plain, kind_of
 from cosim.loop.phi import phi_functions
 from cosim.loop.pins import grid_noise, volts
-from cosim.loop.state import Fault
+from cosim.loop.state import STATE, Fault
 from mech.kernels import dynamics, operator_force
 from mech.records import OperatorKind
 
@@ -30,6 +31,12 @@ Record = Any
 
 #: Inputs: outer torque [N m], u, cmd [V], noise of the potentiometer [rad] and its rate [rad/s].
 _INPUTS = 5
+#: Columns of a matrix behind the state: outer torque, u and cmd at the start, their changes over the step;
+#: noise and its rate with theirs, which are left out where there is no noise.
+_ORDER = (0, 1, 2, 5, 6, 7, 3, 4, 8, 9)
+_QUIET = 6
+#: Rows at a time in a matrix times a vector: what the processor's registers hold.
+_LANES = 4
 #: Sets of gains times lengths of time kept at a time.
 _SLOTS = 256
 
@@ -40,10 +47,10 @@ class Exact(NamedTuple):
     Attributes
     ----------
     on : [1] whether the scene is linear between events
-    key : [slots, 4] gains, length of time, 1 when in use; made : [1] slots used
-    data : [slots, N + 10, N + 10] by column: maps of (state, inputs at the start, their change over the
-        step) to the state at the end, the current there, and q, v and current at Gauss's three nodes
-    asked : [3] gains and time of the matrix that is missing; address : of the function that makes it
+    key : [slots, 5] gains, length of time, ramp inside, 1 when in use; made : [2] slots used, slot in use
+    data : [slots, N + 10, N + 10 and up to 3 more] by column: maps of (state, inputs) to the state at the
+        end, the current there, and q, v and current at Gauss's three nodes; inputs in the order of `_ORDER`
+    asked : [4] gains, time and ramp of the matrix that is missing; address : of the function that makes it
     moving : [k, 2] times between which the hand's intended point moves
     outer : [knots + 2, 2] times and torque on the drum [N m] that does not depend on its motion
     now, then : scratch
@@ -59,6 +66,16 @@ class Exact(NamedTuple):
     outer: Matrix
     now: Vector
     then: Vector
+
+
+#: Types by which compiled code knows the memory of a run.
+STATE_KIND, PLAN_KIND, BENCH_KIND, EXACT_KIND = (
+    from_dtype(STATE), kind_of(Plan), kind_of(Bench), kind_of(Exact)
+)  # fmt: skip
+
+
+def _padded(rows: int) -> int:
+    return -(-rows // _LANES) * _LANES
 
 
 def exact(
@@ -80,23 +97,24 @@ def exact(
     moving = [(a[0], b[0]) for a, b in pairwise(path) if held and (a[1:] != b[1:]).any()]
     slots = _SLOTS if linear else 1
     x = Exact(
-        on=np.array([int(linear)]), key=np.zeros((slots, 4)), made=np.zeros(1, np.int64),
-        data=np.zeros((slots, size + 10, size + 2 * _INPUTS)), asked=np.zeros(3),
+        on=np.array([int(linear)]), key=np.zeros((slots, 5)), made=np.zeros(2, np.int64),
+        data=np.zeros((slots, size + 2 * _INPUTS, _padded(size + 10))), asked=np.zeros(4),
         address=np.zeros(1, np.int64), moving=np.array(moving).reshape(-1, 2),
         outer=outer_torque(state, np.array([0.0, *knots, state["t_end"]])) if linear else np.zeros((2, 2)),
-        now=np.zeros(size + 2 * _INPUTS), then=np.zeros(size + 10),
+        now=np.zeros(size + 2 * _INPUTS), then=np.zeros(_padded(size + 10)),
     )  # fmt: skip
 
     def make() -> None:
         at = x.made[0]
         try:
             nodes = bool(state["rows_capacity"])
-            x.data[at] = transition(state, circuit, x.asked[:2], float(x.asked[2]), nodes=nodes).T
+            made = transition(state, circuit, x.asked[:2], float(x.asked[2]), float(x.asked[3]), nodes=nodes)
+            x.data[at, :, : size + 10] = made[:, [*range(size), *(size + i for i in _ORDER)]].T
         except Exception as error:  # none may cross the compiled frames above
             failures.append(error)
             state["fault"] = Fault.STOPPED
         x.key[at] = *x.asked, 1.0
-        x.made[:] += 1
+        x.made[0] += 1
 
     callback = ctypes.CFUNCTYPE(None)(make)
     x.address[0] = ctypes.cast(callback, ctypes.c_void_p).value or 0
@@ -154,25 +172,44 @@ def system(state: np.void, circuit: LinearCircuit, gains: Array) -> tuple[Array,
     return a, b, c, d
 
 
-def transition(state: np.void, circuit: LinearCircuit, gains: Array, h: float, *, nodes: bool) -> Array:
-    """Return the matrix of `Exact.data`, by row, for gains [V at the pins ksp, ksd] and a time `h` [s].
+def transition(
+    state: np.void, circuit: LinearCircuit, gains: Array, h: float, ramp: float, *, nodes: bool
+) -> Array:
+    """Return the matrix of states and inputs for gains [V at the pins ksp, ksd] and a time `h` [s]; by row.
 
-    Without `nodes` the rows of Gauss's nodes stay zero.
+    Columns are states, inputs at the start and changes of the inputs over the step. With `ramp` [s] the pins
+    u and cmd change within that time, and rest then; other changes, and all without, are even over `h`. Rows
+    are those of `Exact.data`; without `nodes` those of Gauss's nodes stay zero.
     """
     a, b, c, d = system(state, circuit, gains)
     size = len(a)
     out = np.zeros((size + 10, size + 2 * _INPUTS))
 
+    def risen(t: float) -> Array:
+        """Return the share of each input's change that is over at the time t."""
+        share = np.full(_INPUTS, t / h)
+        if ramp > 0.0:
+            share[1:3] = min(t / ramp, 1.0)
+        return share
+
+    def leg(start: Array, t0: float, t1: float) -> Array:
+        """Take states at t0, by column, to t1, the inputs changing evenly."""
+        e, one, two = phi_functions(a, t1 - t0, 2)
+        out = e @ start
+        out[:, size : size + _INPUTS] += (t1 - t0) * one @ b
+        out[:, size + _INPUTS :] += (t1 - t0) * (one @ b * risen(t0) + two @ b * (risen(t1) - risen(t0)))
+        return np.asarray(out)
+
     def to(part: float) -> Array:
-        t = part * h
-        e, one, two = phi_functions(a, t, 2)
-        # an input that changes by 1 over h changes by `part` until t
-        return np.hstack([e, t * one @ b, part * t * two @ b])
+        states, t = np.eye(size, size + 2 * _INPUTS), part * h
+        if 0.0 < ramp < t:
+            return leg(leg(states, 0.0, ramp), ramp, t)
+        return leg(states, 0.0, t)
 
     def current(states: Array, part: float) -> Array:
         row = c @ states
         row[:, size : size + _INPUTS] += d
-        row[:, size + _INPUTS :] += part * d
+        row[:, size + _INPUTS :] += risen(part * h) * d
         return np.asarray(row[0])
 
     out[:size] = to(1.0)
@@ -204,67 +241,98 @@ def rests(x: Any, t: float) -> bool:
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def leap(s: Record, k: Any, b: Any, x: Any, t: float, h: float, account: bool) -> bool:
+def _fits(x: Any, i: int, g0: float, g1: float, h: float, ramp: float) -> bool:
+    return bool(
+        x.key[i, 0] == g0
+        and x.key[i, 1] == g1
+        and abs(x.key[i, 2] - h) <= 1e-12 * h + 1e-15
+        and x.key[i, 3] == ramp
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _find(s: Record, x: Any, g0: float, g1: float, h: float, ramp: float) -> int:
+    """Return the slot of a matrix, made when it is not there yet; -1 when the memory is full."""
+    used = x.made[0]
+    for i in range(used):
+        if _fits(x, i, g0, g1, h, ramp):
+            return i
+    if used == len(x.key):
+        return -1
+    x.asked[0], x.asked[1], x.asked[2], x.asked[3] = g0, g1, h, ramp
+    call_plain(x.address[0])
+    return int(used)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _times(data: Any, now: Any, then: Any, width: int, rows: int) -> None:
+    """Fill `then` with at least `rows` rows of a matrix, held by column, times the first `width` of `now`."""
+    for block in range((rows + _LANES - 1) // _LANES):
+        r = _LANES * block
+        y0 = y1 = y2 = y3 = 0.0
+        for i in range(width):
+            value = now[i]
+            y0 += data[i, r] * value
+            y1 += data[i, r + 1] * value
+            y2 += data[i, r + 2] * value
+            y3 += data[i, r + 3] * value
+        then[r], then[r + 1], then[r + 2], then[r + 3] = y0, y1, y2, y3
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def leap(s: Record, k: Any, b: Any, x: Any, t: float, h: float, ramp: float) -> bool:
     """Go from the accepted point at `t` over `h` [s]: new state in `s.q_trial`, `s.v_trial` and `x.then`.
 
-    Gains that ramp count with the value of the middle. With `account` the accelerations at the end and
-    the works of the step are found as well. False when the memory for matrices is full: then the exact path
-    is off.
+    Gains that ramp count with the value of the middle; u and cmd may have a ramp of length `ramp` [s] at the
+    beginning, 0 when the whole step is one. Where rows are wanted the accelerations at the end and the works
+    of the step are found as well. False when the memory for matrices is full: then the exact path is off.
     """
     size = 2 + k.before + k.after
     g0, g1 = volts(s, 1, t + 0.5 * h), volts(s, 2, t + 0.5 * h)
-    slot = -1
-    for i in range(min(x.made[0], len(x.key))):
-        if x.key[i, 0] == g0 and x.key[i, 1] == g1 and abs(x.key[i, 2] - h) <= 1e-12 * h + 1e-15:
-            slot = i
-            break
-    if slot < 0:
-        if x.made[0] == len(x.key):  # gains of ever new values: not worth a matrix each
+    slot = x.made[1]
+    if not _fits(x, slot, g0, g1, h, ramp):
+        slot = _find(s, x, g0, g1, h, ramp)
+        if slot < 0:  # gains of ever new values: not worth a matrix each
             x.on[0] = 0
             return False
-        x.asked[0], x.asked[1], x.asked[2] = g0, g1, h
-        slot = x.made[0]
-        call_plain(x.address[0])
-    now, data = x.now, x.data[slot]
+        x.made[1] = slot
+    now, then = x.now, x.then
     now[0], now[1] = s.q[0], s.v[0]
     for i in range(size - 2):
         now[2 + i] = b.states[i]
     outer = _outer(s, x, t)
-    noise = grid_noise(s, t, 0)
-    rise = grid_noise(s, t + h, 0) - noise
     now[size] = outer + s.torque_per_amp * k.offset[0]
     now[size + 1], now[size + 2] = volts(s, 0, t), volts(s, 3, t)
-    now[size + 3], now[size + 4] = noise, rise / h
-    now[size + 5] = _outer(s, x, t + h) - outer
-    now[size + 6], now[size + 7] = 0.0, 0.0
+    now[size + 3] = _outer(s, x, t + h) - outer
+    now[size + 4] = now[size + 5] = 0.0
     if s.ramping:
-        now[size + 6] = volts(s, 0, t + h) - now[size + 1]
-        now[size + 7] = volts(s, 3, t + h) - now[size + 2]
-    now[size + 8], now[size + 9] = rise, 0.0
-    rows = size + 10 if account else size + 1
-    then = x.then
-    for r in range(rows):
-        then[r] = 0.0
-    for i in range(size + 10):
-        value = now[i]
-        if value != 0.0:
-            for r in range(rows):
-                then[r] += data[i, r] * value
-    s.q_trial[0], s.v_trial[0] = x.then[0], x.then[1]
-    b.results[3] = x.then[size] + k.offset[0]
+        now[size + 4] = volts(s, 0, t + h) - now[size + 1]
+        now[size + 5] = volts(s, 3, t + h) - now[size + 2]
+    width = size + _QUIET
+    if s.noise != 0:
+        noise = grid_noise(s, t, 0)
+        rise = grid_noise(s, t + h, 0) - noise
+        now[width], now[width + 1], now[width + 2], now[width + 3] = noise, rise / h, rise, 0.0
+        width += 4
+    account = s.rows_capacity > 0
+    _times(x.data[slot], now, then, width, size + 10 if account else size + 1)
+    s.q_trial[0], s.v_trial[0] = then[0], then[1]
+    b.results[3] = then[size] + k.offset[0]
     if not account:
         return True
     for i in range(6):
         b.work[i] = 0.0
     for node in range(3):
         at = size + 1 + 3 * node
-        s.tau[0] = s.torque_per_amp * (x.then[at + 2] + k.offset[0])
-        v = x.then[at + 1]
-        dynamics(s.p, s.op, t + NODES[node] * h, x.then[at:], x.then[at + 1 :], s.tau, b.new[0], s.w)
+        s.tau[0] = s.torque_per_amp * (then[at + 2] + k.offset[0])
+        s.q_trial[0] = then[at]
+        v = s.v_trial[0] = then[at + 1]
+        dynamics(s.p, s.op, t + NODES[node] * h, s.q_trial, s.v_trial, s.tau, s.a_trial, s.w)
         part = WEIGHTS[node] * h * v
         b.work[0] += part * s.tau[0]
         b.work[1] += part * (s.w.jac[0, 0] * s.w.f_op[0] + s.w.jac[1, 0] * s.w.f_op[1])
         b.work[2] += part * s.w.tau_visc[0]
+    s.q_trial[0], s.v_trial[0] = then[0], then[1]
     s.tau[0] = s.torque_per_amp * b.results[3]
     dynamics(s.p, s.op, t + h, s.q_trial, s.v_trial, s.tau, s.a_trial, s.w)
     return True

@@ -1,44 +1,34 @@
-"""What ngspice calls while it integrates: sources, step control, accepted points - compiled.
+"""Samples, DACs and other events, and the step of linkage and sources in lockstep with ngspice - compiled.
 
-ngspice owns time. Per point it asks `synchronise` for the step, polls `source` for every EXTERNAL source at
-the trial time, and hands the accepted values to `accepted`, where the linkage takes its step. Sample instants
-are landed on exactly: the step is cut to them, and a breakpoint set beforehand makes ngspice take the first
-step behind a DAC step with backward Euler.
+Events are those of our own time loop as well; what ngspice calls is in `callbacks.py`.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-import numba
-from numba import carray, cfunc, njit, types
+from numba import carray, njit
 
 from cosim.loop import runge
 from cosim.loop.adams import correct, predict
 from cosim.loop.computer import law, read_encoders, to_volts
-from cosim.loop.native import call_plain, call_with_time, doubles_at, vector_value
+from cosim.loop.native import call_plain, call_with_time, doubles_at
 from cosim.loop.pins import component
-from cosim.loop.state import QUEUE, STATE, Fault
+from cosim.loop.state import QUEUE, Fault
 from mech.kernels import dynamics, solve
 from mech.shaft import engage, windup_energy
 
-_NOT_FINITE, _DIVERGED, _COLLAPSED = Fault.NOT_FINITE, Fault.DIVERGED, Fault.STEP_COLLAPSED
-_SAMPLE_LOST, _RAN_AWAY = Fault.SAMPLE_LOST, Fault.RAN_AWAY
+_DIVERGED, _SAMPLE_LOST, _RAN_AWAY = Fault.DIVERGED, Fault.SAMPLE_LOST, Fault.RAN_AWAY
 #: A predicted angle this wrong [rad] after one step is no prediction: the coupling has diverged.
 _DIVERGENCE_RAD = 0.5
 #: No joint of a haptic device turns this fast [rad/s], ten times the fastest start that a scene may state.
 RUNAWAY_RAD_PER_S = 1e5
 #: The next step aims at this share of the tolerance, and grows at most this much.
 _SAFETY, _GROWTH = 0.8, 4.0
-_NEVER = 1e300
 #: Share of the time constant of the coupled pole that a step may be.
 _POLE_SHARE = 0.5
-#: A source's name in ngspice has a dot behind its letter where it stands inside a subcircuit; its length.
-_DOT, _LONGEST = 46, 512
 
 Record = Any
-_record = numba.from_dtype(STATE)
-_f8, _i4, _i8, _u1 = types.float64, types.int32, types.int64, types.uint8
 
 
 @njit(cache=True, error_model="numpy")
@@ -112,43 +102,6 @@ def name_hash(letters: Any, count: int) -> int:
 
 
 @njit(cache=True, error_model="numpy")
-def _command_noise(s: Record, place: int) -> float:
-    """Component noise [V] at the source `place`: none but at the pins cmd."""
-    first = s.n + 2 * s.n * s.n
-    if place < s.dac_first or s.dac_channel[place - s.dac_first] < first:
-        return 0.0
-    return float(s.component_now[s.component_inputs + s.dac_channel[place - s.dac_first] - first])
-
-
-@njit(cache=True, error_model="numpy")
-def _probe_noise(s: Record, letters: Any) -> float:
-    """Component noise [V] of a probe inside the board, as it stands in series with X."""
-    wanted = name_hash(letters, _LONGEST)
-    for i in range(s.probes):
-        if s.probe_name[i] == wanted:
-            return float(s.probe_sign[i] * s.component_now[s.probe_input[i]])
-    return 0.0
-
-
-@cfunc(_i4(types.CPointer(_f8), _f8, types.CPointer(_u1), _i4, types.CPointer(_record)), cache=True)
-def source(voltage: Any, t: float, name: Any, ident: int, user: Any) -> int:
-    """GetVSRCData: sources are named v00, v01, ... in the order of `STATE.out`, probes by their path."""
-    s = carray(user, 1)[0]
-    if t != s.t_trial:
-        fill(s, t)
-    digits = carray(name, 3)
-    s.source_calls += 1
-    if s.component == 0:
-        voltage[0] = s.out[(digits[1] - 48) * 10 + digits[2] - 48]
-    elif digits[1] == _DOT:
-        voltage[0] = _probe_noise(s, carray(name, _LONGEST))
-    else:
-        place = (digits[1] - 48) * 10 + digits[2] - 48
-        voltage[0] = s.out[place] + _command_noise(s, place)
-    return 0
-
-
-@njit(cache=True, error_model="numpy")
 def _release(s: Record, group: int) -> bool:
     """Let the oldest waiting sample reach the DACs of a group; True if a driven voltage changes."""
     slot = s.queue_out[group] % QUEUE
@@ -218,7 +171,7 @@ def _write_sample(s: Record) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _next_event(s: Record) -> float:
+def next_event(s: Record) -> float:
     """Return the time of the next instant that the step must land on."""
     at = s.t_end
     if s.tick <= s.last_tick:
@@ -272,7 +225,7 @@ def begin(s: Record) -> None:
         k = s.dac_channel[i]
         s.dac_from[k] = s.dac_to[k]
         s.out[s.dac_first + i] = s.dac_to[k]
-    s.t_event = _next_event(s)
+    s.t_event = next_event(s)
 
 
 @njit(cache=True, error_model="numpy")
@@ -300,7 +253,8 @@ def process_events(s: Record, t: float) -> bool:
         s.knot += 1
         s.history = min(s.history, 1)
     if s.ramping and max(s.dac_start[0], s.dac_start[1]) + s.settle <= now:
-        fill(s, t)
+        for i in range(s.dacs):
+            s.out[s.dac_first + i] = s.dac_to[s.dac_channel[i]]
         s.ramping = 0
         s.history = min(s.history, 1)
     if s.tick <= s.last_tick and instant(s, s.tick) <= now:
@@ -318,36 +272,8 @@ def process_events(s: Record, t: float) -> bool:
     if jumped:
         s.discontinuities += 1
         s.history = 0 if s.settle == 0.0 else min(s.history, 1)
-    s.t_event = _next_event(s)
+    s.t_event = next_event(s)
     return jumped
-
-
-@cfunc(_i4(_f8, types.CPointer(_f8), _f8, _i4, _i4, _i4, types.CPointer(_record)), cache=True)
-def synchronise(t: float, delta: Any, old: float, redo: int, ident: int, where: int, user: Any) -> int:
-    """GetSyncData: before a step (0) set its length; after one (1) count what ngspice rejected."""
-    s = carray(user, 1)[0]
-    if where == 1:
-        s.rejected += redo
-        return 0
-    h = delta[0]
-    if s.announced == 0:
-        s.announced = 1
-        announce(s, t + s.delta_min)
-    if s.t_event <= t + s.delta_min and process_events(s, t):
-        h = s.h_first
-    h = min(h, s.h_max, s.h_couple, s.h_pole)
-    if s.p.backlash_on:
-        h = runge.edge(s, h)
-    rest = s.t_event - t
-    if rest > 0.0:
-        if h > 0.999 * rest:
-            h = rest
-        elif h > 0.5 * rest:
-            h = 0.5 * rest
-    delta[0] = h
-    if s.fault != 0:
-        call_plain(s.drain_address)
-    return 0
 
 
 @njit(cache=True, error_model="numpy")
@@ -446,44 +372,3 @@ def write_row(s: Record, t: float, row: Any) -> int:
         row[at] = s.out[s.dac_first + i]
         at += 1
     return int(at)
-
-
-@cfunc(_i4(types.CPointer(_i8), _i4, _i4, types.CPointer(_record)), cache=True)
-def accepted(data: Any, count: int, ident: int, user: Any) -> int:
-    """SendData: the point is final; the linkage takes its step and the row is written."""
-    s = carray(user, 1)[0]
-    if s.running == 0:
-        return 0
-    vectors = carray(data, (2,))[1]
-    t = vector_value(vectors, s.time_index)
-    for j in range(s.n):
-        s.tau[j] = s.torque_per_amp * vector_value(vectors, s.current_index[j])
-        if not abs(s.tau[j]) < _NEVER:
-            s.fault = _NOT_FINITE
-    if t > s.t:
-        if t != s.t_trial:
-            fill(s, t)
-        advance(s, t)
-    else:
-        evaluate(s, t, s.q, s.v, s.a)
-        s.history = 1
-        for j in range(s.n):
-            s.tau_old[0, j] = s.tau[j]
-        if s.speeds > 0 or s.p.shaft_on:
-            bound_by_pole(s)
-    s.points += 1
-    if s.points - s.points_before > s.most_points:
-        s.fault = _COLLAPSED
-    row = carray(doubles_at(s.rows + 8 * s.columns * s.rows_used), (s.columns,))
-    at = write_row(s, t, row)
-    for i in range(s.nodes):
-        value = vector_value(vectors, s.node_index[i])
-        if abs(value) > s.node_peak[i]:
-            s.node_peak[i] = abs(value)
-        if i < s.nodes_recorded:
-            row[at] = value
-            at += 1
-    s.rows_used += 1
-    if s.rows_used == s.rows_capacity or s.fault != 0:
-        call_plain(s.drain_address)
-    return 0

@@ -10,6 +10,10 @@ from cosim.loop.native import doubles_at
 
 Record = Any
 
+#: Steps over a ramp of the gains, each with the gain of its middle: the torque's impulse is wrong by at most
+#: (change of gain) x (change of input) x settling time / (12 x RAMP^2).
+RAMP = 2
+
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def volts(s: Record, channel: int, t: float) -> float:
@@ -19,6 +23,18 @@ def volts(s: Record, channel: int, t: float) -> float:
     group = 0 if s.n <= channel < s.n + 2 * s.n * s.n else 1
     part = min(max((t - s.dac_start[group]) / s.settle, 0.0), 1.0)
     return float(s.dac_from[channel] + part * (s.dac_to[channel] - s.dac_from[channel]))
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def gains_ramp(s: Record) -> bool:
+    """Whether a multiplier's gain is on its way to another value."""
+    if s.ramping == 0:
+        return False
+    for i in range(s.dacs):
+        channel = s.dac_channel[i]
+        if s.n <= channel < s.n + 2 * s.n * s.n and s.dac_from[channel] != s.dac_to[channel]:
+            return True
+    return False
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)

@@ -11,28 +11,28 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import carray, from_dtype, njit
+from numba import carray, njit
 
-from cosim.loop.collocation import Bench, accept, attempt, guess, present
+from cosim.loop.collocation import Bench, accept, attempt, guess, near, present
 from cosim.loop.crossings import find, first_crossing, meet, strike
-from cosim.loop.exact import Exact, land, leap, rests
-from cosim.loop.lockstep import RUNAWAY_RAD_PER_S, evaluate, noise_at, process_events, write_row
+from cosim.loop.exact import BENCH_KIND, EXACT_KIND, PLAN_KIND, STATE_KIND, Exact, rests
+from cosim.loop.leaps import leaps
+from cosim.loop.lockstep import evaluate, process_events
 from cosim.loop.maps import Plan, slot_of
-from cosim.loop.native import call_plain, doubles_at, kind_of, lent, record_at, table
-from cosim.loop.pins import volts
-from cosim.loop.state import STATE, Fault
+from cosim.loop.native import call_plain, lent, record_at, table
+from cosim.loop.pins import RAMP, gains_ramp
+from cosim.loop.rows import check, record
+from cosim.loop.state import Fault
 
 Record = Any
-_STATE, _PLAN, _BENCH, _EXACT = from_dtype(STATE), kind_of(Plan), kind_of(Bench), kind_of(Exact)
-
-_COLLAPSED, _NOT_FINITE, _RAN_AWAY = Fault.STEP_COLLAPSED, Fault.NOT_FINITE, Fault.RAN_AWAY
+_COLLAPSED = Fault.STEP_COLLAPSED
 #: The shortest step is the interval over 2^_LEVELS.
 _LEVELS = 40
 _WHOLE = 1 << _LEVELS
 #: The next step aims at this share of the tolerance and grows at most so much; the error is of fifth order.
 _SAFETY, _GROWTH, _ORDER = 0.5, 8.0, 5.0
-#: From this share of the driver's limit on, steps are at most 1/64 of the period and are checked ...
-_WATCHED, _WATCH_STEPS = 0.7, 64.0
+#: Near a driver's limit steps are at most 1/64 of the period and are checked ...
+_WATCH_STEPS = 64.0
 #: ... and the instants at which a motor reaches or leaves its limit are found to 2^-_LOCATED of an interval.
 _LOCATED = 18
 #: What friction and stops do is found to 2^-_FINEST of an interval, but not below _RESOLUTION_S.
@@ -40,9 +40,8 @@ _FINEST, _RESOLUTION_S = 30, 1e-12
 #: Steps below this share of the period, on the way to such an instant and from it, are no rows.
 _ROW_SHARE = 2.0**-12
 _NEVER = math.inf
-#: Steps over a ramp of the gains, each with the gain of its middle: the torque's impulse is wrong by at most
-#: (change of gain) x (change of input) x settling time / (12 x _RAMP^2).
-_RAMP = 2
+#: A scene that is linear this share of a period behind an event is so up to the next.
+_WELL_BEHIND = 1e-9
 
 
 class Tables:
@@ -51,53 +50,13 @@ class Tables:
     Attributes
     ----------
     addresses : of the four
+    linear : [1] whether the scene is linear between events
     """
 
     def __init__(self, state: Any, plan: Plan, bench: Bench, exact: Exact) -> None:
         self._alive = (state, plan, bench, exact, table(plan), table(bench), table(exact))
+        self.linear = exact.on
         self.addresses = (state.ctypes.data, *(words.ctypes.data for words in self._alive[4:]))
-
-
-@njit(cache=True, error_model="numpy", forceinline=True)
-def show(s: Record) -> None:
-    """Fill the pins' voltages that a row shows."""
-    for j in range(s.n):
-        s.q_trial[j] = s.q[j]
-        s.out[j] = s.q[j]
-        if s.noise != 0 or s.position_noise != 0:
-            s.out[j] += noise_at(s, s.t, j)
-    for i in range(s.dacs):
-        s.out[s.dac_first + i] = volts(s, s.dac_channel[i], s.t)
-
-
-@njit(cache=True, error_model="numpy", forceinline=True)
-def record(s: Record) -> None:
-    """Write the accepted point as a row, when rows are wanted."""
-    s.points += 1
-    if s.rows_capacity == 0:
-        return
-    show(s)
-    write_row(s, s.t, carray(doubles_at(s.rows + 8 * s.columns * s.rows_used), (s.columns,)))
-    s.rows_used += 1
-    if s.rows_used == s.rows_capacity:
-        call_plain(s.drain_address)
-
-
-@njit(cache=True, error_model="numpy", forceinline=True)
-def _gains_ramp(s: Record) -> bool:
-    if s.ramping == 0:
-        return False
-    for i in range(s.dacs):
-        channel = s.dac_channel[i]
-        if s.n <= channel < s.n + 2 * s.n * s.n and s.dac_from[channel] != s.dac_to[channel]:
-            return True
-    return False
-
-
-@njit(cache=True, error_model="numpy", forceinline=True)
-def _near(k: Any, joint: int, current: float) -> bool:
-    low, high = k.limit[joint, 0], k.limit[joint, 1]
-    return not (_WATCHED * low < current < _WATCHED * high)
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
@@ -113,10 +72,10 @@ def _side(k: Any, joint: int, current: float) -> float:
 def _watched(s: Record, k: Any, b: Any) -> bool:
     """Whether a motor comes near its limit within the step on trial."""
     for j in range(s.n):
-        if _near(k, j, b.current[j]) or _near(k, j, b.results[3 * s.n + j]):
+        if near(k, j, b.current[j]) or near(k, j, b.results[3 * s.n + j]):
             return True
         for i in range(3):
-            if _near(k, j, b.results[3 * j + i]):
+            if near(k, j, b.results[3 * j + i]):
                 return True
     return False
 
@@ -167,48 +126,28 @@ def _finest(length: float) -> int:
     return level
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
-def _check(s: Record) -> None:
-    if s.points - s.points_before > s.most_points:
-        s.fault = _COLLAPSED
-    for j in range(s.coordinates):
-        if not abs(s.v[j]) < RUNAWAY_RAD_PER_S:
-            s.fault = _RAN_AWAY if abs(s.v[j]) < math.inf else _NOT_FINITE
-
-
 @njit(cache=True, error_model="numpy")
-def _enter(state: int, plan: int, bench: int, exact: int, first: float) -> None:
-    s = carray(record_at(state, _STATE), 1)[0]
-    _run(s, lent(plan, _PLAN), lent(bench, _BENCH), lent(exact, _EXACT), first)
-
-
-def run(tables: Tables, first: float) -> None:
-    """Write the start as a row and integrate to `t_end` of the state, or until a fault.
-
-    Parameters
-    ----------
-    first
-        Longest step [s] behind a jump of the DACs, for rows that show it; 0 for none.
-    """
-    _enter(*tables.addresses, first)
-
-
-@njit(cache=True, error_model="numpy", forceinline=True)
-def _run(s: Record, k: Any, b: Any, x: Any, first: float) -> None:
-    if s.w.located:
+def _steps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
+    """Go on by collocation; whether the run is over. Otherwise all is linear from the event now due on."""
+    s = carray(record_at(state, STATE_KIND), 1)[0]
+    k, b, x = lent(plan, PLAN_KIND), lent(bench, BENCH_KIND), lent(exact, EXACT_KIND)
+    if s.points == 0 and s.w.located:
         meet(s)
     _right_hand(s, k, b)
     s.history = 0
-    record(s)
+    if s.points == 0:
+        record(s)
     t0, length, position = s.t, s.t_event - s.t, 0
     whole = _WHOLE
     finest, until = _finest(length), _NEVER
     wish = s.h_max
-    watch = False
+    watch = behind = False
     while s.fault == 0:
         if s.t_event <= s.t + s.delta_min:
             if s.t >= s.t_end - s.delta_min:
-                return
+                return True
+            if behind and not watch and rests(x, s.t + _WELL_BEHIND * s.c.period):
+                return False
             if process_events(s, s.t):
                 s.history = 0
                 if first > 0.0:
@@ -219,11 +158,12 @@ def _run(s: Record, k: Any, b: Any, x: Any, first: float) -> None:
                 s.history = 0
             t0, length, position = s.t, s.t_event - s.t, 0
             finest, until = _finest(length), _NEVER
+            behind = True
         longest = min(wish, s.h_max)
         if watch:
             longest = min(longest, s.c.period / _WATCH_STEPS)
-        if _gains_ramp(s):
-            longest = min(longest, s.settle / _RAMP)
+        if gains_ramp(s):
+            longest = min(longest, s.settle / RAMP)
         if until - s.t > math.ldexp(length, -finest):
             longest = min(longest, until - s.t)
         else:
@@ -232,14 +172,6 @@ def _run(s: Record, k: Any, b: Any, x: Any, first: float) -> None:
         while position & ((whole >> level) - 1) != 0 or math.ldexp(length, -level) > longest * (1 + 1e-9):
             level += 1
         h = math.ldexp(length, -level)
-        if not watch and rests(x, s.t + 0.5 * h) and leap(s, k, b, x, s.t, h, s.rows_capacity > 0):
-            if not (_near(k, 0, b.current[0]) or _near(k, 0, b.results[3])):
-                position += whole >> level
-                land(s, k, b, x, _time(s, t0, length, position))
-                wish = max(wish, _GROWTH * h)
-                _check(s)
-                record(s)
-                continue
         guess(s, b, h)
         while True:
             if level > _LEVELS - 2:
@@ -287,7 +219,7 @@ def _run(s: Record, k: Any, b: Any, x: Any, first: float) -> None:
         grow = _GROWTH if share * _GROWTH**_ORDER < 1.0 else share ** (-1.0 / _ORDER)
         # a step that an event cut short says nothing against the longer ones before it
         wish = h * grow if grow < 1.0 else max(wish, h * grow)
-        _check(s)
+        check(s)
         if watch:
             watch = _watched(s, k, b)
             for j in range(s.n):
@@ -305,4 +237,21 @@ def _run(s: Record, k: Any, b: Any, x: Any, first: float) -> None:
             record(s)
         else:
             s.points += 1
-    call_plain(s.drain_address)
+    if s.drain_address != 0:
+        call_plain(s.drain_address)
+    return True
+
+
+def run(tables: Tables, first: float) -> None:
+    """Write the start as a row and integrate to `t_end` of the state, or until a fault.
+
+    Parameters
+    ----------
+    first
+        Longest step [s] behind a jump of the DACs, for rows that show it; 0 for none.
+    """
+    # apart from each other, so that neither is compiled for the other's sake
+    over = False
+    while not over:
+        over = bool(tables.linear[0]) and leaps(*tables.addresses, first)
+        over = over or _steps(*tables.addresses, first)

@@ -225,11 +225,13 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     lockstep.fill(state, 0.0)
     n = circuit.joints
     state["b_emf"][:n, :n] = back_emf_viscosity(simulator, circuit, state)
+    from cosim.loop import callbacks  # compiled on import: not for our own loop's sake
+
     simulator.attach(
-        data=lockstep.accepted.address,
+        data=callbacks.accepted.address,
         init=named,
-        source=lockstep.source.address,
-        sync=lockstep.synchronise.address,
+        source=callbacks.source.address,
+        sync=callbacks.synchronise.address,
         user=memory.state.ctypes.data,
         data_stays=True,
     )
