@@ -49,7 +49,7 @@ def _over_gains(result: StudyResult) -> Drawn:
         for b, k in zip(*limits.values(), strict=True):
             place.axvline(k, color=LIMIT, linewidth=0.9, linestyle=(0, (2, 2)))
             place.annotate(f"b = {b:.3g}", (k, 0.98), xycoords=("data", "axes fraction"), rotation=90,
-                           fontsize=7.5, color=LIMIT, ha="right", va="top")  # fmt: skip
+                           fontsize=7.5, color=LIMIT, ha="left", va="top")  # fmt: skip
         readings = sorted({c for name, c in zip(at["op-amp"], at["c [N s/m]"], strict=True) if name == opamp})
         low, high = place.get_ylim()
         seen = [c for c in readings if low <= c <= high]
