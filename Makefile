@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 OUT ?= out/demo
 
-.PHONY: demo test slow bench gallery lint setup clean
+.PHONY: demo test slow bench paper gallery lint setup clean
 
 demo: setup
 	$(BIN)/cosim run scenes/slope.toml --out $(OUT)
@@ -19,8 +19,20 @@ slow: setup
 bench: setup
 	$(BIN)/python -m benchmarks
 
-# The published pictures: the paper's three methods on the slope, from the scenes as they stand.
-gallery: setup
+# The paper, figure by figure and claim by claim, and the published pictures of it.
+paper: setup
+	$(BIN)/cosim report scenes/paper/ -o out/paper
+	mkdir -p reports/gallery
+	cp out/paper/figures/0_1_acceptance_gains.png reports/gallery/paper_gains.png
+	cp out/paper/figures/1_fig13_limits.png reports/gallery/paper_fig13.png
+	cp out/paper/figures/3_fig16_18_runs.png reports/gallery/paper_fig16_18.png
+	cp out/paper/figures/4_fig18_poses_drag.png reports/gallery/paper_poses.png
+	cp out/paper/figures/5_1_eta_eta.png reports/gallery/paper_footnote1.png
+	cp out/paper/figures/7_footnote2_congruence.png reports/gallery/paper_footnote2.png
+	cp out/paper/figures/7_footnote2_preloads.png reports/gallery/paper_preloads.png
+
+# The published pictures: those of the paper, its three methods on the slope, and the effects ledger.
+gallery: paper
 	for method in combined discrete joint_pd; do \
 	  $(BIN)/cosim run scenes/slope_$$method.toml --out out/gallery/$$method || exit 1; done
 	$(BIN)/cosim report out/gallery/combined out/gallery/discrete out/gallery/joint_pd --out out/gallery/report
