@@ -154,6 +154,59 @@ def test_joint_pd_is_diagonal_with_own_gains_or_those_of_the_wall() -> None:  # 
     assert (x["ksp"][:2, :2] == np.diag([1.25, 0.5])).all()
 
 
+def pressed(c: Any, depths: list[float]) -> list[Any]:
+    """Ask at one sample after another; normal (-1, 0) at x = 0.15, links stretched along the wall's edge."""
+    x = np.zeros(1, SAMPLE)[0]
+    found = []
+    for depth in depths:
+        q = LINKAGE.inverse(np.array([0.12 + depth, 0.05]))
+        x["q"][:2] = q
+        law(c, LINKAGE.pack()[0], x)
+        torque = x["ksp"][:2, :2] @ (x["u"][:2] - q) + x["cmd"][:2]
+        force = np.linalg.solve(ARM.jacobian(q).T, torque)
+        found.append((-float(force[0]), float(x["ksp"][0, 0]), x["ksp"].copy(), q))
+    return found
+
+
+WALL = (np.array([-1.0, 0.0]), np.array([0.12, 0.0]))
+
+
+@pytest.mark.parametrize("path", list(CommandPath), ids=lambda p: p.name.lower())
+def test_ramped_gains_rise_sample_by_sample_and_begin_anew(path: CommandPath) -> None:
+    """Sample n of a contact has the share n/(N + 1) of everything; leaving the wall begins anew."""
+    depths = [-1e-3, 1e-3, 2e-3, 3e-3, 4e-3, -1e-3, 2e-3]
+    full = pressed(record(Method.COMBINED, *WALL, kd=0.0, path=path), depths)
+    ramped = pressed(record(Method.COMBINED, *WALL, kd=0.0, path=path, ramp=2), depths)
+    shares = [0, 1 / 3, 2 / 3, 1, 1, 0, 1 / 3]
+    for (force, _, ksp, _), (weak, _, less, _), share in zip(full, ramped, shares, strict=True):
+        assert weak == pytest.approx(share * force, abs=1e-12)
+        np.testing.assert_allclose(less, share * ksp, atol=1e-15)
+    assert full[1][0] > 0.1  # K x = 0.2 N there: something was compared
+
+
+@pytest.mark.parametrize("path", list(CommandPath), ids=lambda p: p.name.lower())
+def test_anchored_springs_begin_relaxed_and_are_drawn_back_with_the_tip(path: CommandPath) -> None:
+    """Force (k_dp + kp) (x - anchor): anchor 1 mm at first, 0.5 mm after the tip went back that far."""
+    depths = [-1e-3, 1e-3, 3e-3, 0.5e-3, 2e-3, -1e-3, 2e-3, 3e-3]
+    stretch = [0.0, 0.0, 2e-3, 0.0, 1.5e-3, 0.0, 0.0, 1e-3]
+    found = pressed(record(Method.COMBINED, *WALL, kd=0.0, path=path, anchored=1), depths)
+    full = pressed(record(Method.COMBINED, *WALL, kd=0.0, path=path), depths)
+    for (force, _, ksp, _), (_, _, whole, _), x in zip(found, full, stretch, strict=True):
+        # the springs' equilibrium is found at the joints: 3 mm in 0.1 m bend it by a few per cent
+        assert force == pytest.approx((K_DP + KP) * x, rel=0.06, abs=1e-6)
+        np.testing.assert_array_equal(ksp, whole)
+
+
+@pytest.mark.parametrize("line", [{"onset": "anchored"}, {"gain_ramp_samples": 3}])
+def test_onset_belongs_to_the_built_in_law(line: dict[str, Any], tmp_path: Path) -> None:
+    (tmp_path / "law.py").write_text("class Law:\n    def control(self, sample): ...\n")
+    ((key, value),) = line.items()
+    with pytest.raises(InputError, match=f"computer.{key}.*begins"):
+        load_scene(
+            SCENES / "drop.toml", (f"computer.law={tmp_path / 'law.py'}:Law", f"computer.{key}={value}")
+        )
+
+
 def test_wall_gain_has_rank_one_and_is_never_inverted() -> None:
     for q, v, normal, point in poses(100):
         gain = ask(record(Method.COMBINED, normal, point, path=CommandPath.U), q, v)["ksp"][:2, :2]

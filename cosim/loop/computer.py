@@ -38,7 +38,8 @@ class Path(IntEnum):
 
 
 #: What a computer is told once. Units: s, N/m, N s/m, m, N m/rad, rad, V; `encoder_step`, `dac_step` = 0 and
-#: `dac_range` = inf are the null forms of encoder and DAC.
+#: `dac_range` = inf are the null forms of encoder and DAC, `ramp` = `anchored` = 0 those of what softens
+#: the onset of a contact.
 COMPUTER = np.dtype(
     [
         ("n", "i8"),
@@ -50,6 +51,8 @@ COMPUTER = np.dtype(
         ("k_dp", "f8"),
         ("k_dd", "f8"),
         ("geometric", "i8"),
+        ("ramp", "i8"),
+        ("anchored", "i8"),
         ("point", "f8", 2),
         ("normal", "f8", 2),
         ("joint_gain", "f8", NMAX),
@@ -66,6 +69,7 @@ COMPUTER = np.dtype(
 )
 
 #: What a computer knows at a sample, and what it asks for (matrices row-major, k[i, j]: joint j to motor i).
+#: `held` counts the samples of the present contact; its springs are relaxed at the depth `anchor` [m].
 SAMPLE = np.dtype(
     [
         ("tick", "i8"),
@@ -75,6 +79,8 @@ SAMPLE = np.dtype(
         ("q_last", "f8", NMAX),
         ("contact", "i8"),
         ("pen", "f8"),
+        ("held", "i8"),
+        ("anchor", "f8"),
         ("u", "f8", NMAX),
         ("ksp", "f8", (NMAX, NMAX)),
         ("ksd", "f8", (NMAX, NMAX)),
@@ -118,8 +124,9 @@ def equilibrium(c: Record, p: Record, x: Record) -> None:
     normal direction only. Sets `x.unsolved` when the wall cannot be reached and leaves the pose there.
     """
     n0, n1 = c.normal[0], c.normal[1]
-    tx = x.r[0] + x.pen * n0
-    ty = x.r[1] + x.pen * n1
+    depth = x.pen - x.anchor
+    tx = x.r[0] + depth * n0
+    ty = x.r[1] + depth * n1
     for j in range(c.n):
         x.u[j] = x.q[j]
     x.unsolved = 1
@@ -175,7 +182,14 @@ def law(c: Record, p: Record, x: Record) -> None:
             x.ksp[i, j] = 0.0
             x.ksd[i, j] = 0.0
     if x.contact == 0:
+        x.held = 0
+        x.anchor = 0.0
         return
+    x.held += 1
+    if c.anchored:
+        # switched on relaxed, and drawn back with the tip: no sample ever adds to what the springs store
+        x.anchor = x.pen if x.held == 1 else min(x.anchor, x.pen)
+    depth = x.pen - x.anchor
     if c.method == 0:
         jacobian(p, x.q, x.jac)
     else:
@@ -197,12 +211,24 @@ def law(c: Record, p: Record, x: Record) -> None:
             for j in range(n):
                 x.ksp[i, j] = c.k_dp * w[i] * w[j]
                 x.ksd[i, j] = c.k_dd * w[i] * w[j]
-    force = 0.0 if c.method == 1 else c.kp * x.pen - c.kd * speed
+    force = 0.0 if c.method == 1 else c.kp * depth - c.kd * speed
     held = force  # what the springs do not carry
     if c.method != 1 and (c.kp != 0.0 or c.kd != 0.0):
         held = _push(c, x, w, force)
     if c.geometric:
         _stiffen(c, x, w, across, held)
+    if x.held <= c.ramp:
+        _weaken(c, x, x.held / (c.ramp + 1.0))
+
+
+@njit(cache=True, error_model="numpy")
+def _weaken(c: Record, x: Record, share: float) -> None:
+    """Take a share of all that the wall asks for, while its gains are raised."""
+    for i in range(c.n):
+        x.cmd[i] *= share
+        for j in range(c.n):
+            x.ksp[i, j] *= share
+            x.ksd[i, j] *= share
 
 
 @njit(cache=True, error_model="numpy")

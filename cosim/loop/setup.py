@@ -169,6 +169,7 @@ def computer_record(scene: Scene, constants: DesignConstants) -> NDArray[np.void
     c["k_dp"] = computer.analog_stiffness_n_per_m
     c["k_dd"] = computer.analog_damping_n_s_per_m
     c["geometric"] = is_geometric(scene)
+    c["ramp"], c["anchored"] = computer.gain_ramp_samples, computer.onset is schema.Onset.ANCHORED
     if scene.wall is not None:
         c["point"], c["normal"] = scene.wall.point_m, scene.wall.normal
     c["joint_gain"] = -1.0

@@ -278,6 +278,15 @@ def _method_has_its_gains(get: Get) -> Iterator[Problem]:
                 )
 
 
+def _onset_of_the_built_in_law(get: Get) -> Iterator[Problem]:
+    if get("computer.law") is None:
+        return
+    for key, null in (("computer.onset", "wall"), ("computer.gain_ramp_samples", 0)):
+        if get(key) != null:
+            yield Problem("the user's law decides how a contact begins", key=key, value=get(key),
+                          allowed=str(null))  # fmt: skip
+
+
 def _nonzero(value: Any) -> bool:
     return any(value) if isinstance(value, tuple) else value != 0
 
@@ -370,6 +379,7 @@ CHECKS: tuple[Check, ...] = (
     _wall_reachable,
     _one_sample,
     _method_has_its_gains,
+    _onset_of_the_built_in_law,
     _auto_has_a_tolerance,
     _times_increase("operator.waypoints_s_m"),
     _times_increase("operator.force_s_n"),

@@ -93,6 +93,13 @@ class CommandPath(StrEnum):
     CMD = "cmd"
 
 
+class Onset(StrEnum):
+    """Where a contact's springs are relaxed: at the wall, or as deep as the contact was first sampled."""
+
+    WALL = "wall"
+    ANCHORED = "anchored"
+
+
 class Level(StrEnum):
     """Depth of an amplifier's model: ideal, finite gain and bandwidth, or everything its file holds."""
 
@@ -345,6 +352,9 @@ class Computer(Table):
     `jitter_share` is by how much of a period samples come early or late: half the width of the uniform, or
     the standard deviation of the normal distribution that ``effects.period_jitter`` chooses, the latter
     cut off at 0.45 periods. The computer takes its period for constant.
+
+    `onset` and `gain_ramp_samples` soften the jump of force that a contact begins with: where its springs are
+    relaxed, and over how many samples all that the wall asks for is raised.
     """
 
     period_s: Period
@@ -356,6 +366,8 @@ class Computer(Table):
     joint_stiffness_n_m_per_rad: tuple[JointStiffness, ...] = ()
     joint_damping_n_m_s_per_rad: tuple[JointDamping, ...] = ()
     command_path: Annotated[CommandPath, _Word] = CommandPath.CMD
+    onset: Annotated[Onset, _Word] = Onset.WALL
+    gain_ramp_samples: int = Field(default=0, ge=0, le=1000)
     jitter_share: float = Field(default=0.01, ge=0, le=0.45)
     delay_periods: int = Field(default=0, ge=0, le=1000)
     delay_fraction: float = Field(default=0.0, ge=0, lt=1)

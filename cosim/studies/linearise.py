@@ -18,7 +18,7 @@ from cosim.circuits.linear import LinearCircuit
 from cosim.circuits.port import DesignConstants
 from cosim.loop.driven import is_geometric
 from cosim.loop.setup import mechanism, operator
-from cosim.scene import Jitter, Scene
+from cosim.scene import Jitter, Onset, Scene
 from cosim.studies.contact import LawPoint, external_force, law_point, rests
 from mech import Chain
 from mech.linkage import Linkage
@@ -246,6 +246,8 @@ def _left_out(
         said.append("the codes of the DACs")
     if scene.effects.period_jitter is not Jitter.NONE:
         said.append("the jitter of the sampling instants")
+    if scene.computer.onset is Onset.ANCHORED:
+        said.append("that the springs are relaxed where the contact began, not at the wall")
     if is_geometric(scene):
         said.append("the geometric stiffness that the law adds")
     if scene.effects.pot_linearity or scene.effects.pot_calibration:
