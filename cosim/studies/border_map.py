@@ -1,4 +1,4 @@
-"""Maps of exact borders over two numbers of a scene, each the exact one of `stability.border` at a hundredth of its cost.
+"""Maps of exact borders over two numbers of a scene: that of `stability.border`, at a fraction of its cost.
 
 The discrete stiffness k enters the map of a period linearly: the computer's reading is latched before the
 circuit sees it, so that M(k) = M0 + k M1 whatever circuit, delay and hold are. Two lifts with one matrix
@@ -55,7 +55,7 @@ class Pencil:
     def over(self, k: Any) -> Array:
         """Return the largest modulus of an eigenvalue less 1, free ones apart, for each k [N/m]."""
         ks = np.atleast_1d(np.asarray(k, float))
-        z = np.linalg.eigvals(self.fixed + ks[:, None, None] * self.slope)
+        z: NDArray[Any] = np.linalg.eigvals(self.fixed + ks[:, None, None] * self.slope)
         if self.free:
             order = np.argsort(np.abs(z - 1.0), axis=1, kind="stable")[:, self.free :]
             z = np.take_along_axis(z, order, axis=1)
@@ -107,9 +107,9 @@ def pencil(
     return replace(found, free=free)
 
 
-def _remembered(*maps: Array) -> Array:
+def _remembered(*maps: Array) -> NDArray[np.intp]:
     """Return the indices of the state that a period does not forget: all others have the eigenvalue 0."""
-    kept = np.arange(len(maps[0]))
+    kept: NDArray[np.intp] = np.arange(len(maps[0]))
     while True:
         used = np.zeros(len(kept), bool)
         for m in maps:

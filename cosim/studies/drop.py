@@ -10,12 +10,13 @@ may give up a little below it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.circuits.linear import LinearCircuit
 from cosim.circuits.port import DesignConstants
@@ -35,6 +36,8 @@ from cosim.studies.stability import border, held, with_computer
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 
 __all__ = ["STUDY", "Dropped", "Falls", "Job", "Rest", "drop", "limit", "scan"]
+
+Array = NDArray[np.float64]
 
 #: Bisections of the last step of the scan.
 _REFINED = 6
@@ -132,9 +135,17 @@ def passive_limit(job: Job) -> float | None:
 
 
 class Falls:
-    """Drops of one scene: packed once, its maps kept, only stiffness and phase change."""
+    """Drops of one scene: packed once, its maps kept, only stiffness and phase change.
 
-    def __init__(self, job: Job) -> None:
+    Parameters
+    ----------
+    job
+        The scene with its circuit, and what counts as rest.
+    gain
+        Field of the computer that `share` changes: ``kp``, the discrete stiffness, or ``k_dp``, the analog.
+    """
+
+    def __init__(self, job: Job, gain: str = "kp") -> None:
         scene = job.scene
         self._packed: Propagation = prepare(
             scene, job.constants, job.circuit, record=False,
@@ -145,25 +156,27 @@ class Falls:
         state["rest_speed"] = job.rest.speed_m_per_s / _reach(scene)
         state["rest_time"] = job.rest.time_s
         self._fresh = memory.state.copy()
-        self._phases = job.rest.phases
+        self._phases, self._gain = job.rest.phases, gain
         self.runs = self.samples = 0
 
     def share(self, stiffness: float) -> float:
         """Return the share of the phases that come to rest."""
-        rested = 0
+        return sum(rested for rested, _ in self.each(stiffness)) / self._phases
+
+    def each(self, stiffness: float) -> Iterator[tuple[int, Array]]:
+        """Drop at every phase; yield whether it came to rest, and its samples (`setup.sample_columns`)."""
         for phase in range(self._phases):
             memory = self._packed.memory
             memory.state[:] = self._fresh
             state = memory.state[0]
-            state["c"]["kp"] = stiffness
+            state["c"][self._gain] = stiffness
             shift_samples(memory, phase / self._phases)
             self._packed.run()
             if state["fault"] not in (Fault.NONE, Fault.RAN_AWAY):
                 raise CosimError(f"a drop at {stiffness:.6g} N/m ended with fault {state['fault']}")
-            rested += int(state["rested"])
             self.runs += 1
             self.samples += int(state["tick"])
-        return rested / self._phases
+            yield int(state["rested"]), memory.samples[: int(state["samples_used"])]
 
 
 def _reach(scene: Scene) -> float:

@@ -36,6 +36,7 @@ RECORD, POINTS = "study.json", "points.jsonl"
 STUDIES = {
     "acceptance": "cosim.studies.acceptance",
     "budget": "cosim.studies.budget",
+    "ceiling": "cosim.studies.ceiling",
     "congruence": "cosim.studies.congruence",
     "corner": "cosim.studies.corner",
     "device": "cosim.studies.device",
@@ -43,6 +44,7 @@ STUDIES = {
     "eta": "cosim.studies.eta",
     "footnote": "cosim.studies.footnote",
     "maps": "cosim.studies.maps",
+    "onset": "cosim.studies.onset",
     "passive": "cosim.studies.passive",
     "poses": "cosim.studies.poses",
     "rendering": "cosim.studies.rendering",
