@@ -11,6 +11,8 @@ __all__ = ["energy", "steps", "work"]
 
 Array = NDArray[np.float64]
 
+#: Energies below this share of the largest are not told apart from the trapezoidal rule's error.
+_SHOWN = 1e-3
 _LOSSES = ("p_visc", "p_coul", "p_stop", "p_shaft")
 
 
@@ -69,9 +71,21 @@ def energy(view: View) -> Drawn | None:
         + (f", {largest / moved:.1e} of the largest entry" if moved > 0.0 else "")
         + ". It is summed from the stored points by the trapezoidal rule, which is part of it."
     )
+    parted = _parted(view)
+    if abs(parted) > _SHOWN * moved:
+        caption += (
+            f" The residual holds the {quantity(abs(parted), 'J')} that flanks of a gear lose as they part, "
+            "all at once and between two points; the run's own ledger (run.json) counts them to the shafts."
+        )
     if absent:
         caption += f" Zero throughout and not drawn: {'; '.join(absent)}."
     return Drawn(drawing, caption)
+
+
+def _parted(view: View) -> float:
+    """Return the shafts' work [J] of the run's ledger that no power on the points accounts for."""
+    total = view.run.ledger.get("work_j", {}).get("shafts")
+    return float(total) - float(work(view, "p_shaft")[-1]) if view.has("p_shaft") and total else 0.0
 
 
 def steps(view: View) -> Drawn | None:

@@ -199,6 +199,17 @@ def test_hard_case_41_no_operating_point_and_floating_node(
     assert "board2.cir: " in told or "diffamp.cir:7: " in told
 
 
+@pytest.mark.parametrize(
+    ("name", "element"), [("r_sum_spring", "rsp11 of board2"), ("xdiff1.r11", "r11 of diffamp")]
+)
+def test_a_resistor_of_zero_is_a_slip(
+    project: Project, capsys: pytest.CaptureFixture[str], name: str, element: str
+) -> None:
+    """ngspice would silently take 1 mOhm, a gain of ten millions."""
+    told = refused(project, capsys, "--set", f"{name}=0")
+    assert f"{name} = '0': makes {element} a resistor of 0 Ohm" in told
+
+
 def test_design_constants_must_be_stated_and_positive(
     project: Project, capsys: pytest.CaptureFixture[str]
 ) -> None:

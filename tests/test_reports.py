@@ -17,6 +17,7 @@ from synthetic import DRAG, PERIOD_S, SyntheticRun, slope_run
 from cosim.errors import InputError
 from reports import Trial, compare_table, write_report
 from reports.decimate import keep_peaks, merge_spans
+from reports.effort import energy
 from reports.page import FIGURES, draw_all, glue
 from reports.source import View
 from reports.tables import all_tables
@@ -212,6 +213,18 @@ def test_contact_is_the_computers(run: SyntheticRun) -> None:
     # The force starts at 0.6 s and ends at 2.7 s; the computer sees either at its next sample.
     assert span[0] == pytest.approx(0.6, abs=PERIOD_S + 1e-9)
     assert span[1] == pytest.approx(2.7, abs=PERIOD_S + 1e-9)
+
+
+def test_energy_that_parting_flanks_lose_is_stated(run: SyntheticRun) -> None:
+    """The points' powers do not hold it: the run's ledger does, and the caption tells the difference."""
+    time = np.asarray(run.signals["time"])
+    signals = {**run.signals, "p_shaft": np.full_like(time, -1e-3), "e_shaft": np.zeros_like(time)}
+    smooth = -1e-3 * (time[-1] - time[0])
+    for lost, stated in ((0.25, True), (0.0, False)):
+        ledger = {**run.ledger, "work_j": {"shafts": smooth - lost}}
+        drawn = energy(View(replace(run, signals=signals, ledger=ledger)))
+        assert drawn is not None
+        assert ("250 mJ that flanks of a gear lose as they part" in drawn.caption) is stated, drawn.caption
 
 
 def test_many_joints_say_what_is_not_drawn(run: SyntheticRun) -> None:

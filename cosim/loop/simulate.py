@@ -35,8 +35,10 @@ _FAULTS = {
     Fault.STEP_COLLAPSED: "the steps became endlessly short: more than a million points in one sampling "
     "period; loosen solver.coupling_tolerance_rad or solver.rtol",
     Fault.SAMPLE_LOST: "a sample of the computer was overtaken before its DACs changed",
-    Fault.RAN_AWAY: "the device ran away: a joint turns faster than 1e5 rad/s; check gains and "
-    "component values",
+    Fault.RAN_AWAY: "the device ran away: a joint turns faster than 1e5 rad/s. The closed loop is "
+    "unstable or a force has no bounds: look at resistors and gains that were changed (cosim check tells "
+    "gains and loop margins), the operator, and the stiffness that the sampling period allows "
+    "(cosim stability)",
     Fault.STOPPED: "stopped",
 }
 #: Frequency of the low-frequency limit of the back-EMF's viscosity: far below L/R, far above leakage.

@@ -26,7 +26,8 @@ def apply_overrides(net: Netlist, board: Block, overrides: Mapping[str, str]) ->
     Raises
     ------
     InputError
-        For an unknown or ambiguous name, or a value that is no SPICE number and no ``{expression}``.
+        For an unknown or ambiguous name, a value that is no SPICE number and no ``{expression}``, or a
+        resistor of 0 Ohm.
     """
     problems = []
     # bare names first: they change a subcircuit before some instance gets its own copy of it
@@ -37,11 +38,27 @@ def apply_overrides(net: Netlist, board: Block, overrides: Mapping[str, str]) ->
             problems.append(Problem("is not a SPICE number or {expression}", key=name, value=value))
             continue
         path = key.removeprefix("xboard.")
-        error = _instance(net, board, path.split("."), text) if "." in path else _name(net, board, key, text)
+        error = _short(net, path.split(".")[-1]) if parsed == 0.0 else None
+        if error is None:
+            steps = path.split(".")
+            error = _instance(net, board, steps, text) if len(steps) > 1 else _name(net, board, key, text)
         if error:
             problems.append(Problem(error, key=name, value=value))
     if problems:
         raise InputError(problems)
+
+
+def _short(net: Netlist, key: str) -> str | None:
+    """Say what is wrong with a value of zero: ngspice takes 1 mOhm for a resistor, and gains run away.
+
+    A part may have a resistor that its ideal level sets to zero; a board's is a slip.
+    """
+    for block in net.blocks.values():
+        for line in block.body if not block.is_part else ():
+            words = line.text.lower().split()
+            if words[0].startswith("r") and (key == words[0] or f"{{{key}}}" in words[3:4]):
+                return f"makes {words[0]} of {block.name} a resistor of 0 Ohm; a short is a small value"
+    return None
 
 
 def _name(net: Netlist, board: Block, key: str, value: str) -> str | None:

@@ -201,7 +201,8 @@ class Chain(Table):
     the joint's side. Centres of mass lie on the link, measured from its joint; inertias are about them.
 
     In the models `ideal` and `linear` Coulomb friction holds and slips, and stops push and let go, at located
-    instants; stops with `stop_restitution` do not give. On `spice` it is coulomb tanh(v / coulomb_speed).
+    instants; stops with `stop_restitution` do not give. On `spice` and in exported decks it is
+    coulomb tanh(v / coulomb_speed), the only use of `coulomb_speed_rad_per_s`.
 
     Shafts (``effects.shaft``) turn between motor and joint, backlash (``effects.backlash``) is the full width
     of the gear's gap; both are counted at the joint. Friction is on the joint's side of them.
