@@ -10,11 +10,13 @@ __all__ = ["draw"]
 #: Stiffness drawn [N/m], and the least of what delay eats [N s/m].
 _K = (10.0, 1e8)
 _LEAST = 1e-6
+#: Limits nearer to each other than this, in the logarithm, share a label.
+_APART = 0.5
 _DASHES = ((0, (5, 2)), (0, (1, 1.5)), (0, (6, 2, 1, 2)))
 
 
 def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
-    """Return the picture of k against k sum(tau), with b as a band and crossings marked."""
+    """Return k against k sum(tau), with b as a band and crossings marked."""
     blocks, limits = result.table("blocks").columns, result.table("limits").columns
     spread = result.table("viscosity").columns
     b = dict(zip(spread["of b over poses"], spread["b [N s/m]"], strict=True))
@@ -39,6 +41,7 @@ def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
         colour = JOINTS[number % len(JOINTS)]
         axes.plot(k, k * late, color=colour, label=f"{name}, {_time(late)}: {_stiffness(cross)}")
         axes.plot(cross, here, "o", color=colour, markersize=4)
+    marked: list[float] = []
     for number, case in enumerate(cases):
         total = 1e-6 * limits["sum of delays [us]"][number]
         limit = limits["practical limit b/sum [N/m]"][number]
@@ -49,11 +52,13 @@ def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
                   label=f"all blocks, {case}, {_time(total)}: {_stiffness(limit)}")  # fmt: skip
         if limit is not None:
             axes.plot(limit, level, "s", color=LIMIT, markersize=6, zorder=5)
-    first = limits["practical limit b/sum [N/m]"][0]
-    axes.annotate(
-        f"practical limit {_stiffness(first)}", (first, here), (10, -16), textcoords="offset points",
-        color=LIMIT, ha="left", fontweight="bold",
-    )  # fmt: skip
+            if all(abs(np.log(limit / other)) > _APART for other in marked):
+                axes.annotate(
+                    f"practical limit {_stiffness(limit)}", (limit, level), (10, -14),
+                    textcoords="offset points", color=LIMIT, fontweight="bold", fontsize=9,
+                    bbox={"facecolor": "white", "alpha": 0.85, "pad": 1.0, "linewidth": 0},
+                )  # fmt: skip
+            marked.append(limit)
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlim(*_K)
