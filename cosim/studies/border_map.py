@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel
 from scipy.optimize import brentq
 
 from cosim.circuits.linear import LinearCircuit
 from cosim.circuits.port import DesignConstants
 from cosim.loop.setup import mechanism
 from cosim.scene import Scene
+from cosim.scene.schema import Table
 from cosim.studies.contact import law_point
 from cosim.studies.lifted import lift
 from cosim.studies.linearise import linearise
@@ -128,10 +128,10 @@ def changed(scene: Scene, key: str, value: float) -> Scene:
         When the scene has no such key.
     """
     *path, last = key.split(".")
-    tables: list[BaseModel] = [scene]
+    tables: list[Table] = [scene]
     for name in path:
         table = getattr(tables[-1], name, None)
-        if not isinstance(table, BaseModel):
+        if not isinstance(table, Table):
             raise KeyError(key)
         tables.append(table)
     if last not in type(tables[-1]).model_fields:
