@@ -223,7 +223,7 @@ def _noise(
         update={"effects": scene.effects.model_copy(update={"pot_noise": PotNoise.WHITE})}
     )
     columns: dict[str, list[Any]] = {
-        name: [] for name in ("varied", "value [N/m or N s/m]", "force in the loop, rms [N]")
+        name: [] for name in ("varied", "value [N/m or N s/m]", "force in the loop, rms [N]", "threshold [N]")
     }
     for name, key, other, low, end in (
         ("spring", SPRING, {DAMPER: 0.0}, 10.0, delays.spring_n_per_m),
@@ -243,6 +243,7 @@ def _noise(
         columns["varied"] += [name] * len(values)
         columns["value [N/m or N s/m]"] += values
         columns["force in the loop, rms [N]"] += found
+        columns["threshold [N]"] += [given.noise_n] * len(values)
     pot = scene.device.potentiometer
     return Table(
         "noise", "Force of the potentiometer's noise", columns,
@@ -254,7 +255,7 @@ def _noise(
 def _crossing(table: Table, name: str, threshold: float) -> float:
     """Return the first value at which the noise reaches the threshold; infinite where it does not."""
     last: tuple[float, float] | None = None
-    for kind, value, rms in zip(*table.columns.values(), strict=True):
+    for kind, value, rms, _ in zip(*table.columns.values(), strict=True):
         if kind != name or rms is None:
             continue
         if rms >= threshold:
