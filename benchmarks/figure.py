@@ -30,6 +30,8 @@ TARGETS: dict[str, tuple[float, str, str]] = {
         "wall: extraction of board2 after changed values / one `ngspice -b` as above",
     ),
     "auto_vs_all_effects": (0.25, "", "processor time: effects chosen for 2 % / all effects on, worst scene"),
+    "fig13_vs_monolithic": (1 / 400, "", "wall: the whole Fig. 13 on `linear` / with the monolithic deck"),
+    "border_map": (1000.0, "", "wall: 100 x 100 exact borders, one process / one border"),
     "extraction_cached_ms": (50.0, "ms", "wall: extraction of an unchanged board2"),
 }
 

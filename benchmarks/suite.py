@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import choice, extraction, models, stiff
+from benchmarks import choice, extraction, models, stiff, sweeps
 from benchmarks.chains import chain_plan
 from benchmarks.figure import Figure, figure, interleaved
 from benchmarks.rig import CURRENTS, ROOT, SLOPE, Outcome, error, instants, slope
@@ -235,5 +235,7 @@ SUITE: dict[tuple[str, ...], Callable[[int], list[Figure]]] = {
     ("extraction_vs_ac",): extraction.cold,
     ("reextraction_vs_ac",): extraction.after_changes,
     ("auto_vs_all_effects",): choice.chosen,
+    ("fig13_vs_monolithic",): sweeps.fig13,
+    ("border_map",): sweeps.borders,
     ("extraction_cached_ms",): extraction.cached,
 }

@@ -31,6 +31,8 @@ STATED = {
     "extraction_vs_ac": 20.0,
     "reextraction_vs_ac": 0.5,
     "auto_vs_all_effects": 0.25,
+    "fig13_vs_monolithic": 1 / 400,
+    "border_map": 1000.0,
     "extraction_cached_ms": 50.0,
 }
 

@@ -128,7 +128,7 @@ def changed(scene: Scene, key: str, value: float) -> Scene:
         When the scene has no such key.
     """
     *path, last = key.split(".")
-    tables: list[Table] = [scene]
+    tables: list[Any] = [scene]
     for name in path:
         table = getattr(tables[-1], name, None)
         if not isinstance(table, Table):

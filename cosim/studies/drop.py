@@ -29,10 +29,11 @@ from cosim.plan import resolve
 from cosim.scene import Scene
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.schema import Period
+from cosim.studies.border_map import pencil
 from cosim.studies.limits import limits as limits_of
 from cosim.studies.model import circuit_of
 from cosim.studies.points import Points
-from cosim.studies.stability import border, held, with_computer
+from cosim.studies.stability import touching
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 
 __all__ = ["STUDY", "Dropped", "Falls", "Job", "Rest", "drop", "limit", "scan"]
@@ -122,11 +123,7 @@ class Dropped:
 
 def limit(scene: Scene, constants: DesignConstants, circuit: LinearCircuit) -> float:
     """Return the largest stable discrete stiffness of the held contact [N/m]; see `stability.border`."""
-
-    def at(stiffness: float) -> Any:
-        return held(with_computer(scene, discrete_stiffness_n_per_m=stiffness), constants, circuit)
-
-    return border(at, 1.0, 1e5, rtol=1e-9).value
+    return pencil(scene, constants, circuit, touching(scene, constants)).first(1.0, 1e5)
 
 
 def passive_limit(job: Job) -> float | None:

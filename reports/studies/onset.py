@@ -8,7 +8,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.ticker import NullFormatter, ScalarFormatter
 
 from cosim.studies.study import StudyResult, Table
-from reports.style import FAINT, INK, JOINTS, Drawn, figure, legend
+from reports.style import FAINT, INK, JOINTS, Drawn, figure
 
 __all__ = ["draw"]
 
@@ -82,7 +82,7 @@ def _logarithmic(place: Axes, periods: np.ndarray[Any, Any]) -> None:
 
 def _onset(table: Table) -> Drawn:
     stiffness = min(set(table.columns["analog stiffness [N/m]"]), key=lambda k: abs(k - 100.0))
-    drawing, axes = figure(4.2, columns=2)
+    drawing, axes = figure(4.8, columns=2)
     for number, way in enumerate(_ways(table)):
         rows = _rows(table, way)
         keep = rows["analog stiffness [N/m]"] == stiffness
@@ -116,9 +116,10 @@ def _onset(table: Table) -> Drawn:
         place.xaxis.set_major_formatter(ScalarFormatter())
         place.xaxis.set_minor_formatter(NullFormatter())
         place.set_xticks([3, 10, 30, 100])
-        legend(place)
-    axes[0, 0].set_yscale("symlog", linthresh=0.01, linscale=0.5)
-    axes[0, 1].set_yscale("symlog", linthresh=0.01, linscale=0.5)
+        place.legend(loc="upper left")
+        place.set_yscale("symlog", linthresh=0.01, linscale=0.5)
+        low, high = place.get_ylim()
+        place.set_ylim(max(low, -0.02), 60.0 * high)  # room for the legend
     return Drawn(
         drawing,
         f"First contact of a drop, {stiffness:g} N/m, mean over the phases. Left: largest jump of the force "
