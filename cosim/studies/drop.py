@@ -164,7 +164,7 @@ class Falls:
     def each(self, stiffness: float) -> Iterator[tuple[int, Array]]:
         """Drop at every phase; yield whether it came to rest, and its samples (`setup.sample_columns`)."""
         if self._gain == "k_dp":  # other gains: no map that is kept serves them
-            self._packed.exact.made[0], self._packed.exact.on[0] = 0, self._linear
+            self._packed.exact.made[:], self._packed.exact.on[0] = 0, self._linear
         for phase in range(self._phases):
             memory = self._packed.memory
             memory.state[:] = self._fresh
