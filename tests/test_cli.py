@@ -193,3 +193,12 @@ def test_a_series_and_a_single_result_do_not_replace_each_other(tmp_path: Path) 
         _keep_apart(single, series=True)
     with pytest.raises(InputError, match="r12=8k, r12=9k"):
         _keep_apart(series, series=False)
+
+
+@pytest.mark.parametrize("place", ["nowhere/x.cir", "."])
+def test_export_looks_at_its_place_before_the_scene_runs(
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("cosim.run.run", pytest.fail)
+    assert cli.main(["export", str(scenes_folder() / "drop.toml"), "-o", str(tmp_path / place)]) == 2
+    assert "is no place for a file" in capsys.readouterr().err

@@ -39,6 +39,8 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     found = load_variants(args)
     if len(found) > 1:
         fail("one deck holds one scene: give each name one value", key="--set", value=args.set)
+    if not Path(args.out).parent.is_dir() or Path(args.out).is_dir():
+        fail("is no place for a file", key="--out", value=args.out)  # before the scene runs
     plan = resolve(found[0][1], trust=args.trust)
     with tempfile.TemporaryDirectory(prefix="cosim-export-") as folder:
         # The computer's outputs have to be known first: the scene runs once.
