@@ -3,6 +3,7 @@
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from math import isfinite
 
 from cosim.errors import InputError, Problem, nearest
 from cosim.ngspice.lines import join, number, tokens
@@ -34,7 +35,7 @@ def apply_overrides(net: Netlist, board: Block, overrides: Mapping[str, str]) ->
     for name, value in sorted(overrides.items(), key=lambda item: "." in item[0]):
         key, text = name.strip().lower(), str(value).strip()
         parsed = number(text)
-        if parsed is None and not _EXPRESSION.fullmatch(text):
+        if (parsed is None and not _EXPRESSION.fullmatch(text)) or not isfinite(parsed or 0.0):
             problems.append(Problem("is not a SPICE number or {expression}", key=name, value=value))
             continue
         path = key.removeprefix("xboard.")
