@@ -16,7 +16,7 @@ from cosim.loop.collocation import near, present
 from cosim.loop.exact import BENCH_KIND, EXACT_KIND, PLAN_KIND, STATE_KIND, land, leap, rests
 from cosim.loop.lockstep import evaluate, next_event, process_events
 from cosim.loop.native import lent, record_at
-from cosim.loop.pins import RAMP, gains_ramp
+from cosim.loop.pins import gains_ramp, ramp_step
 from cosim.loop.rows import check, record
 
 Record = Any
@@ -77,7 +77,7 @@ def leaps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
         longest, ramp = min(wish, s.h_max), 0.0
         if s.ramping:
             if gains_ramp(s):
-                longest = min(longest, s.settle / RAMP)
+                longest = min(longest, ramp_step(s))
             elif not wanted and position == 0:
                 behind = _behind(s)
                 if behind > 0.0:

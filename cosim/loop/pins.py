@@ -11,8 +11,9 @@ from cosim.loop.native import doubles_at
 Record = Any
 
 #: Steps over a ramp of the gains, each with the gain of its middle: the torque's impulse is wrong by at most
-#: (change of gain) x (change of input) x settling time / (12 x RAMP^2).
-RAMP = 2
+#: (change of gain) x (change of input) x settling time / (12 x steps^2). The input changes within the ramp by
+#: its rate times the settling time: one step is enough for a ramp of at most this share of the period.
+_RAMP, _SHORT = 2, 1e-3
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
@@ -23,6 +24,12 @@ def volts(s: Record, channel: int, t: float) -> float:
     group = 0 if s.n <= channel < s.n + 2 * s.n * s.n else 1
     part = min(max((t - s.dac_start[group]) / s.settle, 0.0), 1.0)
     return float(s.dac_from[channel] + part * (s.dac_to[channel] - s.dac_from[channel]))
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def ramp_step(s: Record) -> float:
+    """Longest step over a ramp of the gains [s]."""
+    return float(s.settle if s.settle <= _SHORT * s.c.period else s.settle / _RAMP)
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)

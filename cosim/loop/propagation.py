@@ -20,7 +20,7 @@ from cosim.loop.leaps import leaps
 from cosim.loop.lockstep import evaluate, process_events
 from cosim.loop.maps import Plan, slot_of
 from cosim.loop.native import call_plain, lent, record_at, table
-from cosim.loop.pins import RAMP, gains_ramp
+from cosim.loop.pins import gains_ramp, ramp_step
 from cosim.loop.rows import check, record
 from cosim.loop.state import Fault
 
@@ -163,7 +163,7 @@ def _steps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
         if watch:
             longest = min(longest, s.c.period / _WATCH_STEPS)
         if gains_ramp(s):
-            longest = min(longest, s.settle / RAMP)
+            longest = min(longest, ramp_step(s))
         if until - s.t > math.ldexp(length, -finest):
             longest = min(longest, until - s.t)
         else:
