@@ -151,3 +151,16 @@ def test_mismatch_is_what_drawing_it_gives():
     found = unevenness(CHAIN, q, NORMAL, 100.0, 0.01, 1e-3)
     assert found.drag == pytest.approx(np.std(drags), rel=0.04)
     assert found.curl_n_per_m == pytest.approx(np.std(curls), rel=0.04)
+
+
+def test_mismatch_makes_the_least_eigenvalue_negative():
+    """Rank 1 has the least eigenvalue 0; a small E shifts it by e.g. v^T (E o K) v, v across J^T n."""
+    q = np.array([0.6, 1.1])
+    w = CHAIN.jacobian(q).T @ NORMAL
+    v = np.array([-w[1], w[0]]) / np.linalg.norm(w)
+    signs = np.array([[-1.0, 1.0], [-1.0, -1.0]])
+    shift = 0.01 * v @ (signs * gains(CHAIN.jacobian(q), NORMAL, 100.0)) @ v
+    found = unevenness(CHAIN, q, NORMAL, 100.0, 0.01, 1e-3)
+    # second order in 1 %: a hundredth of the shift
+    assert found.least_n_m_per_rad == pytest.approx(shift, rel=0.03)
+    assert found.least_n_m_per_rad < 0.0

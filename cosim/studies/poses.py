@@ -161,7 +161,15 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         fail("must be above 0", file=str(spec.scene_file), key="computer.analog_stiffness_n_per_m")
     columns: dict[str, list[float | None]] = {
         name: []
-        for name in ("x [m]", "y [m]", "joint PD, F_t/F_n", "mismatch, F_t/F_n", "curl [N/m]", "circle [uJ]")
+        for name in (
+            "x [m]",
+            "y [m]",
+            "joint PD, F_t/F_n",
+            "mismatch, F_t/F_n",
+            "curl [N/m]",
+            "circle [uJ]",
+            "least eigenvalue [mN m/rad]",
+        )
     }
     for bend in np.linspace(_MARGIN_RAD, np.pi - _MARGIN_RAD, given.points):
         for turn in np.linspace(-np.pi, np.pi, given.points):
@@ -178,7 +186,10 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
             except ValueError:
                 fed = None
             r = chain.forward(q)
-            row = (float(r[0]), float(r[1]), diagonal, uneven.drag, uneven.curl_n_per_m, fed)
+            row = (
+                float(r[0]), float(r[1]), diagonal, uneven.drag, uneven.curl_n_per_m, fed,
+                1e3 * uneven.least_n_m_per_rad,
+            )  # fmt: skip
             for column, value in zip(columns.values(), row, strict=True):
                 column.append(value)
     circuit, constants = circuit_of(resolve(spec.scene("solver.model=auto")))

@@ -50,7 +50,20 @@ def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
     )
     axes[0, 0].set_ylabel("y [m]")
     curl = Drawn(drawing, "Unequal multipliers make Ksp unsymmetric: a hand that goes round is fed energy.")
-    return [("drag", "Drag along the wall", drag), ("curl", "Curl of the rendered force", curl)]
+    drawing, axes = figure(4.6)
+    _map(axes[0, 0], columns, "least eigenvalue [mN m/rad]", "Least eigenvalue of sym(Ksp) [mN m/rad]",
+         SymLogNorm(0.1, vmin=-30.0, vmax=30.0), "RdBu", (-10, -1, -0.1, 0, 0.1, 1, 10))  # fmt: skip
+    axes[0, 0].set_ylabel("y [m]")
+    least = Drawn(
+        drawing,
+        "A frictionless wall has a direction without stiffness: its least eigenvalue is zero. One standard "
+        "deviation of mismatch, signs at their worst, makes it negative: it pushes along that direction.",
+    )
+    return [
+        ("drag", "Drag along the wall", drag),
+        ("curl", "Curl of the rendered force", curl),
+        ("least", "Least eigenvalue of the rendered stiffness", least),
+    ]
 
 
 def _map(
