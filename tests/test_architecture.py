@@ -11,6 +11,7 @@ FLOORS = {
     "mech": 0,
     "cosim": 0,
     "cosim.errors": 0,
+    "cosim.caution": 0,
     "cosim.assets": 0,
     "cosim.compiled": 0,
     "cosim.staging": 0,
