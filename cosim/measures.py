@@ -10,34 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.catalogue import MEASURES, NAMES, UNITS
 from cosim.circuits.port import DesignConstants
 from cosim.errors import InputError, Problem, nearest
 from cosim.scene import Scene
 
 Signals = Mapping[str, NDArray[np.float64]]
-#: Every measure there is, with its unit; those of the wall need one, some of them steady contact.
-UNITS: dict[str, str] = {
-    "peak_force": "N",
-    "max_penetration": "m",
-    "contact_share": "",
-    "peak_normal_force": "N",
-    "mean_normal_force": "N",
-    "steady_penetration": "m",
-    "steady_normal_force": "N",
-    "steady_tangential_force": "N",
-    "rendered_stiffness": "N/m",
-    "tangential_ratio": "",
-    "force_ripple": "N",
-    "peak_current": "A",
-    "rated_share": "",
-    "over_rated": "",
-    "heat": "A^2 s",
-    "dac_saturations": "",
-    "unreachable_samples": "",
-    "headroom": "",
-    "ledger_closure": "",
-}
-NAMES = tuple(UNITS)
 #: The share of a run, at its end, over which steady figures are averaged.
 _STEADY = 0.2
 
@@ -85,64 +63,52 @@ def standard(
     """Every measure that applies to the scene: name -> {value, unit, text}."""
     out: dict[str, dict[str, Any]] = {}
 
-    def add(name: str, value: float, text: str) -> None:
-        out[name] = {"value": float(value), "unit": UNITS[name], "text": text}
+    def add(name: str, value: float, text: str = "") -> None:
+        out[name] = {"value": float(value), "unit": UNITS[name], "text": text or MEASURES[name].text}
 
     t = np.asarray(signals["time"])
     late = t >= t[-1] - _STEADY * (t[-1] - t[0])
     force = np.hypot(signals["fx"], signals["fy"])
-    add("peak_force", force.max(), "largest force between operator and device")
+    add("peak_force", force.max())
     if scene.wall is not None:
         frame = wall_frame(scene, signals)
         pen, normal, tangent = frame["penetration"], frame["normal"], frame["tangent"]
-        add("max_penetration", max(float(pen.max()), 0.0), "deepest penetration of the wall")
+        add("max_penetration", max(float(pen.max()), 0.0))
         inside = pen > 0.0
-        add("contact_share", time_mean(t, inside.astype(float)), "share of the time in contact")
+        add("contact_share", time_mean(t, inside.astype(float)))
         if inside.any():
-            add("peak_normal_force", normal[inside].max(), "largest normal force in contact")
+            add("peak_normal_force", normal[inside].max())
             held = np.where(inside, normal, 0.0)
             mean = time_mean(t, held) / time_mean(t, inside.astype(float))
-            add("mean_normal_force", mean, "mean normal force while in contact")
+            add("mean_normal_force", mean)
         steady = late & inside
         if steady.sum() > 2 and inside[late].all():
             sink, push = time_mean(t[late], pen[late]), time_mean(t[late], normal[late])
             drag = time_mean(t[late], tangent[late])
-            add("steady_penetration", sink, "mean penetration in the last fifth of the run")
-            add("steady_normal_force", push, "mean normal force in the last fifth of the run")
-            add("steady_tangential_force", drag, "mean tangential force in the last fifth of the run")
+            add("steady_penetration", sink)
+            add("steady_normal_force", push)
+            add("steady_tangential_force", drag)
             rendered = time_mean(t[late], frame["push"][late]) / sink
-            add("rendered_stiffness", rendered, "steady force of the motors over steady penetration")
+            add("rendered_stiffness", rendered)
             if push != 0.0:  # a device that nobody holds
-                add("tangential_ratio", abs(drag / push), "|F_t/F_n| in the last fifth of the run")
+                add("tangential_ratio", abs(drag / push))
             ripple = normal[late] - push
-            add(
-                "force_ripple",
-                float(np.sqrt(time_mean(t[late], ripple**2))),
-                "rms of the normal force about its mean",
-            )
+            add("force_ripple", float(np.sqrt(time_mean(t[late], ripple**2))))
     n = scene.joints
     current = np.max([np.abs(signals[f"imot{j}"]) for j in range(1, n + 1)], axis=0)
-    add("peak_current", current.max(), "largest motor current")
-    add("rated_share", current.max() / constants.i_rated, "largest motor current over rated current")
-    add(
-        "over_rated",
-        time_mean(t, (current > constants.i_rated).astype(float)),
-        "share of time above rated",
-    )
-    add("heat", _heat(t, signals, n), "integral of the squared motor currents")
-    add("dac_saturations", float(samples["saturated"].sum()), "DAC words clipped at the converter's range")
-    add(
-        "unreachable_samples",
-        float(samples["unsolved"].sum()),
-        "samples whose contact point was out of reach",
-    )
+    add("peak_current", current.max())
+    add("rated_share", current.max() / constants.i_rated)
+    add("over_rated", time_mean(t, (current > constants.i_rated).astype(float)))
+    add("heat", _heat(t, signals, n))
+    add("dac_saturations", float(samples["saturated"].sum()))
+    add("unreachable_samples", float(samples["unsolved"].sum()))
     tightest = headroom(amplifiers)
     if tightest:
         first = tightest[0]
         used = f"{first['peak_v']:.3g} V of {first['swing_v']:.3g} V"
         text = f"{first['path']} ({first['part']}) clips first: {used}"
         add("headroom", first["headroom"], text)
-    add("ledger_closure", ledger["closure"], "unexplained share of the energy turned over")
+    add("ledger_closure", ledger["closure"])
     return out
 
 

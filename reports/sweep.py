@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cosim.measures import UNITS
+from cosim.catalogue import UNITS
 from cosim.ngspice.lines import number
 from cosim.staging import disk_errors
 from reports.style import JOINTS, Drawn, figure, legend, look

@@ -23,6 +23,7 @@ FLOORS = {
     "cosim.loop": 2,
     "cosim.effects": 2,
     "cosim.plan": 2,
+    "cosim.catalogue": 0,
     "cosim.measures": 2,
     "cosim.newproject": 2,
     "cosim.run": 3,

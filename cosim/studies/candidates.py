@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from cosim.catalogue import UNITS
 from cosim.effects import EFFECTS, Effect, Size, features, levels, temperature_c
 from cosim.effects.scale import scale
 from cosim.errors import InputError
-from cosim.measures import UNITS, tolerances
+from cosim.measures import tolerances
 from cosim.ngspice.child import Child
 from cosim.ngspice.deck import Deck
 from cosim.plan import Plan, resolve

@@ -12,8 +12,8 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import cosim
+from cosim.catalogue import UNITS
 from cosim.errors import InputError, Problem, SimulationError, nearest
-from cosim.measures import UNITS
 from cosim.ngspice.child import Child
 from cosim.ngspice.lines import number
 from cosim.plan import Plan, resolve

@@ -1,0 +1,73 @@
+"""The catalogue of measures: every figure that a designer may ask for, with unit, words and what it needs.
+
+A scene's `[measures]` and `[tolerance]`, ``--measure`` of every command, tables and pages know a measure by its
+name here. Those that need a run come from `cosim.measures`, the others from `cosim.studies.board_measures`,
+which simulates nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+__all__ = ["MEASURES", "NAMES", "OF_A_RUN", "UNITS", "Measure", "Need"]
+
+
+class Need(Enum):
+    """What a measure is taken from."""
+
+    RUN = "a simulation of the scene"
+    CONTACT = "the circuit's linear model and the contact held at the wall's point; no simulation"
+    BOARD = "the board alone, asked of ngspice; no simulation"
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A figure: its name, its unit ('' for a plain number), what it is in words, and what it needs."""
+
+    name: str
+    unit: str
+    text: str
+    needs: Need = Need.RUN
+
+
+_EVERY = (
+    Measure("peak_force", "N", "largest force between operator and device"),
+    Measure("max_penetration", "m", "deepest penetration of the wall"),
+    Measure("contact_share", "", "share of the time in contact"),
+    Measure("peak_normal_force", "N", "largest normal force in contact"),
+    Measure("mean_normal_force", "N", "mean normal force while in contact"),
+    Measure("steady_penetration", "m", "mean penetration in the last fifth of the run"),
+    Measure("steady_normal_force", "N", "mean normal force in the last fifth of the run"),
+    Measure("steady_tangential_force", "N", "mean tangential force in the last fifth of the run"),
+    Measure("rendered_stiffness", "N/m", "steady force of the motors over steady penetration"),
+    Measure("tangential_ratio", "", "|F_t/F_n| in the last fifth of the run"),
+    Measure("force_ripple", "N", "rms of the normal force about its mean"),
+    Measure("peak_current", "A", "largest motor current"),
+    Measure("rated_share", "", "largest motor current over rated current"),
+    Measure("over_rated", "", "share of time above rated"),
+    Measure("heat", "A^2 s", "integral of the squared motor currents"),
+    Measure("dac_saturations", "", "DAC words clipped at the converter's range"),
+    Measure("unreachable_samples", "", "samples whose contact point was out of reach"),
+    Measure("headroom", "", "share of its output range that the amplifier which clips first has left"),
+    Measure("ledger_closure", "", "unexplained share of the energy turned over"),
+    Measure("k_max", "N/m", "largest stable stiffness of the held contact", Need.CONTACT),
+    Measure("passive_stiffness", "N/m", "largest stiffness of the held contact that is passive",
+            Need.CONTACT),
+    Measure("eta", "", "share of the device's damping that the analog spring's delay eats", Need.CONTACT),
+    Measure("curl", "N/m", "curl of the rendered field of force at the wall's point", Need.CONTACT),
+    Measure("least_stiffness", "N m/rad", "least eigenvalue of sym(Ksp), as rendered at the joints",
+            Need.CONTACT),
+    Measure("circle_energy", "J", "energy fed to a hand once round a circle of 1 cm, gains held",
+            Need.CONTACT),
+    Measure("rest_force", "N", "tip force of a motor out of contact, all gains zero", Need.BOARD),
+    Measure("phase_margin", "deg", "least phase margin of all loops", Need.BOARD),
+    Measure("gain_margin", "dB", "least gain margin of all loops", Need.BOARD),
+)  # fmt: skip
+
+#: Every measure by its name.
+MEASURES: dict[str, Measure] = {measure.name: measure for measure in _EVERY}
+NAMES = tuple(MEASURES)
+UNITS: dict[str, str] = {measure.name: measure.unit for measure in _EVERY}
+#: Those that need a run, which gives all of them where nothing else is asked for.
+OF_A_RUN = tuple(measure.name for measure in _EVERY if measure.needs is Need.RUN)
