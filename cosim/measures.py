@@ -95,7 +95,7 @@ def standard(
             ripple = normal[late] - push
             add("force_ripple", float(np.sqrt(time_mean(t[late], ripple**2))))
     n = scene.joints
-    current = np.max([np.abs(signals[f"imot{j}"]) for j in range(1, n + 1)], axis=0)
+    current = np.max(np.abs(np.stack([signals[f"imot{j}"] for j in range(1, n + 1)])), axis=0)
     add("peak_current", current.max())
     add("rated_share", current.max() / constants.i_rated)
     add("over_rated", time_mean(t, (current > constants.i_rated).astype(float)))

@@ -122,9 +122,22 @@ def kind_of(cls: Any) -> Any:
             found.append(types.int64 if hint is int else types.float64)
         else:
             array, dimensions = typing.get_args(hint)
-            element = np.dtype(typing.get_args(typing.get_args(array)[1])[0])
-            found.append(types.Array(from_dtype(element), dimensions, "C"))
+            found.append(types.Array(from_dtype(np.dtype(_element(array))), dimensions, "C"))
     return types.NamedTuple(found, cls)
+
+
+def _element(hint: Any) -> type[np.generic]:
+    """Return the scalar type that `NDArray[...]` names.
+
+    How deep it lies is numpy's own affair: `ndarray[shape, dtype[float64]]` where the alias is expanded,
+    `NDArray[float64]` where it is one of the language (Python 3.12 with numpy 2.5).
+    """
+    waiting = [hint]
+    for part in waiting:
+        if isinstance(part, type) and issubclass(part, np.generic):
+            return part
+        waiting += typing.get_args(part)
+    raise TypeError(f"{hint} names no element of an array")
 
 
 def table(record: Any) -> Any:

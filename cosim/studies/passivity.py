@@ -75,7 +75,7 @@ class Law:
         """Return H at the points `z`."""
         left = z[:, None, None] * np.eye(len(self.a)) - self.a
         right = np.broadcast_to(self.b.astype(complex)[:, None], (len(z), len(self.b), 1))
-        out: Complex = self.d + (np.linalg.solve(left, right)[:, :, 0] @ self.c if len(self.a) else 0.0 * z)
+        out: Complex = (self.d + np.linalg.solve(left, right)[:, :, 0] @ self.c).astype(complex, copy=False)
         return out
 
 

@@ -1,0 +1,34 @@
+"""Records that are lent to compiled code: numba's type of a named tuple, whatever form numpy's alias has."""
+
+import types
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+import pytest
+from numba import types as numba_types
+from numpy.typing import NDArray
+
+from cosim.loop.native import kind_of
+
+# What `NDArray[x]` is: expanded (numpy up to 2.4, and any numpy on Python 3.11), or an alias of the language
+EXPANDED: Any = lambda element: np.ndarray[tuple[Any, ...], np.dtype[element]]  # noqa: E731
+ALIAS: Any = lambda element: types.GenericAlias(list, (element,))  # noqa: E731
+OURS: Any = lambda element: NDArray[element]  # noqa: E731
+
+
+@pytest.mark.parametrize("form", [EXPANDED, ALIAS, OURS])
+@pytest.mark.parametrize("element", [np.float64, np.int64, np.complex128])
+@pytest.mark.parametrize("dimensions", [1, 3])
+def test_the_element_of_an_array_is_found_in_every_form_of_numpys_alias(
+    form: Any, element: Any, dimensions: int
+) -> None:
+    record = NamedTuple("record", [("count", int), ("data", Annotated[form(element), dimensions])])  # noqa: UP014
+    count, data = kind_of(record).types
+    assert count == numba_types.int64
+    assert data == numba_types.Array(getattr(numba_types, np.dtype(element).name), dimensions, "C")
+
+
+def test_an_array_of_nothing_is_refused() -> None:
+    record = NamedTuple("record", [("data", Annotated[list[str], 1])])  # noqa: UP014
+    with pytest.raises(TypeError, match="names no element"):
+        kind_of(record)
