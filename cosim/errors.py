@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
-__all__ = ["CosimError", "InputError", "Problem", "SimulationError", "fail", "nearest"]
+__all__ = ["CosimError", "InputError", "Problem", "SimulationError", "StorageError", "fail", "nearest"]
 
 
 @dataclass(frozen=True)
@@ -107,6 +107,10 @@ class InputError(CosimError):
     def as_dict(self) -> dict[str, object]:
         """Return the error with its problems as a JSON-ready dictionary for ``--json``."""
         return {"error": "InputError", "problems": [problem.as_dict() for problem in self.problems]}
+
+
+class StorageError(InputError):
+    """A place cannot be written: no other input would help, so a series of runs ends here."""
 
 
 class SimulationError(CosimError):

@@ -1,4 +1,4 @@
-"""Output folders that appear whole or not at all."""
+"""Output folders and files that appear whole or not at all."""
 
 import errno
 import hashlib
@@ -8,11 +8,11 @@ import re
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Self
 
-from cosim.errors import InputError, Problem, fail
+from cosim.errors import Problem, StorageError, fail
 
 _TURNS = 20
 """How often a place is tried that other processes write to as well."""
@@ -20,12 +20,98 @@ _TURNS = 20
 
 @contextmanager
 def disk_errors(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Turn what the file system refuses into an `InputError` that names `path`."""
+    """Turn what the file system refuses into a `StorageError` that names `path`."""
     try:
         yield
     except OSError as error:
         reason = error.strerror or str(error)
-        raise InputError(Problem(f"cannot be written: {reason}", file=os.fspath(path))) from error
+        raise StorageError(Problem(f"cannot be written: {reason}", file=os.fspath(path))) from error
+
+
+@contextmanager
+def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a temporary file beside `path` that replaces it at the end of the block.
+
+    A failure, a full disk or a kill leaves an earlier file as it was; what killed processes of this machine
+    left beside it is removed.
+
+    Raises
+    ------
+    StorageError
+        When the folder cannot be written, or `path` is no regular file.
+    """
+    target = Path(os.path.realpath(path))
+    with disk_errors(path):
+        if target.exists() and not target.is_file():
+            fail("is not a regular file", file=os.fspath(path))
+        _sweep(target)
+        handle, name = tempfile.mkstemp(prefix=_prefix(target), suffix=target.suffix, dir=target.parent)
+        os.close(handle)
+        temporary = Path(name)
+        try:
+            temporary.chmod(target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask())
+            yield temporary
+            temporary.replace(target)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+
+
+def _prefix(target: Path) -> str:
+    """Return how names of temporary things beside `target` begin: they tell machine and process."""
+    return f".{target.name}.{_label()}-{os.getpid()}."
+
+
+def _umask() -> int:
+    umask = os.umask(0)
+    os.umask(umask)
+    return umask
+
+
+@contextmanager
+def scratch_folder(purpose: str) -> Iterator[Path]:
+    """Yield a folder in the system's place for temporary files, and remove it at the end of the block.
+
+    Raises
+    ------
+    StorageError
+        When it cannot be made.
+    """
+    folder = make_scratch(purpose)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def make_scratch(purpose: str) -> Path:
+    """Return a new folder among the system's temporary files, for the caller to remove.
+
+    Its name tells machine and process: what killed processes of this machine left is removed first.
+    """
+    place = Path(tempfile.gettempdir())
+    with disk_errors(f"{place} (the folder for temporary files, TMPDIR)"):
+        _sweep_killed(place, r"cosim-[a-z]+\.")
+        return Path(tempfile.mkdtemp(prefix=f"cosim-{purpose}.{_label()}-{os.getpid()}.", dir=place))
+
+
+def _sweep(target: Path) -> None:
+    """Remove what killed processes left beside `target`."""
+    _sweep_killed(target.parent, rf"\.{re.escape(target.name)}\.", re.escape(target.suffix))
+
+
+def _sweep_killed(place: Path, before: str, ending: str = "") -> None:
+    """Remove our own temporary files and folders of processes that are gone; a kill leaves no time to."""
+    form = re.compile(rf"{before}{_label()}-([1-9]\d*)\.[a-z0-9_]{{8}}(?:{ending})?")
+    for entry in list(place.iterdir()):
+        match = form.fullmatch(entry.name)
+        if match is None or entry.is_symlink() or _lives(int(match[1])):
+            continue
+        if entry.is_dir():
+            shutil.rmtree(entry, ignore_errors=True)
+        else:
+            with suppress(PermissionError):  # another user's, in a folder for everybody
+                entry.unlink(missing_ok=True)
 
 
 def _label() -> str:
@@ -71,24 +157,13 @@ class Staging:
         self._refuse_foreign()
         with disk_errors(self.target):
             self.target.parent.mkdir(parents=True, exist_ok=True)
-            self._sweep()
+            _sweep(self.target)
             self.path = self._beside()
             # mkdtemp makes it private; a result is as public as the user's other files.
-            umask = os.umask(0)
-            os.umask(umask)
-            self.path.chmod(0o777 & ~umask)
+            self.path.chmod(0o777 & ~_umask())
 
     def _beside(self) -> Path:
-        prefix = f".{self.target.name}.{_label()}-{os.getpid()}."
-        return Path(tempfile.mkdtemp(prefix=prefix, dir=self.target.parent))
-
-    def _sweep(self) -> None:
-        """Remove what processes that are gone left for this target; a kill leaves no time to."""
-        form = re.compile(rf"\.{re.escape(self.target.name)}\.{_label()}-([1-9]\d*)\.[a-z0-9_]{{8}}")
-        for entry in list(self.target.parent.iterdir()):
-            match = form.fullmatch(entry.name)
-            if match and entry.is_dir() and not entry.is_symlink() and not _lives(int(match[1])):
-                shutil.rmtree(entry, ignore_errors=True)
+        return Path(tempfile.mkdtemp(prefix=_prefix(self.target), dir=self.target.parent))
 
     def _refuse_foreign(self) -> None:
         with disk_errors(self.target):

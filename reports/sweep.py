@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from cosim.catalogue import UNITS
 from cosim.ngspice.lines import number
-from cosim.staging import disk_errors
+from cosim.staging import whole_file
 from reports.style import JOINTS, Drawn, figure, legend, look
 from reports.text import scale
 
@@ -23,9 +23,9 @@ def write_sweep(found: "Sweep", folder: Path) -> Path | None:
         drawn = draw(found)
         if drawn is None:
             return None
-        with disk_errors(folder):
-            for ending in ("svg", "png"):
-                drawn.figure.savefig(folder / f"sweep.{ending}", dpi=150)
+        for ending in ("svg", "png"):
+            with whole_file(folder / f"sweep.{ending}") as temporary:
+                drawn.figure.savefig(temporary, format=ending, dpi=150)
     return folder / "sweep.png"
 
 

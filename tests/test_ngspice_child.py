@@ -309,7 +309,7 @@ def test_no_room_for_the_childs_folder(monkeypatch: pytest.MonkeyPatch, tmp_path
     import tempfile
 
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
-    with pytest.raises(InputError, match="temporary folder"):
+    with pytest.raises(InputError, match="folder for temporary files"):
         run("echo")
 
 

@@ -101,7 +101,7 @@ def test_two_ranges_make_a_grid(tmp_path, counted, capsys):
 def test_slips_are_told_before_anything_runs(tmp_path, counted, capsys):
     out = ["--out", str(tmp_path / "out")]
     for words, said in (
-        (["computer.period_s=0.01:99:3"], "out of range"),
+        (["computer.period_s=-3:-1:3"], "out of range"),
         (["computer.perod_s=0.01:0.02:3"], "did you mean"),
         (["seed=1:3:3", "--measure", "max_force"], "nearest is peak_force"),
         (["seed=1:3:3", "seed=4:6:3"], "twice"),

@@ -29,12 +29,11 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
-    import tempfile
-
     from cosim.errors import fail
     from cosim.export import export
     from cosim.plan import resolve
     from cosim.run import run
+    from cosim.staging import scratch_folder
 
     found = load_variants(args)
     if len(found) > 1:
@@ -42,9 +41,9 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     if not Path(args.out).parent.is_dir() or Path(args.out).is_dir():
         fail("is no place for a file", key="--out", value=args.out)  # before the scene runs
     plan = resolve(found[0][1], trust=args.trust)
-    with tempfile.TemporaryDirectory(prefix="cosim-export-") as folder:
+    with scratch_folder("export") as folder:
         # The computer's outputs have to be known first: the scene runs once.
-        result = run(plan, Path(folder) / "run", formats=())
+        result = run(plan, folder / "run", formats=())
         deck = export(plan, result, args.out, kind=args.kind)
     return {
         "deck": str(deck),

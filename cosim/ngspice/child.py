@@ -12,7 +12,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 import weakref
@@ -22,8 +21,9 @@ from types import TracebackType
 from typing import Any
 
 from cosim.compiled import cache_folder
-from cosim.errors import InputError, SimulationError
+from cosim.errors import SimulationError
 from cosim.ngspice.worker import HEAD
+from cosim.staging import make_scratch
 
 __all__ = ["Child", "call", "start_early"]
 
@@ -109,10 +109,7 @@ class Child:
     """
 
     def __init__(self, modules: Sequence[str] = ()) -> None:
-        try:
-            folder = Path(tempfile.mkdtemp(prefix="cosim-"))
-        except OSError as error:
-            raise InputError(f"cannot make a temporary folder for ngspice: {error}") from error
+        folder = make_scratch("ngspice")
         receive, send = os.pipe()
         try:
             work = folder / "work"

@@ -10,8 +10,6 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -27,6 +25,7 @@ from cosim.plan import resolve
 from cosim.run import run
 from cosim.scene import Scene
 from cosim.scene.parameters import Field, Parameters, Unit
+from cosim.staging import scratch_folder
 from cosim.studies.contact import law_point, rests
 from cosim.studies.model import circuit_of
 from cosim.studies.points import Points
@@ -166,10 +165,10 @@ def slope(spec: StudyFile, method: str, points: Points) -> tuple[float, float]:
 def _pressed(scene: Scene) -> tuple[float, float]:
     """Run a push; return depth [m] and the motors' force [N] at its end."""
     with (
-        tempfile.TemporaryDirectory(prefix="cosim-press-") as folder,
+        scratch_folder("press") as folder,
         start_early("cosim.loop.simulate") as child,
     ):
-        result = run(resolve(scene), Path(folder) / "run", formats=(), child=child)
+        result = run(resolve(scene), folder / "run", formats=(), child=child)
         frame, t = wall_frame(scene, result.signals), np.asarray(result.signals["time"])
         late = t >= 0.8 * t[-1]
         return time_mean(t[late], frame["penetration"][late]), time_mean(t[late], frame["push"][late])

@@ -16,7 +16,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from cosim.effects import EFFECTS
@@ -26,6 +25,7 @@ from cosim.ngspice.child import Child
 from cosim.plan import Plan
 from cosim.results import effects_digest
 from cosim.run import run
+from cosim.staging import scratch_folder
 from cosim.studies.candidates import Candidates, Rung, Settings, all_measures
 
 Measures = Mapping[str, Mapping[str, Any]]
@@ -93,9 +93,9 @@ class _Search:
         if key not in self.known:
             if self.on_progress is not None:
                 self.on_progress(name)
-            with TemporaryDirectory(prefix="cosim-auto-") as folder:
+            with scratch_folder("auto") as folder:
                 plan = all_measures(self.candidates.plan(settings))
-                result = run(plan, Path(folder) / "run", formats=(), child=self.child)
+                result = run(plan, folder / "run", formats=(), child=self.child)
                 self.known[key] = dict(result.measures)
                 self.cpu_s += float(result.stats["cpu_s"])
         return self.known[key]

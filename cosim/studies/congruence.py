@@ -10,8 +10,6 @@ stand still: a hand holds a preload at a sample, then changes its force in two d
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -25,6 +23,7 @@ from cosim.run import run
 from cosim.scene import Scene
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.schema import Stiffness
+from cosim.staging import scratch_folder
 from cosim.studies.points import Points
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 from mech import Chain
@@ -141,10 +140,10 @@ def felt(spec: StudyFile, preload: float, points: Points, *, compensated: bool) 
 def _ends(scene: Scene, half: float) -> list[float]:
     """Run it; return by how much place [m] and force of the motors [N] differ at the ends of both halves."""
     with (
-        tempfile.TemporaryDirectory(prefix="cosim-preload-") as folder,
+        scratch_folder("preload") as folder,
         start_early("cosim.loop.simulate") as child,
     ):
-        signals = run(resolve(scene), Path(folder) / "run", formats=(), child=child).signals
+        signals = run(resolve(scene), folder / "run", formats=(), child=child).signals
         t = np.asarray(signals["time"])
         before, after = half, t[-1]
         return [

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from cosim.effects import EFFECTS, Effect, features, levels, temperature_c
@@ -22,6 +21,7 @@ from cosim.ngspice.deck import Deck
 from cosim.plan import Plan, resolve
 from cosim.run import run
 from cosim.scene import Scene, load_scene
+from cosim.staging import scratch_folder
 
 Measures = Mapping[str, Mapping[str, Any]]
 Settings = Mapping[str, Any]
@@ -241,8 +241,8 @@ class _Runner:
             if isinstance(plan, InputError):
                 raise plan
             try:
-                with TemporaryDirectory(prefix="cosim-effects-") as folder:
-                    result = run(plan, Path(folder) / "run", formats=(), child=self._child)
+                with scratch_folder("effects") as folder:
+                    result = run(plan, folder / "run", formats=(), child=self._child)
                     self._known[key] = dict(result.measures), float(result.stats["cpu_s"])
             except SimulationError as error:
                 self._known[key] = str(error).splitlines()[0]

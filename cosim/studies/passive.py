@@ -10,8 +10,6 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -24,6 +22,7 @@ from cosim.plan import resolve
 from cosim.run import run
 from cosim.scene import Scene
 from cosim.scene.parameters import Field, Parameters, Unit
+from cosim.staging import scratch_folder
 from cosim.studies.energy import delivered, device_of
 from cosim.studies.model import circuit_of
 from cosim.studies.passivity import least_damping, needed_damping, share_used, wall
@@ -205,10 +204,10 @@ def _energies(spec: StudyFile, points: Points) -> tuple[Table, Table]:
 def _taken(scene: Scene, every_s: float) -> dict[str, Any]:
     """Run a scene; return what its display took up over time, JSON-ready."""
     with (
-        tempfile.TemporaryDirectory(prefix="cosim-energy-") as folder,
+        scratch_folder("energy") as folder,
         start_early("cosim.loop.simulate") as child,
     ):
-        result = run(resolve(scene), Path(folder) / "run", formats=(), child=child)
+        result = run(resolve(scene), folder / "run", formats=(), child=child)
         signals, t = result.signals, np.asarray(result.signals["time"])
         power = np.asarray(signals["p_mot"])
         taken = -np.concatenate([[0.0], np.cumsum(0.5 * np.diff(t) * (power[1:] + power[:-1]))])

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import time
+import zlib
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed, wait
 from functools import partial
@@ -12,19 +14,25 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Self, TextIO
 
+from cosim.errors import fail
 from cosim.staging import disk_errors
 
 Progress = Callable[[int, int, str], None]
+
+#: How the first line of a file of points begins.
+_HEAD = '{"digest": "'
 
 
 class Points:
     """Finished points by key.
 
+    While it is open the file is locked: a second process that writes to the same place is refused.
+
     Parameters
     ----------
     path
         File of JSON lines, the first of them naming `digest`; one of another digest is begun anew. None keeps
-        nothing.
+        nothing. A line that is damaged is computed again.
     digest
         What the points depend on.
     on_progress
@@ -34,6 +42,11 @@ class Points:
     ----------
     seconds_before
         Seconds spent on the points that were found on disk.
+
+    Raises
+    ------
+    InputError
+        For a file that is not ours, one that another process writes to, and a place that cannot be written.
     """
 
     def __init__(self, path: Path | None, digest: str = "", on_progress: Progress | None = None) -> None:
@@ -41,19 +54,35 @@ class Points:
         self._on_progress = on_progress
         self._done = self._total = 0
         self._stream: TextIO | None = None
+        self._path = path
         self.seconds_before = 0.0
         if path is None:
             return
         with disk_errors(path):
-            lines = _whole_lines(path)
-            if lines and lines[0].get("digest") == digest:
-                for line in lines[1:]:
-                    self._known[line["key"]] = line["value"]
-                    self.seconds_before += line["seconds"]
-            fresh = not self._known
-            self._stream = path.open("w" if fresh else "a", encoding="utf-8")
-            if fresh:
-                self._write({"digest": digest})
+            self._stream = path.open("a+", encoding="utf-8", errors="replace", newline="")
+            try:
+                _lock(self._stream, path)
+                self._restore(self._stream, path, digest)
+            except BaseException:
+                self._stream.close()
+                raise
+
+    def _restore(self, stream: TextIO, path: Path, digest: str) -> None:
+        """Take over the points of the file, and leave in it no line that was cut off or damaged."""
+        stream.seek(0)
+        text = stream.read()
+        if not (text.startswith(_HEAD) or _HEAD.startswith(text)):
+            fail("holds no points of cosim; nothing was changed, choose another folder", file=str(path))
+        head, *lines = text.split("\n")
+        found = [_point(line) for line in lines] if _parsed(head) == {"digest": digest} else []
+        points = [point for point in found if point is not None]
+        self._known = {key: value for key, value, _ in points}
+        self.seconds_before = sum(seconds for _, _, seconds in points)
+        if not points or found != [*points, None]:  # the last line is the empty one behind the last break
+            stream.truncate(0)
+            self._write({"digest": digest})
+            for point in points:
+                self._keep(*point)
 
     def expect(self, more: int) -> None:
         """Announce `more` points, for the display of progress."""
@@ -71,7 +100,7 @@ class Points:
             begun = time.perf_counter()
             value = compute()
             self._known[key] = value
-            self._write({"key": key, "value": value, "seconds": time.perf_counter() - begun})
+            self._keep(key, value, time.perf_counter() - begun)
         return self._known[key]
 
     def map(
@@ -103,24 +132,29 @@ class Points:
                     value, seconds = future.result()
                     self._done += 1
                     self._known[key] = value
-                    self._write({"key": key, "value": value, "seconds": seconds})
+                    self._keep(key, value, seconds)
                     if self._on_progress is not None:
                         self._on_progress(self._done, self._total, key)
             finally:
                 pool.shutdown(wait=False, cancel_futures=True)
         return [self._known[key] for key in arguments]
 
+    def _keep(self, key: str, value: Any, seconds: float) -> None:
+        self._write({"key": key, "value": value, "seconds": seconds, "crc": _crc(key, value, seconds)})
+
     def _write(self, line: dict[str, Any]) -> None:
-        if self._stream is not None:
-            self._stream.write(json.dumps(line, allow_nan=False) + "\n")
-            self._stream.flush()
+        if self._stream is not None and self._path is not None:
+            with disk_errors(self._path):
+                self._stream.write(json.dumps(line, allow_nan=False) + "\n")
+                self._stream.flush()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._stream is not None:
-            self._stream.close()
+        if self._stream is not None and self._path is not None:
+            with disk_errors(self._path):
+                self._stream.close()
 
 
 def _timed(compute: Callable[[Any], Any], argument: Any) -> tuple[Any, float]:
@@ -129,18 +163,32 @@ def _timed(compute: Callable[[Any], Any], argument: Any) -> tuple[Any, float]:
     return compute(argument), time.perf_counter() - begun
 
 
-def _whole_lines(path: Path) -> list[dict[str, Any]]:
-    """Return the lines of the file; one that was cut off by an interruption is taken out of it."""
-    if not path.is_file():
-        return []
-    text = path.read_text(encoding="utf-8")
-    whole = text[: text.rfind("\n") + 1]
-    if whole != text:
-        path.write_text(whole, encoding="utf-8")
-    lines = []
-    for line in whole.splitlines():
-        try:
-            lines.append(json.loads(line))
-        except ValueError:
-            return []
-    return lines
+def _lock(stream: TextIO, path: Path) -> None:
+    """Make sure that no other process writes these points; the lock goes with the stream."""
+    try:
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        fail("another process of cosim writes here; choose another folder or wait for it", file=str(path))
+
+
+def _crc(key: str, value: Any, seconds: float) -> int:
+    """Return the check sum of a point, so that a damaged line is not taken for a result."""
+    return zlib.crc32(json.dumps([key, value, seconds], allow_nan=False).encode())
+
+
+def _parsed(line: str) -> Any:
+    try:
+        return json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+
+
+def _point(line: str) -> tuple[str, Any, float] | None:
+    """Return key, value and seconds of a line; None for one that was cut off or damaged."""
+    match _parsed(line):
+        case {"key": str(key), "value": value, "seconds": int() | float() as seconds, "crc": int(crc)}:
+            try:
+                return (key, value, float(seconds)) if _crc(key, value, seconds) == crc else None
+            except ValueError:
+                return None
+    return None

@@ -8,19 +8,18 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import cosim
 from cosim.catalogue import UNITS
-from cosim.errors import InputError, Problem, SimulationError, nearest
+from cosim.errors import InputError, Problem, SimulationError, StorageError, nearest
 from cosim.ngspice.child import Child
 from cosim.ngspice.lines import number
 from cosim.plan import Plan, resolve
 from cosim.run import run
 from cosim.scene import load_scene
 from cosim.settings import Setting, Variant, split_values, variants
-from cosim.staging import disk_errors
+from cosim.staging import disk_errors, scratch_folder, whole_file
 from cosim.studies.candidates import all_measures
 from cosim.studies.points import Points, Progress
 
@@ -128,11 +127,14 @@ def sweep(
     Raises
     ------
     InputError
-        For a value that the scene or the board does not take; all are checked before the first runs.
+        When no point can be planned, for the reasons of all of them; where only some values do not fit the
+        scene or the board, these points are rows without measures, and `Sweep.failed` has their errors.
+    StorageError
+        When the folder cannot be written.
     """
     check_measures(measures)
     every = variants(settings)
-    plans = [all_measures(_plan(path, overrides, variant, trust)) for variant in every]
+    plans = _plans(path, overrides, every, trust)
     failed: dict[str, str] = {}
     found: list[Mapping[str, Any]] = []
     with disk_errors(folder):
@@ -142,8 +144,12 @@ def sweep(
         for variant, plan in zip(every, plans, strict=True):
             label = " ".join(f"{name}={value}" for name, value in variant.values)
             try:
+                if isinstance(plan, InputError):
+                    raise plan
                 found.append(points.get(label, lambda plan=plan: _measured(plan, child)))  # type: ignore[misc]
-            except SimulationError as error:  # not kept: it is tried again when the sweep is resumed
+            except StorageError:
+                raise
+            except (InputError, SimulationError) as error:  # not kept: a resumed sweep tries it again
                 failed[label] = str(error)
                 found.append({})
     result = Sweep(
@@ -156,13 +162,31 @@ def sweep(
     return result
 
 
+def _plans(
+    path: str | Path, overrides: tuple[str, ...], every: Sequence[Variant], trust: bool
+) -> list[Plan | InputError]:
+    """Plan all points before the first runs; raise when none of them can be planned."""
+    plans: list[Plan | InputError] = []
+    for variant in every:
+        try:
+            plans.append(all_measures(_plan(path, overrides, variant, trust)))
+        except StorageError:
+            raise
+        except InputError as error:
+            plans.append(error)
+    refused = [plan for plan in plans if isinstance(plan, InputError)]
+    if len(refused) == len(plans):
+        raise InputError({str(problem): problem for error in refused for problem in error.problems}.values())
+    return plans
+
+
 def _plan(path: str | Path, overrides: tuple[str, ...], variant: Variant, trust: bool) -> Plan:
     return resolve(load_scene(path, [*overrides, *variant.overrides]), trust=trust)
 
 
 def _measured(plan: Plan, child: Child | None) -> dict[str, float]:
-    with TemporaryDirectory(prefix="cosim-sweep-") as folder:
-        result = run(plan, Path(folder) / "run", formats=(), child=child)
+    with scratch_folder("sweep") as folder:
+        result = run(plan, folder / "run", formats=(), child=child)
         return {name: float(row["value"]) for name, row in result.measures.items()}
 
 
@@ -178,7 +202,7 @@ def _number(value: Any) -> float | None:
 
 
 def _write(result: Sweep, file: Path) -> None:
-    with disk_errors(file), file.open("w", encoding="utf-8", newline="") as stream:
+    with whole_file(file) as temporary, temporary.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow([*result.names, *(_heading(name) for name in result.measures)])
         for number_, values in enumerate(result.values):

@@ -8,8 +8,6 @@ the acceleration of the tip.
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -23,6 +21,7 @@ from cosim.plan import resolve
 from cosim.results import Run
 from cosim.run import run
 from cosim.scene.parameters import Field, Parameters, Unit
+from cosim.staging import scratch_folder
 from cosim.studies.points import Points
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 
@@ -89,8 +88,8 @@ def traced(spec: StudyFile, given: Traced, every_s: float, child: Child | None =
     scene = spec.scene(*given.set)
     if scene.wall is None:
         fail("a trace needs a wall", file=str(spec.scene_file), key="wall")
-    with tempfile.TemporaryDirectory(prefix="cosim-trace-") as folder:
-        result = run(resolve(scene), Path(folder) / "run", formats=(), child=child)
+    with scratch_folder("trace") as folder:
+        result = run(resolve(scene), folder / "run", formats=(), child=child)
         frame = wall_frame(scene, result.signals)
         t = np.asarray(result.signals["time"])
         at = np.arange(0.0, scene.duration_s, every_s)
