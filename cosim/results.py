@@ -30,11 +30,20 @@ import cosim
 from cosim.errors import CosimError, InputError, fail
 from cosim.rawfile import Signals, read_raw
 from cosim.scene import Scene, scene_from_dict
+from cosim.seal import check_files, file_sums, read_sealed, sealed
 from cosim.staging import Staging, disk_errors
 
 RAW, SAMPLES, RECORD, SCENE = "signals.raw", "samples.csv", "run.json", "scene.toml"
+BOARD = "board.json"
 FORMATS = ("parquet", "csv")
-_FORMAT_VERSION = 1
+_FORMAT_VERSION = 2
+#: What a result is checked for when it is loaded; the other forms of the signals are for other tools.
+_SEALED = (RAW, SAMPLES, SCENE, BOARD)
+#: What a record must hold to be a run's.
+_CONTENT = {
+    **dict.fromkeys(("scene", "plan", "measures", "ledger", "stats", "provenance", "files"), dict),
+    "events": list,
+}
 # Rows handled at once when exporting: some megabytes, whatever the length of the run.
 _CHUNK = 1 << 15
 
@@ -115,7 +124,8 @@ class Run:
                 write_csv(folder / "signals.csv", self.signals)
             write_csv(folder / SAMPLES, self.samples)
             (folder / SCENE).write_text(self.scene.to_toml(), encoding="utf-8")
-            (folder / RECORD).write_text(json_text(self._record()) + "\n", encoding="utf-8")
+            plain = json.loads(json_text({**self._record(), "files": file_sums(folder, _SEALED)}))
+            (folder / RECORD).write_text(json_text(sealed(plain)) + "\n", encoding="utf-8")
 
     def _record(self) -> dict[str, Any]:
         return {
@@ -141,14 +151,12 @@ class Run:
             When the folder holds no result, or a damaged one.
         """
         place = Path(folder)
-        try:
-            record = json.loads((place / RECORD).read_text(encoding="utf-8"))
-        except FileNotFoundError:
+        if not (place / RECORD).is_file():
             fail("is not a result folder: it holds no run.json", file=str(place))
-        except (OSError, ValueError) as error:
-            fail(f"cannot be read: {error}", file=str(place / RECORD))
-        if not isinstance(record, dict) or record.get("format") != _FORMAT_VERSION:
-            fail("was written by another version of cosim", file=str(place / RECORD))
+        record = read_sealed(place / RECORD, _FORMAT_VERSION)
+        if any(not isinstance(record.get(name), kind) for name, kind in _CONTENT.items()):
+            fail("is no record of a run", file=str(place / RECORD))
+        check_files(place, record["files"])
         try:
             scene = scene_from_dict(record["scene"])
         except InputError as error:  # written when a scene had other keys
@@ -263,14 +271,26 @@ def write_csv(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
 
 
 def read_csv(path: Path) -> dict[str, NDArray[np.float64]]:
-    """Read columns of numbers written by `write_csv`."""
+    """Read columns of numbers written by `write_csv`.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read, or holds something that is no finite number.
+    """
     try:
         with path.open(encoding="utf-8", newline="") as stream:
-            rows = csv.reader(stream)
-            names = next(rows, [])
-            table = np.array(list(rows), dtype=np.float64).reshape(-1, len(names) or 1)
+            names = next(csv.reader([stream.readline()]), [])
+            table = np.empty((0, len(names)))
+            if stream.tell() < path.stat().st_size:
+                table = np.loadtxt(stream, delimiter=",", comments=None, ndmin=2)
     except (OSError, ValueError) as error:
         fail(f"cannot be read: {error}", file=str(path))
+    if table.shape[1] != len(names) or len(set(names)) < len(names):
+        fail(f"has {len(names)} headings over {table.shape[1]} columns", file=str(path))
+    if not np.isfinite(table).all():
+        row, column = np.argwhere(~np.isfinite(table))[0]
+        fail("is not a finite number", file=str(path), line=int(row) + 2, key=names[column])
     return {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(names)}
 
 

@@ -127,9 +127,9 @@ def run(
                 deck_digest=plan.board.digest,
             ),
         )
-        result.write_into(stage.path, formats)
         with disk_errors(stage.path):
             stored.save(plan.board, stage.path)
+        result.write_into(stage.path, formats)  # last: it seals what is there
         stage.publish()
     return Run.load(target)
 

@@ -14,6 +14,7 @@ FLOORS = {
     "cosim.caution": 0,
     "cosim.assets": 0,
     "cosim.compiled": 0,
+    "cosim.seal": 0,
     "cosim.staging": 0,
     "cosim.scene": 0,
     "cosim.ngspice": 0,

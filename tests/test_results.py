@@ -5,12 +5,14 @@ import math
 import os
 import resource
 import shutil
+import struct
 import subprocess
 import sys
 import tracemalloc
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -21,6 +23,7 @@ from cosim.errors import CosimError, InputError, SimulationError
 from cosim.rawfile import RawWriter, Signals, read_raw
 from cosim.results import FORMATS, Run, json_text, provenance, read_csv, write_csv
 from cosim.scene import load_scene
+from cosim.seal import sealed
 from cosim.staging import Staging
 
 NAMES = ("time", "q1", "imot1", "ksp11", "xboard.xsum1.out")
@@ -246,8 +249,14 @@ def test_damaged_results_are_refused(run: Run, tmp_path: Path) -> None:
     record = (folder / "run.json").read_text()
     for text, words in (
         ("{", "cannot be read"),
-        ("[]", "another version"),
+        ("[]", "is no JSON object"),
+        ("[" * 100_000, "nested too deeply"),
         ('{"format": 99}', "another version"),
+        ('{"format": 1}', "another version"),
+        ('{"format": 2}', "is damaged"),
+        ('{"format": 2, "seal": NaN}', "NaN is not a finite number"),
+        (record.replace("0.0043", "0.0044"), "is damaged"),
+        (json.dumps(sealed({"format": 2, "plan": {}})), "is no record of a run"),
     ):
         (folder / "run.json").write_text(text)
         with pytest.raises(InputError, match=words):
@@ -256,6 +265,65 @@ def test_damaged_results_are_refused(run: Run, tmp_path: Path) -> None:
     (folder / "samples.csv").write_text("time\nx\n")
     with pytest.raises(InputError, match="samples"):
         Run.load(folder)
+
+
+@pytest.mark.parametrize("name", ["signals.raw", "samples.csv", "scene.toml"])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda whole: whole[:-9],
+        lambda whole: whole + b"\n",
+        lambda whole: b"",
+        lambda whole: whole[:-8] + struct.pack("<d", math.nan),
+        lambda whole: whole[:60] + bytes([whole[60] ^ 1]) + whole[61:],
+    ],
+)
+def test_a_result_with_a_damaged_file_is_refused(run: Run, tmp_path: Path, name: str, damage: Any) -> None:
+    folder = run.save(tmp_path / "out")
+    whole = (folder / name).read_bytes()
+    (folder / name).write_bytes(damage(whole))
+    with pytest.raises(InputError, match=rf"{name}: is damaged"):
+        Run.load(folder)
+    (folder / name).unlink()
+    with pytest.raises(InputError, match=rf"{name}: is missing"):
+        Run.load(folder)
+    (folder / name).write_bytes(whole)
+    Run.load(folder)
+
+
+def test_a_result_names_no_files_outside_its_folder(run: Run, tmp_path: Path) -> None:
+    folder = run.save(tmp_path / "out")
+    record = json.loads((folder / "run.json").read_text())
+    del record["seal"]
+    record["files"]["../somewhere.raw"] = "0"
+    (folder / "run.json").write_text(json.dumps(sealed(record)))
+    with pytest.raises(InputError, match="is missing"):
+        Run.load(folder)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("x,y\n1,2\n3\n", "cannot be read"),
+        ("x,y\n1,nan\n", "a.csv:2: y: is not a finite number"),
+        ("x,y\n1,2\n3,-inf\n", "a.csv:3: y: is not a finite number"),
+        ("x,x\n1,2\n", "headings"),
+        ("x\n1,2\n", "headings"),
+        ("x,y\n1,2\n#3,4\n", "cannot be read"),
+        ("x,y\n1,2\n\x00\n", "cannot be read"),
+    ],
+)
+def test_csv_that_is_damaged(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(InputError, match=words):
+        read_csv(tmp_path / "a.csv")
+
+
+def test_csv_keeps_every_bit(tmp_path: Path) -> None:
+    column = np.array([0.1, 1 / 3, 5e-324, 1.7976931348623157e308, -0.0])
+    write_csv(tmp_path / "a.csv", {"x": column, "a,b": column})
+    for back in read_csv(tmp_path / "a.csv").values():
+        assert back.tobytes() == column.tobytes()
 
 
 def test_nan_does_not_get_into_json(run: Run) -> None:

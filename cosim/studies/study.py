@@ -25,6 +25,7 @@ from cosim.results import json_text
 from cosim.scene import Scene, load_scene
 from cosim.scene.parameters import Parameters, read_parameters
 from cosim.scene.source import line_of, read_layer
+from cosim.seal import read_sealed, sealed
 from cosim.staging import Staging, disk_errors
 from cosim.studies.points import Points
 
@@ -32,6 +33,7 @@ __all__ = ["STUDIES", "Parameters", "Study", "StudyFile", "StudyResult", "Table"
            "load_study", "run_study"]  # fmt: skip
 
 RECORD, POINTS = "study.json", "points.jsonl"
+_FORMAT_VERSION = 2
 #: The analyses by name, and the module of each; its `STUDY` says the rest.
 STUDIES = {
     "acceptance": "cosim.studies.acceptance",
@@ -273,7 +275,8 @@ def run_study(
     with Staging(folder, RECORD) as stage, disk_errors(folder):
         for table in result.tables:
             write_table(stage.path / f"{table.name}.csv", table)
-        (stage.path / RECORD).write_text(json_text(asdict(result)) + "\n", encoding="utf-8")
+        plain = json.loads(json_text({"format": _FORMAT_VERSION, **asdict(result)}))
+        (stage.path / RECORD).write_text(json_text(sealed(plain)) + "\n", encoding="utf-8")
         stage.publish()
     kept.unlink(missing_ok=True)
     return result
@@ -292,10 +295,11 @@ def _load(folder: Path) -> StudyResult | None:
     file = folder / RECORD
     if not file.is_file():
         return None
+    data = read_sealed(file, _FORMAT_VERSION)
+    del data["format"]
     try:
-        data = json.loads(file.read_text(encoding="utf-8"))
         tables = tuple(Table(**table) for table in data.pop("tables"))
         verdicts = tuple(Verdict(**verdict) for verdict in data.pop("verdicts"))
         return StudyResult(**{**data, "tables": tables, "verdicts": verdicts, "notes": tuple(data["notes"])})
-    except (OSError, ValueError, TypeError, KeyError) as error:
+    except (TypeError, KeyError) as error:
         fail(f"holds no result of a study ({error}); remove it to compute it again", file=str(file))

@@ -1,0 +1,96 @@
+"""Check sums of what a run or a study leaves behind.
+
+A result that was cut, damaged or edited since it was written is refused, not shown. The sums are no
+signature: whoever writes a result can seal what they like.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, NoReturn
+
+from cosim.errors import fail
+
+__all__ = ["check_files", "file_sums", "read_object", "read_sealed", "sealed"]
+
+_SEAL = "seal"
+
+
+def file_sums(folder: Path, names: Iterable[str]) -> dict[str, str]:
+    """Return the SHA-256 of those of the files that are in `folder`."""
+    return {name: _sum(folder / name) for name in names if (folder / name).is_file()}
+
+
+def check_files(folder: Path, sums: Mapping[str, str]) -> None:
+    """Raise an `InputError` for the first file that is missing or not what `sums` says."""
+    for name, expected in sums.items():
+        file = folder / name
+        if Path(name).name != name or not file.is_file():
+            fail("is missing: the result is not whole", file=str(file))
+        if _sum(file) != expected:
+            fail("is damaged: its content is not what the run has written", file=str(file))
+
+
+def sealed(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a JSON-ready record with the check sum of its content."""
+    return {**record, _SEAL: _content_sum(record)}
+
+
+def read_object(file: Path) -> dict[str, Any]:
+    """Read a JSON object.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read, is no object, or holds a number that is not finite.
+    """
+    try:
+        value = json.loads(file.read_text(encoding="utf-8"), parse_constant=_no_number)
+    except OSError as error:
+        fail(f"cannot be read: {error.strerror or error}", file=str(file))
+    except RecursionError:
+        fail("cannot be read: it is nested too deeply", file=str(file))
+    except ValueError as error:
+        fail(f"cannot be read: {error}", file=str(file))
+    if not isinstance(value, dict):
+        fail("is no JSON object", file=str(file))
+    return value
+
+
+def read_sealed(file: Path, form: int) -> dict[str, Any]:
+    """Read a sealed record of one form; its seal is taken off.
+
+    Raises
+    ------
+    InputError
+        As `read_object`; for a record of another version, and one that was changed since it was written.
+    """
+    record = read_object(file)
+    if record.get("format") != form:
+        fail("was written by another version of cosim: run the scene again", file=str(file))
+    seal = record.pop(_SEAL, None)
+    try:
+        intact = seal == _content_sum(record)
+    except RecursionError:
+        intact = False
+    if not intact:
+        fail("is damaged: its content is not what was written", file=str(file))
+    return record
+
+
+def _sum(file: Path) -> str:
+    try:
+        with file.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        fail(f"cannot be read: {error.strerror or error}", file=str(file))
+
+
+def _content_sum(record: Mapping[str, Any]) -> str:
+    # JSON keeps every digit of a number and the order of keys: what is read back gives the same text
+    return hashlib.sha256(json.dumps(record, allow_nan=False).encode()).hexdigest()
+
+
+def _no_number(text: str) -> NoReturn:
+    raise ValueError(f"{text} is not a finite number")
