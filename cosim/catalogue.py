@@ -1,8 +1,8 @@
 """The catalogue of measures: every figure that a designer may ask for, with unit, words and what it needs.
 
-A scene's `[measures]` and `[tolerance]`, ``--measure`` of every command, tables and pages know a measure by its
-name here. Those that need a run come from `cosim.measures`, the others from `cosim.studies.board_measures`,
-which simulates nothing.
+A scene's `[measures]` and `[tolerance]`, ``--measure`` of every command, tables and pages know a measure by
+its name here. Those that need a run come from `cosim.measures`, the others from
+`cosim.studies.board_measures`, which simulates nothing.
 """
 
 from __future__ import annotations
