@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim import effects
 from cosim.circuits.port import DesignConstants
 from cosim.errors import InputError, Problem
 from cosim.measures import chosen, headroom, standard
@@ -83,7 +82,6 @@ def run(
                 "model": plan.model,
                 "band_hz": scene.solver.band_hz,
                 "tolerance": scene.solver.reduction_tolerance,
-                "offsets": effects.shifts(scene),
                 "scene": scene,
                 "board": plan.board,
                 "recorded": plan.recorded,

@@ -15,7 +15,6 @@ from extraction_boards import extract
 from netlist_decks import NETLISTS, measures, parameters, run_program
 from support import KT, MOTOR_OHM, TORQUE, merge, quick, scene_of, shared_child, slider
 
-from cosim import effects
 from cosim.effects.circuit import CARRIED
 from cosim.errors import InputError
 from cosim.ngspice.deck import Deck, Feature, load_deck
@@ -198,7 +197,7 @@ def test_nominal_temperature_changes_no_line() -> None:
 
 def test_offset_current_is_that_of_the_resistors() -> None:
     """With all pins at zero: the summing amplifier with its noise gain and bias, the driver behind it."""
-    circuit = extract(board("opamp_offset"), "ideal", offsets=True)
+    circuit = extract(board("opamp_offset"), "ideal")
     sums = BLOCKS["r_sum_fb"] * sum(1 / BLOCKS[f"r_sum_{name}"] for name in ("spring", "damper", "cmd"))
     summed = OPAMP["tl072_vos"] * (1 + sums) + OPAMP["tl072_ib"] * BLOCKS["r_sum_fb"]
     gain = BLOCKS["r_drv_fb"] / BLOCKS["r_drv_in"]
@@ -214,7 +213,7 @@ def test_offset_current_is_that_of_the_resistors() -> None:
 
 
 def test_multiplier_offsets_are_found_apart() -> None:
-    circuit = extract(board("vca_offset"), "ideal", offsets=True)
+    circuit = extract(board("vca_offset"), "ideal")
     np.testing.assert_allclose(circuit.x_offset, VCA["ad633_vosin"], rtol=1e-6)
     np.testing.assert_allclose(circuit.y_offset, VCA["ad633_vosin"], rtol=1e-6)
     np.testing.assert_allclose(circuit.gain, 0.1, rtol=1e-6)
@@ -460,10 +459,6 @@ def test_models_agree(tmp_path: Path, on: dict[str, Any], dynamic: bool) -> None
 
 
 def test_offsets_are_asked_for(tmp_path: Path) -> None:
-    on = scene_of(tmp_path, moving(effects={"opamp_offset": True}))
-    off = scene_of(tmp_path, moving())
-    assert effects.shifts(on)
-    assert not effects.shifts(off)
     still = {"start": {"q_rad": [0.05]}}
     run = quick(tmp_path, slider(wall=None, device=still, effects={"opamp_offset": True}))
     assert run.signals["imot1"][0] != 0.0

@@ -217,10 +217,11 @@ def test_current_limit_is_the_clamp_of_the_driver(tmp_path):
     assert free.limit.tolist() == [[-np.inf, np.inf]]
 
 
-def test_offset_is_there_where_asked_for(tmp_path):
-    deck = board(tmp_path, output=SUM + "+0.125")
-    assert extract(deck, offsets=True).offset == pytest.approx([0.125])
-    assert extract(deck).offset.tolist() == [0.0]
+@pytest.mark.parametrize("model", ["ideal", "linear"])
+def test_offset_is_always_there_and_rounding_is_none(tmp_path, model):
+    assert extract(board(tmp_path, output=SUM + "+0.125"), model).offset == pytest.approx([0.125])
+    still = extract(board(tmp_path), model)
+    assert not np.concatenate([still.offset, still.x_offset, still.y_offset]).any()
 
 
 def test_board_without_probes_is_lumped_and_says_so(tmp_path):

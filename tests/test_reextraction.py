@@ -141,7 +141,7 @@ def test_current_limit_and_offset_follow(tmp_path):
         "Bi imot1 0 V=max(-v(k),min(v(k),v(s)))"
     )
     deck = board(tmp_path, output=output, top=".param lim=2")
-    (found,) = again(deck, [{"lim": 1.5}], offsets=True)
+    (found,) = again(deck, [{"lim": 1.5}])
     assert found.limit == pytest.approx(np.array([[-1.5, 1.5]]))
     assert found.offset == pytest.approx([0.125])
 

@@ -25,7 +25,7 @@ from cosim.circuits.linear import LinearCircuit
 __all__ = ["Asked", "folder", "load", "load_arrays", "store", "store_arrays"]
 
 #: To be raised with every change of the algorithm that changes a model.
-VERSION = 3
+VERSION = 4
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Asked:
     ----------
     text
         The flat deck.
-    model, band_hz, tolerance, offsets
+    model, band_hz, tolerance
         As `extract` takes them.
     """
 
@@ -44,12 +44,11 @@ class Asked:
     model: str
     band_hz: float
     tolerance: float
-    offsets: bool = False
 
     @property
     def digest(self) -> str:
         """SHA-256 of everything."""
-        rest = f"{VERSION} {self.model} {self.band_hz!r} {self.tolerance!r} {self.offsets}\n"
+        rest = f"{VERSION} {self.model} {self.band_hz!r} {self.tolerance!r}\n"
         return hashlib.sha256((rest + self.text).encode()).hexdigest()
 
 

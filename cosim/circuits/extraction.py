@@ -40,7 +40,7 @@ def extract(payload: dict[str, Any], report: Report) -> LinearCircuit:
     payload
         'board': Deck; 'model': 'ideal' or 'linear'; 'band_hz': band in which the reduced model must be good
         [Hz]; 'tolerance': its largest error there, relative to the maximum of each path (0: unreduced);
-        'offsets': whether the currents at zero input are wanted (no); 'cache': whether to use it (yes)
+        'cache': whether to use it (yes)
     report
         called with the stage that was reached, and with a note where a cached file was of no use
 
@@ -55,7 +55,6 @@ def extract(payload: dict[str, Any], report: Report) -> LinearCircuit:
         payload["model"],
         float(payload.get("band_hz", 0.0)),
         float(payload.get("tolerance", 0.0)),
-        bool(payload.get("offsets", False)),
     )
     kept = payload.get("cache", True)
     if kept:
@@ -129,7 +128,7 @@ def _finished(
         _check_control(control, str(session.board.path))
     limit = current_limits(session)
     circuit = replace(circuit, limit=limit, certificate=promise | certificate.statics(paths, control, limit))
-    return with_offsets(session, circuit) if asked.offsets else circuit
+    return with_offsets(session, circuit)
 
 
 def with_offsets(session: Session, circuit: LinearCircuit) -> LinearCircuit:

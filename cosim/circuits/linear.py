@@ -55,13 +55,13 @@ class LinearCircuit:
     a_post, b_post, c_post, d_post
         [Nq, Nq], [Nq, m + 2 n], [n, Nq], [n, m + 2 n]; inputs are w [V], cmd [V], vel [V]; outputs A.
     offset
-        [n] A at zero input, without what passes the multipliers; zero unless asked for.
+        [n] A at zero input, without what passes the multipliers.
     limit
         [n, 2] A, lowest and highest current of each motor.
     certificate
         What the model promises, ready for JSON.
     x_offset, y_offset
-        [m] V, of each multiplier's inputs, with all that stands before them; zero unless asked for.
+        [m] V, of each multiplier's inputs, with all that stands before them.
     """
 
     joints: int
@@ -130,7 +130,7 @@ class LinearCircuit:
         """
         m = len(self.gain)
         after = self.after(s)
-        through = after[:, :, :m] @ ((self.gain * control_v)[:, None] * self.before(s))
+        through = after[:, :, :m] @ ((self.gain * (control_v + self.y_offset))[:, None] * self.before(s))
         return np.concatenate([through, after[:, :, m:]], axis=2)
 
     def arrays(self) -> dict[str, Array]:

@@ -51,8 +51,6 @@ class Reextraction:
         The flat deck.
     band_hz, tolerance
         Band and largest error of the reduced model, as `extract` takes them; 0: unreduced.
-    offset
-        Whether the currents at zero input are wanted.
 
     Attributes
     ----------
@@ -65,9 +63,9 @@ class Reextraction:
         For a board that has no `linear` model.
     """
 
-    def __init__(self, board: Deck, band_hz: float, tolerance: float, offset: bool = False) -> None:
+    def __init__(self, board: Deck, band_hz: float, tolerance: float) -> None:
         self._board = board
-        self._asked = Asked(board.text, "linear", float(band_hz), float(tolerance), offset)
+        self._asked = Asked(board.text, "linear", float(band_hz), float(tolerance))
         self._handles: dict[str, Handle] = {}
         self._renew()
         paths = self._session.measure(SWEEP)
@@ -129,12 +127,11 @@ class Reextraction:
             self._learn(whole)
             return circuit
         self._batches = found.batches
+        session.hold(dict.fromkeys(session.channels, 0.0))
         limit = self.circuit.limit
-        if np.isfinite(limit).any() or asked.offsets:
-            session.hold(dict.fromkeys(session.channels, 0.0))
-            limit = current_limits(session) if np.isfinite(limit).any() else limit
+        limit = current_limits(session) if np.isfinite(limit).any() else limit
         circuit = linear(paths, found.pre, found.post, limit, certificate=self._certificate(found))
-        return with_offsets(session, circuit) if asked.offsets else circuit
+        return with_offsets(session, circuit)
 
     def _renew(self) -> None:
         """Load the board as it is."""
@@ -221,7 +218,7 @@ def circuits(
     Parameters
     ----------
     payload
-        'board': Deck; 'band_hz', 'tolerance', 'offsets' (no) as `extract` takes them; 'sets': mappings of
+        'board': Deck; 'band_hz', 'tolerance' as `extract` takes them; 'sets': mappings of
         names to values
     report
         called with 'done', how many sets are through
@@ -236,9 +233,7 @@ def circuits(
     InputError
         When the board as it is has no `linear` model.
     """
-    board = Reextraction(
-        payload["board"], payload["band_hz"], payload["tolerance"], bool(payload.get("offsets", False))
-    )
+    board = Reextraction(payload["board"], payload["band_hz"], payload["tolerance"])
     found: list[LinearCircuit | InputError | SimulationError] = []
     for values in payload["sets"]:
         try:

@@ -17,6 +17,8 @@ Complex = NDArray[np.complex128]
 #: Command voltages go this many times the converters' range: far enough for any driver that clamps.
 _BEYOND = 5.0
 _STEPS = 40
+#: Offsets below this are rounding: volts relative to full scale, and amperes of a motor.
+_ROUNDING, _ROUNDING_A = 1e-12, 1e-12
 #: Slope relative to that at rest, below which the current no longer rises.
 _FLAT = 0.01
 #: Control voltages at which the gain is compared with its value at full scale.
@@ -87,6 +89,18 @@ def offsets(session: Session) -> Offsets:
     gives k x. Without probes x is what the current of the channel's own motor does at full scale, and y is
     not told apart from a direct path.
     """
+    found = _offsets(session)
+    tiny = _ROUNDING * session.v_fs
+    floors = (("current", _ROUNDING_A), ("x", tiny if session.multipliers else _ROUNDING_A), ("y", tiny))
+    kept = {}
+    for name, least in floors:
+        value: Array = getattr(found, name)
+        kept[name] = np.where(np.abs(value) > least, value, 0.0)
+    return Offsets(**kept)
+
+
+def _offsets(session: Session) -> Offsets:
+    """Measure them, rounding included."""
     n, full = session.joints, session.v_fs
     motors = [int(pin[3]) - 1 for pin in session.channels]
     outputs = [f"imot{i + 1}" for i in range(n)]
@@ -108,7 +122,8 @@ def offsets(session: Session) -> Offsets:
     held = np.real(_through(session, once)[0])
     session.hold(dict.fromkeys(session.channels, 0.0))
     each = (held - zero) / full
-    x, y = by_y / each, zero / each
+    alive = each != 0.0  # a channel that reaches no motor has no offset to speak of
+    x, y = (np.divide(part, each, out=np.zeros(len(each)), where=alive) for part in (by_y, zero))
     through = np.zeros(n)
     np.add.at(through, motors, each * x * y)
     return Offsets(rest - through, x, y)

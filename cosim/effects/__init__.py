@@ -20,7 +20,7 @@ from cosim.ngspice.deck import NOMINAL_C, Feature
 from cosim.scene import CircuitModelName, Differentiator, Scene
 
 __all__ = ["EFFECTS", "Cost", "Effect", "Size", "check", "circuit_model", "features", "in_force",
-           "left_out", "levels", "shifts", "temperature_c", "without_dynamics"]  # fmt: skip
+           "left_out", "levels", "temperature_c", "without_dynamics"]  # fmt: skip
 
 #: Every effect, in the order in which a plan lists them.
 EFFECTS: tuple[Effect, ...] = (*CIRCUIT, *NOISE, *SENSING, *COMPUTER, *LINKAGE)
@@ -167,8 +167,3 @@ def features(scene: Scene) -> tuple[Feature, ...]:
 def temperature_c(scene: Scene) -> float:
     """Return the temperature of the board [C]."""
     return scene.device.temperature_c if scene.effects.temperature else NOMINAL_C
-
-
-def shifts(scene: Scene) -> bool:
-    """Whether the circuit's operating point at rest is not zero: offsets are in force."""
-    return scene.effects.opamp_offset or scene.effects.vca_offset

@@ -208,9 +208,7 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     circuit: LinearCircuit | None = payload.get("circuit")
     if circuit is None:
         asked: dict[str, Any] = {
-            key: payload[key]
-            for key in ("board", "model", "band_hz", "tolerance", "offsets")
-            if key in payload
+            key: payload[key] for key in ("board", "model", "band_hz", "tolerance") if key in payload
         }
         circuit = extract(asked, report)
     component = component_grid(scene, board, report)

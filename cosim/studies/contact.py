@@ -185,7 +185,8 @@ def rests(
     law = law_point(scene, constants, linkage, q)
     before, after = circuit.before(0.0)[0].real, circuit.after(0.0)[0].real
     m = len(circuit.gain)
-    products = circuit.gain * law.volts[n : n + m] * (before @ np.concatenate([q, law.volts[:n]]))
+    inner = before @ np.concatenate([q, law.volts[:n]]) + circuit.x_offset
+    products = circuit.gain * (law.volts[n : n + m] + circuit.y_offset) * inner
     current = after @ np.concatenate([products, law.volts[n + m :], np.zeros(n)]) + circuit.offset
     motors = constants.torque_per_amp * current
     outer = linkage.jacobian(q).T @ external_force(scene, linkage, q, t)

@@ -115,7 +115,7 @@ def linearise(
     inner = np.zeros(m)
     if preload:
         _, _, current = rests(scene, constants, circuit, linkage, q, at)
-        inner = circuit.before(0.0)[0].real @ np.concatenate([q, law.volts[:n]])
+        inner = circuit.before(0.0)[0].real @ np.concatenate([q, law.volts[:n]]) + circuit.x_offset
     a, b, e, c, d, feed = _electric(circuit, constants.gear, law.volts[n : n + m], inner)
     per_amp = constants.torque_per_amp
     jac = linkage.jacobian(q)
@@ -167,7 +167,7 @@ def _electric(
     x, x_inputs = circuit.d_pre @ pins, circuit.d_pre @ pin_inputs
     x[:, z] += circuit.c_pre
     x[:, n : 2 * n] += circuit.e_pre
-    held = (circuit.gain * gains_v)[:, None]
+    held = (circuit.gain * (gains_v + circuit.y_offset))[:, None]
     behind, behind_inputs = np.zeros((m + 2 * n, size)), np.zeros((m + 2 * n, channels + n))
     behind[:m], behind_inputs[:m] = held * x, held * x_inputs
     behind_inputs[:m, n : n + m] += np.diag(circuit.gain * inner)
