@@ -6,8 +6,10 @@ the multipliers, from where it passes through them at whatever gains the compute
 where the noise of all that comes behind (multipliers' outputs, summer, driver, motor) is referred to, so that
 it passes summer, driver and current limit like a command.
 
-At the ticks, 1/(2 bandwidth) apart, the noise has the measured density up to the bandwidth. Between them it
-is linear: far below the bandwidth power densities are kept, at the bandwidth they fall to (2/pi)^4 = 0.16.
+Ticks stand 1/(2 bandwidth) apart, and between them the noise is linear. A line from tick to tick takes
+(2 + cos(2 pi f dt))/3 of the power that the ticks have at f, images beyond the bandwidth included; the ticks
+are drawn as much stronger. So the noise has all the power that was measured up to the bandwidth: its density
+is kept to 1.5 % up to half of that, falls to one half at the bandwidth, and what is missing stands above it.
 """
 
 from __future__ import annotations
@@ -110,12 +112,13 @@ def realise(noise: ComponentNoise, seed: int, duration_s: float, bandwidth_hz: f
     table = references(noise)
     hz = np.fft.rfftfreq(size, dt)
     known = np.clip(hz, noise.hz[0], noise.hz[-1])
+    drawn = np.sqrt(bandwidth_hz * 3.0 / (2.0 + np.cos(2.0 * np.pi * hz * dt)))
     spectrum = np.zeros((len(hz), table.shape[2]), complex)
     at = np.log(noise.hz)
     for d, device in enumerate(noise.devices):
         white = stream(seed, f"component/{device}", 0).standard_normal(size)
         # a white series of unit variance has the one-sided density 1/bandwidth
-        shape = CubicSpline(at, table[:, d], axis=0)(np.log(known)) * np.sqrt(bandwidth_hz)
+        shape = CubicSpline(at, table[:, d], axis=0)(np.log(known)) * drawn[:, None]
         spectrum += shape * np.fft.rfft(white)[:, None]
     values = np.fft.irfft(spectrum, size, axis=0)[:ticks]
     group = np.zeros(len(noise.gain), np.int64)
