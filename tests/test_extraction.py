@@ -179,7 +179,7 @@ def test_damper_without_a_limit_is_refused(tmp_path):
 def test_bent_control_is_refused_by_linear(tmp_path):
     bent = "xs x c ws mul\nBc c 0 V=v(ksp11)*(1-0.004*v(ksp11))\nxd y ksd11 wd mul"
     deck = board(tmp_path, multipliers=bent)
-    with pytest.raises(InputError, match=r"ksp11.*proportionality.*use `spice`"):
+    with pytest.raises(InputError, match=r"ksp11.*proportionality.*`spice`"):
         extract(deck)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from extraction_boards import extract, shipped
 from test_extraction import STATED, differences
 
-from cosim.errors import InputError
+from cosim.circuits.fit import GOOD
 from cosim.ngspice.deck import PartSwap
 
 #: Boltzmann's voltage at 27 degC, ngspice's own temperature [V].
@@ -59,32 +59,22 @@ def made_board(folder, seed):
     )
 
 
-#: How many of them a rational fit must serve; the others must be refused in words, never shipped.
-MODELS, SERVED = 24, 20
-
-
-def extracted_or_refused(deck):
-    """Return the model, or nothing where it is refused for the right reason.
-
-    Thirty poles of three op-amps within three decades can be too close together for a fit in doubles.
-    """
-    try:
-        return extract(deck)
-    except InputError as reason:
-        if "no `linear` model of the paths" in str(reason) and "use `spice`" in str(reason):
-            return None
-        raise
+#: How many, and how many of them must be fitted to rounding: thirty poles of three op-amps in three decades
+#: can be too close together for doubles.
+MODELS, EXACT = 24, 20
+#: Between the points and through both sides of the multipliers, a fit may be worse than at its own points.
+BETWEEN = 10.0
 
 
 def test_random_macro_models(tmp_path):
-    served = 0
+    exact = 0
     for seed in range(MODELS):
         deck = made_board(tmp_path, seed)
-        circuit = extracted_or_refused(deck)
-        if circuit is None:
-            continue
-        served += 1
+        circuit = extract(deck)
+        stated = circuit.certificate["fit_error"]
+        exact += stated <= GOOD
+        assert (stated > GOOD) == ("note" in circuit.certificate), seed
         assert circuit.order >= 8, seed  # three op-amps' poles besides the capacitors and the motor
         assert (circuit.poles.real < 0.0).all(), seed
-        assert differences(deck, circuit, np.array([10.0, 10.0])).max() < STATED, seed
-    assert served >= SERVED
+        assert differences(deck, circuit, np.array([10.0, 10.0])).max() < max(STATED, BETWEEN * stated), seed
+    assert exact >= EXACT

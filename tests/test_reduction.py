@@ -5,6 +5,7 @@ import pytest
 from extraction_boards import in_child, random_board
 
 from cosim.circuits.blocks import derivatives
+from cosim.circuits.certificate import cautions
 from cosim.circuits.fit import FitError, Modes, fit
 from cosim.circuits.linear import rational
 from cosim.circuits.reduce import error_bound, path_scale, reduce
@@ -83,6 +84,31 @@ def test_pure_differentiator_has_no_state_space():
 def test_delay_line_is_not_rational():
     with pytest.raises(FitError, match="order"):
         fit(SWEEP, np.exp(-SWEEP * 1e-5)[:, None, None])
+
+
+@pytest.mark.parametrize(("share", "served"), [(1e-8, True), (1e-5, True), (1e-4, True), (1e-2, False)])
+def test_a_fit_that_leaves_little_serves_and_tells_it(share, served):
+    # a delay line of a share of the whole is what no pole fits: less than twice that share is left
+    pole = sum_of_poles(SWEEP, [-1e3 + 0j], [np.ones((1, 1))], np.zeros((1, 1)))
+    h = pole / np.abs(pole).max() + share * np.exp(-SWEEP * 1e-5)[:, None, None]
+    if served:
+        assert 1e-2 * share < fit(SWEEP, h).worst < 2 * share
+        assert fit(SWEEP, h).poles.real.max() < 0
+    else:
+        with pytest.raises(FitError, match="leaves an error"):
+            fit(SWEEP, h)
+
+
+def test_cautions_tell_a_fit_worse_than_the_tolerance():
+    for error, tolerance, told in (
+        (5e-9, 1e-6, False),
+        (4.5e-6, 1e-6, True),
+        (4.5e-6, 1e-3, False),
+        (1e-16, 0, False),
+    ):
+        found = cautions({"fit_error": error, "tolerance": tolerance})
+        assert bool(found) == told
+        assert all(f"{error:.1e}" in caution.text for caution in found)
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from cosim.circuits.fit import FitError, Modes, fit
+from cosim.circuits.fit import WORST, FitError, Modes, fit
 from cosim.circuits.reduce import Bound, error_bound, path_scale, reduce
 from cosim.errors import InputError, Problem
 
@@ -106,8 +106,8 @@ def derivatives(modes: Modes, count: int) -> Array:
     return out
 
 
-def fit_block(s: Complex, h: Complex, where: str, file: str) -> Block:
-    """Fit the paths [F, outputs, inputs] of a block, each part alone.
+def fit_block(s: Complex, h: Complex, where: str, file: str, worst: float = WORST) -> Block:
+    """Fit the paths [F, outputs, inputs] of a block, each part alone, to an error of at most `worst`.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def fit_block(s: Complex, h: Complex, where: str, file: str) -> Block:
         here = np.where(linked[np.ix_(rows, columns)], h[:, list(rows)][:, :, list(columns)], 0.0)
         same = next((k for k, other in enumerate(measured) if _equal(here, other)), None)
         try:
-            parts.append(fit(s, here) if same is None else parts[same])
+            parts.append(fit(s, here, worst) if same is None else parts[same])
         except FitError as reason:
             raise InputError(_problem(reason, where, file)) from reason
         measured.append(here)
@@ -155,7 +155,9 @@ def _groups(linked: NDArray[np.bool_]) -> tuple[tuple[tuple[int, ...], tuple[int
 
 def _problem(reason: FitError, where: str, file: str) -> Problem:
     if reason.poles is None:
-        return Problem(f"no `linear` model of the paths {where}: {reason}; use `spice`", file=file)
+        return Problem(
+            f"no `linear` model of the paths {where}: {reason}; a run can take the model `spice`", file=file
+        )
     worst = reason.poles[np.argmax(reason.poles.real)]
     shown = f"{worst.real:.4g}" + (f" +- {worst.imag:.4g}j" if worst.imag else "")
     return Problem(

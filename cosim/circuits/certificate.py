@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.caution import Caution
 from cosim.circuits.blocks import Block, derivatives
+from cosim.circuits.fit import GOOD
 from cosim.circuits.linear import LinearCircuit, channel_names
 from cosim.circuits.measure import Paths
 from cosim.circuits.reduce import Bound
 from cosim.circuits.statics import ControlPath
 
-__all__ = ["WORST_NONLINEARITY", "delays", "footnote", "linear_certificate", "statics"]
+__all__ = ["WORST_NONLINEARITY", "cautions", "delays", "footnote", "linear_certificate", "statics"]
 
 Array = NDArray[np.float64]
 
@@ -63,9 +66,13 @@ def footnote(
     }
 
 
-def linear_certificate(circuit: LinearCircuit, full: int, bounds: tuple[Bound, Bound] | None, band_hz: float,
-                       tolerance: float, paths: Paths) -> dict[str, Any]:  # fmt: skip
-    """State order, poles and errors of a `linear` model; `full` is the order before reduction."""
+def linear_certificate(circuit: LinearCircuit, full: int, bounds: tuple[Bound, Bound] | None,
+                       fit_error: float, band_hz: float, tolerance: float, paths: Paths
+                       ) -> dict[str, Any]:  # fmt: skip
+    """State order, poles and errors of a `linear` model; `full` is the order before reduction.
+
+    `fit_error` is what the fit leaves of any path at any frequency of the sweep, inside the band or not.
+    """
     found: dict[str, Any] = {
         "model": "linear",
         "order": circuit.order,
@@ -74,20 +81,42 @@ def linear_certificate(circuit: LinearCircuit, full: int, bounds: tuple[Bound, B
             ([float(p.real), float(p.imag)] for p in circuit.poles), key=lambda p: -p[0]
         ),
         "reduced": bounds is not None,
+        "fit_error": fit_error,
     }
+    if fit_error > GOOD:
+        found["note"] = (
+            f"no rational function of reasonable order follows the board exactly: order {full} leaves "
+            f"{fit_error:.1e} of the path's maximum"
+        )
     if bounds is not None:
         first, second = (bound.worst for bound in bounds)
+        total = first + second * (1.0 + first) + 2.0 * fit_error  # of what stands before and after
         found |= {
             "band_hz": band_hz,
             "tolerance": tolerance,
             "error_before": first,
             "error_after": second,
-            "error": first + second * (1.0 + first),
+            "error": total,
             "measured_error": _measured(circuit, paths, band_hz),
             "sentence": f"up to {band_hz:.6g} Hz the model of order {circuit.order} differs from the circuit "
-            f"(order {full}) by at most {_percent(first + second * (1.0 + first))} of the path's maximum",
+            f"(order {full}) by at most {_percent(total)} of the path's maximum",
         }
     return found
+
+
+def cautions(told: Mapping[str, Any]) -> list[Caution]:
+    """Return what a certificate gives reason to doubt: a fit that leaves more than the scene's tolerance."""
+    error, tolerance = float(told.get("fit_error", 0.0)), float(told.get("tolerance", 0.0))
+    if not error > max(tolerance, GOOD):
+        return []
+    return [
+        Caution(
+            "rough-fit",
+            f"the linear model differs from the board by up to {error:.1e} of a path's maximum, over the "
+            f"tolerance of {max(tolerance, GOOD):.1e}",
+            "raise solver.reduction_tolerance to say that this is enough, or run the model spice beside it",
+        )
+    ]
 
 
 def _measured(circuit: LinearCircuit, paths: Paths, band_hz: float) -> float:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cosim.circuits import cache, certificate
 from cosim.circuits.blocks import ROUNDING, Block, fit_block
-from cosim.circuits.fit import Modes
+from cosim.circuits.fit import WORST, Modes
 from cosim.circuits.ideal import DC_SWEEP, ideal
 from cosim.circuits.linear import LinearCircuit, channel_names
 from cosim.circuits.measure import Paths, Session
@@ -98,7 +98,7 @@ def _ideal(session: Session, asked: cache.Asked, file: str) -> LinearCircuit:
 
 def _linear(session: Session, asked: cache.Asked, file: str, paths: Paths) -> LinearCircuit:
     rate, proper = without_rates(paths)
-    pre, post = networks(proper, file)
+    pre, post = networks(proper, file, max(WORST, asked.tolerance))
     full = replace(linear(paths, pre.joined(), post.joined()), e_pre=rate)
     circuit, bounds = full, None
     promise: dict[str, Any] = {}
@@ -111,10 +111,10 @@ def _linear(session: Session, asked: cache.Asked, file: str, paths: Paths) -> Li
             (small, before), (rest, after) = pre.reduced(omega, half), post.reduced(omega, half)
             circuit, bounds = linear(paths, small.joined(), rest.joined()), (before, after)
             circuit = replace(circuit, e_pre=rate)
+    fit_error = max((part.worst for part in (*pre.parts, *post.parts)), default=0.0)
     promise |= certificate.linear_certificate(
-        circuit, full.order, bounds, asked.band_hz, asked.tolerance, paths
+        circuit, full.order, bounds, fit_error, asked.band_hz, asked.tolerance, paths
     )
-    promise["fit_error"] = float(max(part.error.max(initial=0.0) for part in (*pre.parts, *post.parts)))
     promise["delay_s"] = certificate.delays(pre, post)
     return _finished(session, asked, circuit, paths, promise)
 
@@ -152,7 +152,7 @@ def _check_control(control: ControlPath, file: str) -> None:
         Problem(
             f"no `linear` model: the gain is off proportionality to its control voltage by "
             f"{100.0 * off:.3g} % of full scale, more than {100.0 * certificate.WORST_NONLINEARITY:g} %; "
-            "use `spice`",
+            "a run can take the model `spice`",
             file=file,
             key=pin,
         )
@@ -163,8 +163,8 @@ def _check_control(control: ControlPath, file: str) -> None:
         raise InputError(problems)
 
 
-def networks(paths: Paths, file: str) -> tuple[Block, Block]:
-    """Fit what stands before and after the multipliers.
+def networks(paths: Paths, file: str, worst: float = WORST) -> tuple[Block, Block]:
+    """Fit what stands before and after the multipliers, each to an error of at most `worst`.
 
     Raises
     ------
@@ -172,8 +172,8 @@ def networks(paths: Paths, file: str) -> tuple[Block, Block]:
         For an unstable board, or one whose responses no rational function fits.
     """
     return (
-        fit_block(paths.s, paths.x, "before the multipliers", file),
-        fit_block(paths.s, paths.post, "after the multipliers", file),
+        fit_block(paths.s, paths.x, "before the multipliers", file, worst),
+        fit_block(paths.s, paths.post, "after the multipliers", file, worst),
     )
 
 

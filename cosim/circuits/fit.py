@@ -17,13 +17,16 @@ from numpy.typing import NDArray
 from cosim.circuits.aaa import poles_of
 from cosim.circuits.linear import rational
 
-__all__ = ["FitError", "Modes", "fit"]
+__all__ = ["GOOD", "WORST", "FitError", "Modes", "fit"]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: A fit worse than this is none: 1e-9 is promised, also between the points.
-_GOOD = 3e-10
+#: A fit as good as this leaves nothing to be said: 1e-9 is promised, also between the points.
+GOOD = 3e-10
+#: A fit worse than this is none. What lies between serves, with its error told: the parts are known to a
+#: percent.
+WORST = 1e-3
 #: A pole in the right half plane is believed when the fit with it is at least as good as this.
 _CERTAIN = 1e-5
 #: ... and lies below so many times the fastest point.
@@ -83,9 +86,16 @@ class Modes:
     blocks: tuple[int, ...]
     error: Array
 
+    @property
+    def worst(self) -> float:
+        """Largest error of any path."""
+        return float(self.error.max(initial=0.0))
 
-def fit(s: Complex, h: Complex) -> Modes:
+
+def fit(s: Complex, h: Complex, worst: float = WORST) -> Modes:
     """Fit responses with one set of poles.
+
+    Of the two ways to find poles (see `poles_of`) the second is gone where the first leaves more than `GOOD`.
 
     Parameters
     ----------
@@ -93,19 +103,30 @@ def fit(s: Complex, h: Complex) -> Modes:
         [F], points jw with w > 0 [rad/s].
     h
         [F, outputs, inputs].
+    worst
+        Largest error that is accepted, relative to each path's maximum.
 
     Raises
     ------
     FitError
         When no rational function fits, or when one fits that has a pole in the right half plane.
     """
-    failures: list[FitError] = []
+    unstable: FitError | None = None
+    found: list[Modes] = []
     for reweighted in (True, False):
         try:
-            return _fit(s, h, reweighted)
+            found.append(_fit(s, h, reweighted))
         except FitError as reason:
-            failures.append(reason)
-    raise next((reason for reason in failures if reason.poles is not None), failures[0])
+            unstable = reason
+            continue
+        if found[-1].worst <= GOOD:
+            return found[-1]
+    if unstable is not None:
+        raise unstable
+    best = min(found, key=lambda modes: modes.worst)
+    if not best.worst <= worst:
+        raise FitError(f"order {len(best.a)} leaves an error of {best.worst:.1e} of the path's maximum")
+    return best
 
 
 def _fit(s: Complex, h: Complex, reweighted: bool) -> Modes:
@@ -123,14 +144,12 @@ def _fit(s: Complex, h: Complex, reweighted: bool) -> Modes:
     found: list[Modes] = []
     for rank in _RANK:
         found.append(_polished(s, h / scale, _realise(chains, weights, peaks, scale, rank), scale))
-        if found[-1].error.max(initial=0.0) <= _EXCELLENT:
+        if found[-1].worst <= _EXCELLENT:
             break
-    good = [modes for modes in found if modes.error.max(initial=0.0) <= _GOOD]
+    good = [modes for modes in found if modes.worst <= GOOD]
     if not good:
-        last = found[-1]
-        worst = float(last.error.max())
-        raise FitError(f"order {len(last.a)} leaves an error of {worst:.1e} of the path's maximum")
-    return min(good, key=lambda modes: (len(modes.a), float(modes.error.max(initial=0.0))))
+        return min(found, key=lambda modes: modes.worst)
+    return min(good, key=lambda modes: (len(modes.a), modes.worst))
 
 
 def _polished(s: Complex, f: Complex, modes: Modes, scale: Array) -> Modes:
@@ -162,14 +181,14 @@ def _needed(s: Complex, f: Complex, reweighted: bool) -> Complex:
     """Return the poles that the paths need, one of each conjugate pair."""
     if f.shape[1] == 0:
         return np.empty(0, complex)
-    every = poles_of(s, f, _GOOD, reweighted)
+    every = poles_of(s, f, GOOD, reweighted)
     # so far beyond the fastest point it cannot be told on which side of the axis a pole lies
     every = every[(every.real < 0.0) | (np.abs(every) < _SURE * np.abs(s).max())]
     poles = every[every.real < 0.0]
     misfit = _misfit(s, f, poles)
-    if len(poles) < len(every) and misfit > _GOOD and _misfit(s, f, every) < min(1e-2 * misfit, _CERTAIN):
+    if len(poles) < len(every) and misfit > GOOD and _misfit(s, f, every) < min(1e-2 * misfit, _CERTAIN):
         share = _shares(s, f, every)
-        wrong = (every.real >= 0.0) & (share > _GOOD)
+        wrong = (every.real >= 0.0) & (share > GOOD)
         raise FitError("a pole lies in the right half plane", every[wrong])
     poles, misfit = _relocated(s, f, poles)
     limit = max(_SPURIOUS, 3.0 * misfit)
