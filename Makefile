@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 OUT ?= out/demo
 
-.PHONY: demo test slow bench paper gallery lint setup clean
+.PHONY: demo test slow fuzz bench paper gallery lint setup clean
 
 demo: setup
 	$(BIN)/cosim run scenes/slope.toml --out $(OUT)
@@ -15,6 +15,12 @@ test: setup
 
 slow: setup
 	$(BIN)/python -m pytest -q -m slow
+
+# Half an hour and more: 20,000 inputs, 500 commands, 50 kills, and the netlist loader by coverage where atheris is.
+SEED ?= 1
+fuzz: setup
+	$(BIN)/python -m tests.fuzz --seed $(SEED)
+	! $(BIN)/python -c "import atheris" 2>/dev/null || $(BIN)/python -m tests.fuzz.coverage -runs=5000 -seed=$(SEED)
 
 bench: setup
 	$(BIN)/python -m benchmarks
