@@ -13,6 +13,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.text import Text
+from matplotlib.ticker import FixedFormatter, FuncFormatter
 from numpy.typing import NDArray
 
 from reports.decimate import keep_peaks
@@ -88,6 +90,28 @@ class Drawn:
 
     figure: Figure
     caption: str
+
+    def __post_init__(self) -> None:
+        _take_literally(self.figure)
+
+
+def _take_literally(figure: Figure) -> None:
+    """Draw every ``$`` as it is: labels hold names of the user's, which are no formulas.
+
+    Only what matplotlib itself writes at the ticks of a scale is left a formula.
+    """
+    ticks: set[int] = set()
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            for formatter, marks in (
+                (axis.get_major_formatter(), axis.get_major_ticks()),
+                (axis.get_minor_formatter(), axis.get_minor_ticks()),
+            ):
+                if not isinstance(formatter, FixedFormatter | FuncFormatter):
+                    ticks |= {id(label) for mark in marks for label in (mark.label1, mark.label2)}
+    for text in figure.findobj(Text):
+        if isinstance(text, Text) and id(text) not in ticks:
+            text.set_parse_math(False)
 
 
 @contextmanager

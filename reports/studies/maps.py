@@ -24,7 +24,7 @@ _LINES: Mapping[str, tuple[str, Any, float]] = {
     "Diolaiti, sigma = 1/2 [N/m]": (JOINTS[4], "-.", 1.4),
     "Diolaiti, large cycle [N/m]": (JOINTS[4], ":", 1.8),
 }
-_GREEK = {"beta": r"$\beta$", "sigma": r"$\sigma$"}
+_GREEK = {"beta": "β", "sigma": "σ"}
 
 
 def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:

@@ -82,7 +82,7 @@ def _quasi(table: Table, shown: Collection[str]) -> Drawn:
             ".", color=JOINTS[number], markersize=2.5, label=name,
         )  # fmt: skip
     axes[0, 0].set_xlabel("acceleration of the tip along the normal [m/s²]")
-    axes[0, 0].set_ylabel("force at the hand less $J^{-T}\\tau$ [N]")
+    axes[0, 0].set_ylabel("force at the hand less J⁻ᵀτ [N]")
     legend(axes[0, 0], columns=3)
     return Drawn(
         drawing, "In motion the hand feels the arm's inertia besides: the error of the quasi-static force."
