@@ -24,7 +24,7 @@ _LINES: Mapping[str, tuple[str, Any, float]] = {
     "Diolaiti, sigma = 1/2 [N/m]": (JOINTS[4], "-.", 1.4),
     "Diolaiti, large cycle [N/m]": (JOINTS[4], ":", 1.8),
 }
-_GREEK = {"beta": "β", "sigma": "σ"}
+_GREEK = {"beta": "\N{GREEK SMALL LETTER BETA}", "sigma": "\N{GREEK SMALL LETTER SIGMA}"}
 
 
 def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
