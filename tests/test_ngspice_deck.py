@@ -6,6 +6,7 @@ import pytest
 
 from cosim.errors import InputError
 from cosim.ngspice.deck import Deck, PartSwap, board_pins, load_deck
+from cosim.ngspice.dialect import Dialect
 from cosim.ngspice.lines import number, read_lines, tokens
 
 DATA = Path(__file__).parent / "data" / "ngspice"
@@ -295,7 +296,7 @@ def test_comments_and_continuations(tmp_path: Path) -> None:
     assert [line.text for line in lines] == ["r1 a b 1k tol=1", "b1 n$1 0 v='a;b'", "r2 a,"]
     assert lines[0].comment == "tail more"
     assert [line.lineno for line in lines] == [1, 5, 6]
-    assert read_lines(file, pspice=True)[-1].text == "r2 a,$ c"
+    assert read_lines(file, Dialect.PSPICE)[-1].text == "r2 a,$ c"
 
 
 def test_tokens_and_numbers() -> None:

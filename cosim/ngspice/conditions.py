@@ -4,13 +4,11 @@ import re
 from collections.abc import Mapping
 
 from cosim.errors import fail
+from cosim.ngspice.expression import evaluate, is_well_formed
 from cosim.ngspice.lines import Line, number, tokens
 from cosim.ngspice.netlist import Block, Netlist
 
 __all__ = ["flags", "mentions", "settle"]
-
-_CONDITION = re.compile(r"[a-z_]\w*|[\d.]+|\|\||&&|[!()]", re.IGNORECASE)
-_OPERATORS = {"||": " or ", "&&": " and ", "!": " not "}
 
 
 def flags(net: Netlist) -> dict[str, float]:
@@ -93,20 +91,8 @@ def _settled(body: list[Line], known: Mapping[str, float]) -> list[Line]:
 
 def _holds(line: Line, known: Mapping[str, float]) -> bool | None:
     """Return the truth of a condition, ``None`` where it holds more than plain parameters."""
-    text = line.text.split(None, 1)[1] if len(line.text.split(None, 1)) > 1 else ""
-    words = _CONDITION.findall(text)
-    if not words or re.sub(r"\s", "", text) != "".join(words):
-        return None
-    python = []
-    for word in words:
-        if word in _OPERATORS or word in "()":
-            python.append(_OPERATORS.get(word, word))
-        else:
-            value = known.get(word.lower(), number(word))
-            if value is None:
-                return None
-            python.append(str(bool(value)))
-    try:
-        return bool(eval("".join(python), {"__builtins__": {}}))
-    except SyntaxError:
+    text = line.text.partition(" ")[2].strip()
+    if not text or not is_well_formed(text):
         fail("is not a condition", file=line.file, line=line.lineno, value=line.text)
+    value = evaluate(text, known)
+    return None if value is None else bool(value)

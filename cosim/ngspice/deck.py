@@ -12,11 +12,15 @@ from pathlib import Path
 
 from cosim.errors import InputError, Problem, fail, nearest
 from cosim.ngspice import conditions
+from cosim.ngspice.dialect import Dialect
 from cosim.ngspice.flatten import Reader
-from cosim.ngspice.lines import Line, assignments, read_lines, tokens
+from cosim.ngspice.inventory import Amplifier, amplifiers, global_nodes, reactances
+from cosim.ngspice.lines import Line, tokens
+from cosim.ngspice.needed import check_size, judged, judged_bench, judged_block
 from cosim.ngspice.netlist import Block, Netlist, parse
+from cosim.ngspice.notes import notes
 from cosim.ngspice.overrides import apply_overrides, set_param
-from cosim.ngspice.parts import Feature, Part, PartSwap, Shelf
+from cosim.ngspice.parts import Feature, Part, PartSwap, Shelf, described
 from cosim.ngspice.unfed import unfed_nodes
 
 __all__ = ["NOMINAL_C", "Amplifier", "Deck", "Feature", "PartSwap", "board_pins", "load_deck"]
@@ -24,35 +28,9 @@ __all__ = ["NOMINAL_C", "Amplifier", "Deck", "Feature", "PartSwap", "board_pins"
 _JOINT_PINS = ("pot{j}", "vel{j}", "u{j}", "cmd{j}", "imot{j}")
 _PAIR_PINS = ("ksp{i}{j}", "ksd{i}{j}")
 MOST_JOINTS = 6
-#: What is done about initial conditions, which need not agree with the circuit.
-_CONSISTENT = ": a run starts from the circuit's operating point"
 #: Temperature at which parts have their nominal values, ngspice's own [C].
 NOMINAL_C = 27.0
 _NUMBERED_PIN = re.compile(r"(pot|vel|cmd|imot)\d+|ks[pd]\d\d")
-
-
-@dataclass(frozen=True)
-class Amplifier:
-    """An amplifier inside the board, for headroom figures.
-
-    Attributes
-    ----------
-    path
-        Instance path, for example ``xboard.xsum1.xop``.
-    part, role
-        Name and role of the part.
-    out_node
-        Name that ngspice gives its output node; a pin of the board has the net's name, taken to be the pin's.
-    swing_param
-        Name of the deck's parameter (readable as ``const.<name>`` if it is a ``.csparam``) with the output
-        limit [V], or ``None`` if the part states none.
-    """
-
-    path: str
-    part: str
-    role: str | None
-    out_node: str
-    swing_param: str | None
 
 
 @dataclass(frozen=True)
@@ -153,21 +131,29 @@ def load_deck(
     path = Path(path)
     reader = Reader(Path(root) if root is not None else path.parent, trust)
     shelf = Shelf(path.parent, reader, dict(levels or {}), _lower(parts or {}))
-    net = parse(_without_title(path, reader.read(path)))
-    board = _board(path, net)
-    _complete(net, board, shelf)
+    net = parse(_without_title(reader.rows(path), reader.read(path)))
+    refused = judged(net.top, trust) + judged_bench(net.bench, trust)
+    try:
+        board = _board(path, net)
+    except InputError:
+        if refused:  # what could not be read may be what is missing
+            raise InputError(refused) from None
+        raise
+    _complete(net, board, shelf, refused)
+    check_size(net.blocks, board)
     apply_overrides(net, board, overrides or {})
     said = _switch(net, shelf, features)
     warm = _heat(net, temperature_c)
     conditions.settle(net)
     joints = _joints(board)
     blocks = _reachable(net, board)
-    unfed = unfed_nodes(net.blocks, board, set(_globals(net)))
+    unfed = unfed_nodes(net.blocks, board, set(global_nodes(net)))
     if unfed:
         raise InputError(unfed)
     lines = [Line(f"{board.name}: {joints} joint{'s' if joints > 1 else ''}")]
-    if shelf.pspice:
-        lines.append(Line("*@ ngbehavior=psa"))
+    behaviour = Dialect.behaviour(shelf.dialects)
+    if behaviour is not None:
+        lines.append(Line(f"*@ ngbehavior={behaviour}"))
     lines += net.top + warm
     for block in blocks:
         lines += block.lines
@@ -176,11 +162,11 @@ def load_deck(
         board.name,
         board.pins,
         joints,
-        tuple(_amplifiers(net, board, shelf)),
+        tuple(amplifiers(net, board, shelf)),
         tuple(shelf.used[name] for name in sorted(shelf.used) if name in net.blocks),
-        (*_notes(net, blocks), *said),
+        (*notes(net, blocks), *said),
         path,
-        _reactances(net, board),
+        reactances(net, board),
     )
 
 
@@ -230,9 +216,9 @@ def _lower(parts: Mapping[str, PartSwap | str]) -> dict[str, PartSwap | str]:
     return {key.lower(): value.lower() if isinstance(value, str) else value for key, value in parts.items()}
 
 
-def _without_title(path: Path, lines: list[Line]) -> list[Line]:
+def _without_title(rows: list[Line], lines: list[Line]) -> list[Line]:
     """Drop the first line if it can only be a title; one that starts with a dot or star is read."""
-    first = read_lines(path)[:1]
+    first = rows[:1]
     if first and lines and lines[0] == first[0] and first[0].lineno == 1 and first[0].text[0] not in ".*":
         return lines[1:]
     return lines
@@ -292,12 +278,21 @@ def _check_pins(board: Block) -> None:
         raise InputError(problems)
 
 
-def _complete(net: Netlist, board: Block, shelf: Shelf) -> None:
-    """Swap parts, and add every part that is instantiated but not defined."""
-    problems: list[Problem] = []
+def _complete(net: Netlist, board: Block, shelf: Shelf, refused: list[Problem]) -> None:
+    """Swap parts, add every part that is instantiated but not defined, and judge what is needed.
+
+    `refused` are the problems that were found outside subcircuits; all are told at once.
+    """
+    problems = list(refused)
     wanted, seen = [board.name], {board.name}
+    top, bench = len(net.top), len(net.bench)
     while wanted:
         block = net.blocks[wanted.pop(0)]
+        wrong = judged_block(block, shelf.reader.trust)
+        if wrong:
+            problems += wrong
+            continue
+        _take_as_part(block, shelf)
         for instance in block.references():
             swapped = None if block.is_part else shelf.swapped(instance)
             name = instance.block
@@ -337,8 +332,19 @@ def _complete(net: Netlist, board: Block, shelf: Shelf) -> None:
             if name not in seen:
                 seen.add(name)
                 wanted.append(name)
+    problems += judged(net.top[top:], shelf.reader.trust) + judged_bench(
+        net.bench[bench:], shelf.reader.trust
+    )
     if problems:
         raise InputError(problems)
+
+
+def _take_as_part(block: Block, shelf: Shelf) -> None:
+    """Let a subcircuit that the board includes itself be the part that a ``*@`` line before it describes."""
+    part = described(block.name, block.about, block.header.file) if block.about else None
+    if part is not None and part.role is not None and not block.is_part:
+        block.is_part = True
+        shelf.used.setdefault(block.name, part)
 
 
 def _reachable(net: Netlist, board: Block) -> list[Block]:
@@ -353,76 +359,3 @@ def _reachable(net: Netlist, board: Block) -> list[Block]:
 
     visit(board)
     return list(found.values())
-
-
-def _amplifiers(net: Netlist, board: Block, shelf: Shelf) -> list[Amplifier]:
-    """Walk the instances and list the amplifiers with the names ngspice gives their outputs."""
-    found: list[Amplifier] = []
-
-    def walk(block: Block, path: str, nets: dict[str, str]) -> None:
-        for instance in block.instances():
-            if instance.block not in net.blocks:
-                continue  # defined inside a vendor's model
-            child = net.blocks[instance.block]
-            names = [
-                nets.get(node, "0" if node in ("0", "gnd") else f"{path}.{node}") for node in instance.nodes
-            ]
-            inner = dict(zip(child.pins, names, strict=True))
-            here = f"{path}.{instance.name}"
-            part = shelf.used.get(child.origin)
-            if part is not None and part.out is not None:
-                if part.out not in inner:
-                    fail(f"part {part.name} has no pin {part.out}", file=child.header.file, key="out")
-                found.append(Amplifier(here, part.name, part.role, inner[part.out], part.swing))
-            elif part is None:
-                walk(child, here, inner)
-
-    walk(board, "xboard", {pin: pin for pin in board.pins} | _globals(net))
-    return found
-
-
-def _reactances(net: Netlist, block: Block) -> int:
-    """Count the capacitors and inductors of a subcircuit and of all it instantiates."""
-    own = sum(line.keyword[0] in "cl" for line in block.body)
-    inside = (net.blocks[each.block] for each in block.instances() if each.block in net.blocks)
-    return own + sum(_reactances(net, child) for child in inside)
-
-
-def _globals(net: Netlist) -> dict[str, str]:
-    words = [tokens(line.text)[1:] for line in net.top if line.keyword == ".global"]
-    return {name.lower(): name.lower() for row in words for name in row}
-
-
-def _notes(net: Netlist, blocks: list[Block]) -> list[str]:
-    """Say what was ignored, once per file and kind, and which nodes look misspelt."""
-    counts: dict[tuple[str, str], int] = {}
-    for line in net.dropped:
-        if line.keyword not in (".end", ".title"):
-            key = (line.file, line.keyword)
-            counts[key] = counts.get(key, 0) + 1
-    notes = [
-        f"{file}: ignored {count} {word} line{'s' if count > 1 else ''}"
-        + (_CONSISTENT if word == ".ic" else "")
-        for (file, word), count in counts.items()
-    ]
-    notes += [
-        f"{line.file}: {tokens(line.text)[0]} in {block.name}: ic = {stated} is not used{_CONSISTENT}"
-        for block in blocks
-        for line in block.body
-        if (stated := assignments(tokens(line.text)).get("ic")) is not None
-    ]
-    outside: dict[str, list[str]] = {}
-    for line in net.bench:
-        outside.setdefault(line.file, []).append(tokens(line.text)[0])
-    notes += [
-        f"{file}: ignored elements outside the board's subcircuit: {', '.join(names[:8])}"
-        + (f" and {len(names) - 8} more" if len(names) > 8 else "")
-        for file, names in outside.items()
-    ]
-    notes += [
-        f"{block.header.file}: in {block.name} only one terminal touches node {node}"
-        for block in blocks
-        if not block.is_part
-        for node in block.loose_nodes()
-    ]
-    return notes

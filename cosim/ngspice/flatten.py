@@ -1,20 +1,27 @@
 """From files that include files to one list of lines."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from cosim.errors import InputError, Problem, nearest
-from cosim.ngspice.form import malformed
+from cosim.errors import fail, nearest
+from cosim.ngspice.dialect import Dialect
 from cosim.ngspice.lines import Line, read_lines
-from cosim.ngspice.safety import refusal
+from cosim.ngspice.values import as_meant
 
 __all__ = ["Reader", "sections"]
+
+MOST_LINES = 200_000
+"""Statements that a board may be made of, included files counted as often as they are included."""
+MOST_FILES = 1_000
+"""Includes that are followed for one board."""
+MOST_NESTED = 40
+"""Depth of files that include files."""
 
 
 @dataclass(frozen=True)
 class Reader:
-    """Reads netlists, inlines ``.include`` and ``.lib``, and refuses what is not safe.
+    """Reads netlists and inlines ``.include`` and ``.lib``; what cannot be inlined stays, with its fault.
 
     Attributes
     ----------
@@ -22,13 +29,14 @@ class Reader:
         Folder that includes may not leave.
     trust
         Whether to allow everything.
-    pspice
-        Whether the files are in PSpice's dialect.
+    dialect
+        Dialect of the files.
     """
 
     root: Path
     trust: bool = False
-    pspice: bool = False
+    dialect: Dialect = Dialect.NGSPICE
+    _read: dict[Path, list[Line]] = field(default_factory=dict, repr=False, compare=False)
 
     def read(self, path: Path, section: str | None = None) -> list[Line]:
         """Return the lines of `path`, or of one ``.lib`` section of it, with all that they include.
@@ -36,110 +44,126 @@ class Reader:
         Raises
         ------
         InputError
-            Telling all refused lines, missing files and sections at once.
+            For a file that cannot be read or lacks the section, and beyond `MOST_LINES` and `MOST_FILES`.
         """
-        problems: list[Problem] = []
-        lines = list(self._walk(path, section, (), problems, None))
-        if problems:
-            raise InputError(problems)
-        return lines
+        rows = self.rows(path)
+        if section is not None and section not in self.sections(path):
+            named = self.sections(path)
+            near = nearest(section, named)
+            fail(f"no section '{section}'" + (f", nearest is '{near}'" if near else ""), file=str(path),
+                 allowed=", ".join(named) or "the file has no .lib sections")  # fmt: skip
+        found: list[Line] = []
+        files = 0
+        for line in self._walk(path, rows, section, ()):
+            if line.text:
+                found.append(line)
+            else:
+                files += 1
+            if len(found) > MOST_LINES or files > MOST_FILES:
+                fail(f"includes grow to more than {MOST_LINES} lines or {MOST_FILES} files", file=str(path))
+        return found
+
+    def rows(self, path: Path) -> list[Line]:
+        """Return the lines of one file, its values as its dialect means them."""
+        place = path.resolve()
+        if place not in self._read:
+            rows = read_lines(path, self.dialect)
+            functions = {line.text.split(None, 1)[-1].partition("(")[0].strip().lower()
+                         for line in rows if line.keyword == ".func"}  # fmt: skip
+            self._read[place] = [as_meant(line, self.dialect, functions) for line in rows]
+        return self._read[place]
+
+    def sections(self, path: Path) -> list[str]:
+        """Return the names of a file's ``.lib`` sections in lower case."""
+        return sections(self.rows(path), self.dialect)
 
     def _walk(
         self,
         path: Path,
+        rows: list[Line],
         section: str | None,
         stack: tuple[tuple[Path, str | None], ...],
-        problems: list[Problem],
-        origin: Line | None,
     ) -> Iterator[Line]:
         place = (path.resolve(), section)
-        if place in stack:
-            problems.append(_at(origin, "includes itself"))
-            return
-        rows = read_lines(path, pspice=self.pspice)
-        if section is not None and section not in sections(rows):
-            named = sections(rows)
-            near = nearest(section, named)
-            problems.append(
-                Problem(
-                    f"no section '{section}'" + (f", nearest is '{near}'" if near else ""),
-                    file=str(path),
-                    line=origin.lineno if origin and origin.file == str(path) else None,
-                    allowed=", ".join(named) or "the file has no .lib sections",
-                )
-            )
-            return
+        includes = self.dialect.lib_includes and not any(line.keyword == ".endl" for line in rows)
         inside: str | None = None
+        opened: Line | None = None
         for line in rows:
+            word = line.keyword
+            if word not in (".include", ".inc", ".lib", ".endl"):
+                if inside == section:
+                    yield line
+                continue
             words = line.text.split(None, 1)
             arguments = _arguments(words[1]) if len(words) > 1 else []
-            if line.keyword == ".lib" and len(arguments) == 1:
-                inside = arguments[0].lower()
-                continue
-            if line.keyword == ".endl":
-                inside = None
-                continue
-            if inside != section:
-                continue
-            refused = None if self.trust else refusal(line) or malformed(line)
-            if refused is not None:
-                problems.append(refused)
-            elif line.keyword in (".include", ".inc", ".lib"):
-                target = self._target(path, line, arguments, problems)
-                if target is not None:
-                    inner = arguments[1].lower() if line.keyword == ".lib" else None
-                    yield from self._walk(target, inner, (*stack, place), problems, line)
-            else:
-                yield line
+            if word == ".endl":
+                inside, opened = None, None
+            elif word == ".lib" and len(arguments) == 1 and not includes:
+                inside, opened = arguments[0].lower(), line
+            elif inside == section:
+                inner = arguments[1].lower() if word == ".lib" and len(arguments) > 1 else None
+                yield replace(
+                    line, text=""
+                )  # counts, so that includes of nothing but includes come to an end
+                yield from self._included(path, line, arguments[:1], inner, (*stack, place))
+        if opened is not None:
+            name = _arguments(opened.text.split(None, 1)[1])[0]
+            fault = (
+                f"opens a section '{name}' that no .endl closes; to include a file write .include {name} "
+                "(the dialects pspice and ltspice include by .lib)"
+            )
+            yield replace(opened, fault=fault)
 
-    def _target(self, path: Path, line: Line, arguments: list[str], problems: list[Problem]) -> Path | None:
-        """Return the file that an include names, relative to the file that states it."""
-        if not arguments:
-            problems.append(_at(line, "names no file"))
-            return None
-        target = Path(arguments[0])
-        target = target if target.is_absolute() else path.parent / target
-        if not self.trust and not target.resolve().is_relative_to(self.root.resolve()):
-            problems.append(_at(line, f"include leaves the project's folder {self.root} (--trust allows it)"))
-            return None
-        if not target.is_file():
+    def _included(
+        self,
+        path: Path,
+        line: Line,
+        names: list[str],
+        section: str | None,
+        stack: tuple[tuple[Path, str | None], ...],
+    ) -> Iterator[Line]:
+        """Yield what an include stands for, or the line with the reason why it cannot be followed."""
+        fault = line.fault or ("" if names else "names no file")
+        target = path.parent / names[0] if names else path  # an absolute name stands for itself
+        if not fault and not self.trust and not target.resolve().is_relative_to(self.root.resolve()):
+            fault = f"include leaves the project's folder {self.root} (--trust allows it)"
+        elif not fault and not target.is_file():
             there = [entry.name for entry in target.parent.iterdir()] if target.parent.is_dir() else []
             near = nearest(target.name, there)
-            problems.append(
-                _at(line, f"there is no file {target}" + (f"; nearest is {near}" if near else ""))
-            )
-            return None
-        return target
+            fault = f"there is no file {target}" + (f"; nearest is {near}" if near else "")
+        elif (target.resolve(), section) in stack:
+            fault = "includes itself"
+        elif len(stack) > MOST_NESTED:
+            fault = f"files include files more than {MOST_NESTED} deep"
+        if not fault:
+            rows = self.rows(target)
+            if section is None or section in self.sections(target):
+                yield from self._walk(target, rows, section, stack)
+                return
+            near = nearest(section, self.sections(target))
+            fault = f"{target} has no section '{section}'" + (f", nearest is '{near}'" if near else "")
+        yield replace(line, fault=fault)
 
 
-def sections(rows: list[Line]) -> list[str]:
+def sections(rows: list[Line], dialect: Dialect = Dialect.NGSPICE) -> list[str]:
     """Return the names of the ``.lib`` sections that `rows` define, in lower case."""
-    found = []
-    for line in rows:
-        if line.keyword == ".lib":
-            arguments = _arguments(line.text.split(None, 1)[1]) if len(line.text.split()) > 1 else []
-            if len(arguments) == 1:
-                found.append(arguments[0].lower())
-    return found
+    if dialect.lib_includes and not any(line.keyword == ".endl" for line in rows):
+        return []
+    found = (_arguments(line.text.partition(" ")[2]) for line in rows if line.keyword == ".lib")
+    return [arguments[0].lower() for arguments in found if len(arguments) == 1]
 
 
 def _arguments(text: str) -> list[str]:
     """Split the arguments of an include; a name with blanks stands in quotes."""
     found: list[str] = []
     rest = text.strip()
-    while rest:
-        if rest[0] in "\"'" and rest.find(rest[0], 1) > 0:
-            end = rest.find(rest[0], 1)
+    while rest and len(found) < 3:
+        end = rest.find(rest[0], 1) if rest[0] in "\"'" else -1
+        if end > 0:
             found.append(rest[1:end])
             rest = rest[end + 1 :].strip()
         else:
-            word, _, rest = rest.partition(" ")
-            found.append(word)
-            rest = rest.strip()
+            words = rest.split(None, 1)
+            found.append(words[0])
+            rest = words[1] if len(words) > 1 else ""
     return found
-
-
-def _at(line: Line | None, message: str) -> Problem:
-    if line is None:
-        return Problem(message)
-    return Problem(message, file=line.file, line=line.lineno, value=line.text)

@@ -1,22 +1,35 @@
 """Netlist text as logical lines that remember where they come from."""
 
 import re
+import stat
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cosim.errors import fail
+from cosim.ngspice.dialect import Dialect
 
-__all__ = ["Line", "assignments", "join", "number", "read_lines", "tokens"]
+__all__ = ["Line", "assignments", "join", "number", "read_lines", "strange_character", "tokens"]
+
+MOST_BYTES = 8 << 20
+"""Size of a file that is read as a netlist; the largest public library that was met has 3 MB."""
 
 _SCALE = {
     "t": 1e12, "g": 1e9, "meg": 1e6, "k": 1e3, "mil": 25.4e-6, "m": 1e-3,
-    "u": 1e-6, "µ": 1e-6, "n": 1e-9, "p": 1e-12, "f": 1e-15, "a": 1e-18,
+    "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9, "p": 1e-12, "f": 1e-15, "a": 1e-18,
 }  # fmt: skip
 _NUMBER = re.compile(
-    r"([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)(meg|mil|[tgkmuµnpfa])?[a-zµΩ%]*", re.IGNORECASE
+    r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[ed][-+]?\d+)?)(meg|mil|[tgkmuµμnpfa])?(?:[^\W\d_]|[%°Ω])*", re.IGNORECASE
 )
-_CONTROL_CHARACTER = re.compile("[\x00-\x08\x0b-\x1f\x7f\x85\u2028\u2029]")
-_EQUALS = re.compile(r"(?<![=<>!])\s*=\s*(?!=)")
+# Some of them end a line for one reader and not for another, some are seen by none but the computer.
+_STRANGE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u2064\ufeff]")
+_BLANKS = re.compile(r"\s+")
+_MERE_BLANKS = re.compile("[ \t\u00a0\u2000-\u200a\u202f\u205f\u3000]+")
+_EQUALS = re.compile(r"(?<![=<>!]) ?= ?(?!=)")
+_GROUPED = re.compile(r"[\"'{}()\[\]]")
+_COMMENT = re.compile(r"\"[^\"]*\"|'[^']*'|;|//|\$|[^\"';/$]+|.")
+_END = re.compile(r"(\.(?:ends|eom))(?![\w\s])", re.IGNORECASE)
+_QUOTING = frozenset({".include", ".inc", ".lib"})
 
 
 @dataclass(frozen=True)
@@ -33,99 +46,150 @@ class Line:
         Number of its first physical line, from 1; 0 for a line of our own.
     comment
         Text of its end-of-line comments, for example ``tol=1% ; Ohm, matched pair``.
+    fault
+        Why the statement cannot be used, told only if it is needed.
+    note
+        What was read otherwise than it stands there, in words.
     """
 
     text: str
     file: str = ""
     lineno: int = 0
     comment: str = ""
+    fault: str = ""
+    note: str = ""
 
     @property
     def keyword(self) -> str:
         """First word in lower case."""
-        return self.text.split(None, 1)[0].lower() if self.text.strip() else ""
+        return _first(self.text)
 
     def rewritten(self, text: str) -> "Line":
         """Return the line with another text and the same origin."""
         return replace(self, text=text)
 
 
-def read_lines(path: Path, *, pspice: bool = False) -> list[Line]:
+def read_lines(path: Path, dialect: Dialect = Dialect.NGSPICE) -> list[Line]:
     """Read a netlist into logical lines; comments go, machine-readable ``*@`` comments stay.
+
+    No statement ends the reading: what is wrong with it is told where it is needed.
 
     Parameters
     ----------
     path
-        File to read, UTF-8 or Latin-1.
-    pspice
-        Whether ``$`` is a letter like any other (PSpice) and not the start of a comment.
+        File to read: UTF-8, UTF-16, or the Western code page of Windows, with any line ends.
+    dialect
+        Dialect of the file.
 
     Raises
     ------
     InputError
-        If the file cannot be read or starts with a continuation line.
+        If the file cannot be read, is not a regular file, or is larger than `MOST_BYTES`.
     """
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        fail(f"cannot read the netlist: {error.strerror or error}", file=str(path))
-    try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = raw.decode("latin-1")
-    text = text.replace("\r\n", "\n").replace("\r", "\n")
-    if _CONTROL_CHARACTER.search(text):  # some end a line for one reader and not for another
-        fail("is not a netlist: it holds control characters", file=str(path))
     lines: list[Line] = []
-    in_control = False
-    for lineno, row in enumerate(text.split("\n"), 1):
-        row = row.strip()
-        if row.lower().startswith(".control"):
-            in_control = True
-        if in_control:  # commands have a syntax of their own
-            in_control = not row.lower().startswith(".endc")
-            if row:
-                lines.append(Line(row, str(path), lineno))
-            continue
-        if row.startswith("*") and not row.startswith("*@"):
-            continue
-        statement, comment = (row, "") if row.startswith("*@") else _split_comment(row, pspice)
-        if statement.startswith("+"):
-            if not lines:
-                fail("a continuation line without a line before it", file=str(path), line=lineno, value=row)
-            last = lines[-1]
-            lines[-1] = replace(
-                last,
-                text=f"{last.text} {statement[1:].strip()}".rstrip(),
-                comment=f"{last.comment} {comment}".strip(),
-            )
-        elif statement:
-            lines.append(Line(statement, str(path), lineno, comment))
+    for lineno, statements, comments in _statements(_text(path), dialect):
+        text = " ".join(statements)
+        if _first(text) not in _QUOTING:  # a file's name may hold two blanks in a row
+            text = _MERE_BLANKS.sub(" ", text)
+        lines.append(Line(text, str(path), lineno, " ".join(comments)))
     return lines
 
 
-def _split_comment(row: str, pspice: bool) -> tuple[str, str]:
+def strange_character(text: str) -> str | None:
+    """Say which character of a statement ends a line for some readers or is not seen, or ``None``."""
+    found = _STRANGE.search(text)
+    return f"holds control characters or invisible ones: U+{ord(found[0]):04X}" if found else None
+
+
+def _text(path: Path) -> str:
+    """Return a file's text with line feeds only, without the DOS end-of-file mark."""
+    try:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode) and not stat.S_ISDIR(status.st_mode):
+            fail("cannot read the netlist: it is not a regular file", file=str(path))
+        if status.st_size > MOST_BYTES:
+            fail("cannot read the netlist: it is too large", file=str(path), value=status.st_size,
+                 unit="bytes", allowed=f"<= {MOST_BYTES}")  # fmt: skip
+        raw = path.read_bytes()
+    except OSError as error:
+        fail(f"cannot read the netlist: {error.strerror or error}", file=str(path))
+    text = raw.decode(_encoding(raw), "replace").removeprefix("\ufeff")
+    body = text.rstrip("\x1a\0 \t\r\n")
+    text = body + text[len(body) :].partition("\x1a")[0]
+    if "\0" in text:
+        fail("is not a netlist: it holds control characters", file=str(path))
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _encoding(raw: bytes) -> str:
+    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    for first, name in ((1, "utf-16-le"), (0, "utf-16-be")):
+        # of Western text every second byte is zero then
+        if raw[first:4096:2].count(0) > 0.9 * len(raw[first:4096:2]) > 0:
+            return name
+    for name in ("utf-8", "cp1252"):
+        try:
+            raw.decode(name)
+        except UnicodeDecodeError:
+            continue
+        return name
+    return "latin-1"
+
+
+def _statements(text: str, dialect: Dialect) -> Iterator[tuple[int, list[str], list[str]]]:
+    """Yield the number of the first row, the rows and the comments of each statement."""
+    number, statement, comments = 0, list[str](), list[str]()
+    in_control = False
+    for lineno, row in enumerate(text.split("\n"), 1):
+        row = row.strip()
+        lower = row[:9].lower()
+        if not row or (row[0] == "*" and not row.startswith("*@") and not in_control):
+            continue
+        in_control = in_control or lower.startswith(".control")
+        if in_control or row[0] == "*":  # commands have a syntax of their own
+            in_control = in_control and not lower.startswith(".endc")
+            rest, comment = row, ""
+        else:
+            rest, comment = _split_comment(row, dialect)
+            rest = _END.sub(r"\1 ", rest, count=1) if rest[:1] == "." else rest
+        if rest.startswith("+") and statement:
+            statement.append(rest[1:].strip())
+        elif rest:
+            if statement:
+                yield number, statement, comments
+            number, statement, comments = lineno, [rest], []
+        if comment:
+            comments.append(comment)
+    if statement:
+        yield number, statement, comments
+
+
+def _split_comment(row: str, dialect: Dialect) -> tuple[str, str]:
     """Split at the first ``;``, ``//`` or (preceded by a blank or comma) ``$``, as ngspice does."""
-    quote = ""
-    for i, c in enumerate(row):
-        if quote:
-            quote = "" if c == quote else quote
-        elif c in "\"'" and row.count(c, i) > 1:
-            quote = c
-        elif (
-            c == ";"
-            or row.startswith("//", i)
-            or (c == "$" and not pspice and (i == 0 or row[i - 1] in " \t,"))
+    if ";" not in row and "$" not in row and "//" not in row:
+        return row, ""
+    for match in _COMMENT.finditer(row):
+        at, sign = match.start(), match[0]
+        if sign in (";", "//") or (
+            sign == "$" and not dialect.dollar_is_letter and (at == 0 or row[at - 1] in " \t,")
         ):
-            return row[:i].strip(), row[i:].lstrip(";$/ \t").strip()
+            return row[:at].strip(), row[at:].lstrip(";$/ \t").strip()
     return row, ""
+
+
+def _first(text: str) -> str:
+    return text.split(None, 1)[0].lower() if text.strip() else ""
 
 
 def tokens(text: str) -> list[str]:
     """Split a statement at blanks outside braces, parentheses and quotes; ``a = b`` is one token."""
+    text = _EQUALS.sub("=", _BLANKS.sub(" ", text))
+    if _GROUPED.search(text) is None:
+        return text.split()
     found: list[str] = []
-    depth, quote, current = 0, "", ""
-    for c in _EQUALS.sub("=", text):
+    depth, quote, start = 0, "", 0
+    for i, c in enumerate(text):
         if quote:
             quote = "" if c == quote else quote
         elif c in "\"'":
@@ -134,13 +198,10 @@ def tokens(text: str) -> list[str]:
             depth += 1
         elif c in "})]":
             depth = max(depth - 1, 0)
-        elif c.isspace() and depth == 0:
-            if current:
-                found.append(current)
-            current = ""
-            continue
-        current += c
-    return [*found, current] if current else found
+        elif c == " " and depth == 0:
+            found.append(text[start:i])
+            start = i + 1
+    return [word for word in (*found, text[start:]) if word]
 
 
 def join(words: list[str]) -> str:
@@ -162,4 +223,4 @@ def number(text: str) -> float | None:
     match = _NUMBER.fullmatch(text.strip())
     if match is None:
         return None
-    return float(match[1]) * _SCALE.get((match[2] or "").lower(), 1.0)
+    return float(match[1].lower().replace("d", "e")) * _SCALE.get((match[2] or "").lower(), 1.0)

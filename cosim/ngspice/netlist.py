@@ -8,11 +8,16 @@ from cosim.errors import InputError, Problem, fail
 from cosim.ngspice.lines import Line, assignments, join, tokens
 from cosim.ngspice.safety import DROPPED
 
-__all__ = ["Block", "Instance", "Netlist", "parse"]
+__all__ = ["Block", "Instance", "Netlist", "doubled", "parse"]
 
+MOST_NESTED = 40
+"""Depth of subcircuits that are defined inside each other."""
 
 _TERMINALS = {"r": 2, "c": 2, "l": 2, "v": 2, "i": 2, "d": 2, "b": 2, "e": 4, "g": 4, "f": 2, "h": 2, "k": 0,
               ".": 0, "q": 3, "j": 3, "m": 4, "s": 4, "w": 2}  # fmt: skip
+_POLY = re.compile(r"\S+ \S+ \S+ poly ?\( ?(\d{1,3}) ?\)")
+_FORMULA = re.compile(r"[={']|\b(vol|value|table|laplace|freq|cur)\b", re.IGNORECASE)
+_PARTS = re.compile(r"[\s(),]+")
 _VOLTAGE = re.compile(r"\bv\(\s*([^\s,()]+)\s*(?:,\s*([^\s,()]+)\s*)?\)")
 
 
@@ -34,6 +39,8 @@ class Block:
         Whether it came from a part's or a vendor's file and not from the board or its blocks.
     origin
         Name of the subcircuit it is a copy of; its own name if it is none.
+    about
+        The ``*@`` comment before it in its file.
     """
 
     name: str
@@ -44,6 +51,7 @@ class Block:
     local: set[str] = field(default_factory=set)
     is_part: bool = False
     origin: str = ""
+    about: str = ""
 
     def __post_init__(self) -> None:
         self.origin = self.origin or self.name
@@ -77,15 +85,24 @@ class Block:
         """
         counts: dict[str, int] = dict.fromkeys(self.pins, 1)
         for line in self.body:
-            words = [word.lower() for word in tokens(line.text)]
-            if words[0].startswith("x"):
-                nodes: tuple[str, ...] | list[str] = Instance.of(line, 0).nodes
-            else:
-                nodes = words[1 : 1 + _TERMINALS.get(words[0][0], len(words))]
-            spoken = _VOLTAGE.findall(line.text.lower())
-            for node in (*nodes, *(name for pair in spoken for name in pair if name)):
+            spoken = (name for pair in _VOLTAGE.findall(line.text.lower()) for name in pair if name)
+            for node in (*_nodes(line), *spoken):
                 counts[node] = counts.get(node, 0) + 1
         return [node for node, count in counts.items() if count == 1 and node not in (*self.pins, "0", "gnd")]
+
+
+def _nodes(line: Line) -> list[str]:
+    """Return the nodes that an element touches; all its words where its letter does not tell how many."""
+    words = [word.lower() for word in tokens(line.text)]
+    if words[0].startswith("x"):
+        return list(Instance.of(line, 0).nodes)
+    count = _TERMINALS.get(words[0][0], len(words))
+    poly = _POLY.match(line.text.lower()) if words[0][0] in "eg" else None
+    if poly is None:  # of E and G with an expression, what stands behind the second node is no node
+        ports = [] if words[0][0] in "eg" and _FORMULA.search(line.text) else words[3 : 1 + count]
+        return [*words[1 : min(3, 1 + count)], *ports]
+    behind = [part for part in _PARTS.split(line.text.lower()[poly.end() :]) if part]
+    return [*words[1:3], *behind[: 2 * int(poly[1])]]
 
 
 @dataclass(frozen=True)
@@ -140,12 +157,15 @@ class Netlist:
         Elements outside subcircuits.
     dropped
         Harmless statements that are ignored.
+    slips
+        What is wrong with the structure, where it was read leniently.
     """
 
     blocks: dict[str, Block] = field(default_factory=dict)
     top: list[Line] = field(default_factory=list)
     bench: list[Line] = field(default_factory=list)
     dropped: list[Line] = field(default_factory=list)
+    slips: list[Problem] = field(default_factory=list)
 
     def add(self, other: "Netlist") -> None:
         """Take over what `other` defines; two different things of one name are an error."""
@@ -169,8 +189,18 @@ class Netlist:
             raise InputError(problems)
 
 
-def parse(lines: Iterable[Line], *, is_part: bool = False) -> Netlist:
+def parse(lines: Iterable[Line], *, is_part: bool = False, lenient: bool = False) -> Netlist:
     """Sort lines into subcircuits and the rest.
+
+    Parameters
+    ----------
+    lines
+        Logical lines.
+    is_part
+        Whether they come from a part's or a vendor's file.
+    lenient
+        Whether to keep what is wrong in `Netlist.slips` instead of raising: in a vendor's library it may
+        stand in another part. Of two subcircuits of one name the first counts, as in ngspice.
 
     Raises
     ------
@@ -178,23 +208,26 @@ def parse(lines: Iterable[Line], *, is_part: bool = False) -> Netlist:
         For ``.subckt`` without ``.ends``, ``.ends`` without ``.subckt``, and two definitions of one name.
     """
     net = Netlist()
-    problems: list[Problem] = []
+    slips = net.slips
     stack: list[Block] = []
-    in_control = False
+    in_control, about = False, Line("")
     for line in lines:
         word = line.keyword
         if in_control or word.startswith(".control"):  # only trusted netlists come this far with one
             in_control = not word.startswith(".endc")
             net.top.append(line)
         elif word == ".subckt":
-            block = _header(line, is_part)
+            block = _header(line, is_part, about.text if about.file == line.file else "", slips)
             if stack:
                 stack[0].body.append(line)
                 stack[0].local.add(block.name)
             stack.append(block)
+            if len(stack) > MOST_NESTED:
+                fail(f"subcircuits are defined inside each other more than {MOST_NESTED} deep",
+                     file=line.file, line=line.lineno)  # fmt: skip
         elif word in (".ends", ".eom"):
             if not stack:
-                problems.append(Problem(f"{word} without .subckt", file=line.file, line=line.lineno))
+                slips.append(Problem(f"{word} without .subckt", file=line.file, line=line.lineno))
                 continue
             block = stack.pop()
             if stack:
@@ -202,31 +235,27 @@ def parse(lines: Iterable[Line], *, is_part: bool = False) -> Netlist:
             elif block.name not in net.blocks:
                 net.blocks[block.name] = block
             elif [row.text for row in block.lines] != [row.text for row in net.blocks[block.name].lines]:
-                problems.append(
-                    _twice(f"subcircuit {block.name}", block.header, net.blocks[block.name].header)
-                )
+                slips.append(_twice(f"subcircuit {block.name}", block.header, net.blocks[block.name].header))
         elif word in DROPPED:
             net.dropped.append(line)
         elif word.startswith("*@"):
-            continue
+            about = about if stack else line
         elif stack:
             stack[0].body.append(line)
-        elif word.startswith("."):
+        elif word.startswith(".") and not (lenient and word.strip(".") == ""):
             net.top.append(line)
         else:
             net.bench.append(line)
-    for block in net.blocks.values():
-        problems += _doubled(block)
     for block in stack:
-        problems.append(
+        slips.append(
             Problem(f".subckt {block.name} without .ends", file=block.header.file, line=block.header.lineno)
         )
-    if problems:
-        raise InputError(problems)
+    if slips and not lenient:
+        raise InputError(slips)
     return net
 
 
-def _doubled(block: Block) -> list[Problem]:
+def doubled(block: Block) -> list[Problem]:
     """Return the elements of a subcircuit that bear the name of an earlier one."""
     problems, depth, seen = [], 0, dict[str, Line]()
     for line in block.body:
@@ -238,16 +267,17 @@ def _doubled(block: Block) -> list[Problem]:
     return problems
 
 
-def _header(line: Line, is_part: bool) -> Block:
+def _header(line: Line, is_part: bool, about: str, slips: list[Problem]) -> Block:
     words = tokens(line.text)
     if len(words) < 2:
-        raise InputError(Problem(".subckt needs a name", file=line.file, line=line.lineno))
+        slips.append(Problem(".subckt needs a name", file=line.file, line=line.lineno))
+        words.append("")
     pins: list[str] = []
     for word in words[2:]:
         if "=" in word or word.lower() in ("params:", "optional:", "text:"):
             break
         pins.append(word.lower())
-    return Block(words[1].lower(), tuple(pins), assignments(words[2:]), line, is_part=is_part)
+    return Block(words[1].lower(), tuple(pins), assignments(words[2:]), line, is_part=is_part, about=about)
 
 
 def _definition(line: Line) -> tuple[str, str]:

@@ -2,20 +2,20 @@
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from cosim.errors import InputError, Problem, fail, nearest
-from cosim.ngspice.flatten import Reader, sections
-from cosim.ngspice.lines import Line, assignments, read_lines, tokens
+from cosim.ngspice.dialect import Dialect
+from cosim.ngspice.flatten import Reader
+from cosim.ngspice.lines import Line, assignments, tokens
 from cosim.ngspice.netlist import Block, Instance, Netlist, parse
+from cosim.ngspice.vendor import chosen
 
-__all__ = ["ROLES", "Feature", "Part", "PartSwap", "Shelf"]
+__all__ = ["ROLES", "Feature", "Part", "PartSwap", "Shelf", "described"]
 
 ROLES = ("opamp", "vca", "driver", "motor", "potentiometer")
 """What a part can be, as the ``*@ role=`` line of its file says."""
-
-_DIALECTS = ("ngspice", "pspice")
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,8 @@ class PartSwap:
         part's pins (``"1 2 3 4 5"``), or the part's pin names in the order of the vendor's pins
         (``"p m vcc vee out"``).
     dialect
-        ``"ngspice"`` or ``"pspice"``; the latter switches ngspice's compatibility mode on for the deck.
+        ``"ngspice"``, ``"pspice"`` or ``"ltspice"`` (`Dialect`); the latter two switch one of ngspice's
+        compatibility modes on for the deck.
     """
 
     file: str | Path
@@ -99,6 +100,8 @@ class Shelf:
         Name or role of a part -> what stands in for it.
     used
         Parts taken from the shelf so far.
+    dialects
+        Dialects of the vendors' models taken so far.
     """
 
     folder: Path
@@ -106,7 +109,7 @@ class Shelf:
     levels: Mapping[str, str]
     swaps: Mapping[str, "PartSwap | str"]
     used: dict[str, Part] = field(default_factory=dict)
-    pspice: bool = False
+    dialects: set[Dialect] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         known = {*ROLES, "driver_level"}
@@ -123,8 +126,8 @@ class Shelf:
                 near = nearest(key, places)
                 hint = f", nearest is {near}" if near else ""
                 problems.append(Problem(f"no such part or role{hint}", key=key, allowed=", ".join(places)))
-            if not isinstance(swap, str) and swap.dialect not in _DIALECTS:
-                allowed = ", ".join(_DIALECTS)
+            if not isinstance(swap, str) and swap.dialect not in list(Dialect):
+                allowed = ", ".join(Dialect)
                 problems.append(Problem("unknown dialect", key=key, value=swap.dialect, allowed=allowed))
         if problems:
             raise InputError(problems)
@@ -142,7 +145,7 @@ class Shelf:
         file = self._file(name)
         if file is not None:
             part = self._part(name, file)
-            named = sections(read_lines(file))
+            named = self.reader.sections(file)
             level = part.level if named else None
             if level is not None and level not in named:
                 fail(f"part {name} has no such level", file=str(file), key=part.role, value=level,
@@ -198,22 +201,16 @@ class Shelf:
         return next((file for file in sorted(folder.glob("*.lib")) if file.stem.lower() == name), None)
 
     def _part(self, name: str, file: Path) -> Part:
-        words = next((tokens(row.text)[1:] for row in read_lines(file) if row.text.startswith("*@")), [])
-        said = assignments(words)
-        role = said.get("role")
-        if role is not None and role not in ROLES:
-            fail("unknown role", file=str(file), key="role", value=role, allowed=", ".join(ROLES))
-        level = self.levels.get("driver_level" if role == "driver" else role or "", "ideal")
-        out, swing, noise, density = (
-            said[key].lower() if key in said else None for key in ("out", "swing", "noise", "density")
-        )
-        return Part(name, role, out, swing, level, noise, density)
+        about = next((row.text for row in self.reader.rows(file) if row.text.startswith("*@")), "")
+        part = described(name, about, str(file))
+        return replace(part, level=self.levels.get(
+            "driver_level" if part.role == "driver" else part.role or "", "ideal"))  # fmt: skip
 
     def _block(self, name: str) -> Block:
         """Return a part's subcircuit at any level; all levels have the same pins."""
         file = self._file(name)
         assert file is not None
-        for section in [*sections(read_lines(file)), None]:
+        for section in [*self.reader.sections(file), None]:
             block = parse(self.reader.read(file, section), is_part=True).blocks.get(name)
             if block is not None:
                 return block
@@ -221,27 +218,22 @@ class Shelf:
 
     def _vendor(self, swap: PartSwap) -> Netlist:
         """Return what a vendor's file says about one subcircuit, the rest of the file left out."""
-        file = Path(swap.file)
-        self.pspice |= swap.dialect == "pspice"
-        reader = Reader(file.parent, self.reader.trust, swap.dialect == "pspice")
-        whole = parse(reader.read(file), is_part=True)
-        name = swap.subckt.lower()
-        if name not in whole.blocks:
-            near = nearest(name, whole.blocks)
-            fail(f"no such subcircuit{f', nearest is {near}' if near else ''}", file=str(file), key="subckt",
-                 value=swap.subckt, allowed=", ".join(list(whole.blocks)[:8]))  # fmt: skip
-        wanted, blocks = [name], {}
-        while wanted:
-            block = whole.blocks[wanted.pop()]
-            blocks[block.name] = block
-            wanted += [
-                x.block for x in block.references() if x.block in whole.blocks and x.block not in blocks
-            ]
-        words = set(
-            re.findall(r"[^\s(){}=,]+", " ".join(row.text.lower() for b in blocks.values() for row in b.body))
-        )
-        top = [row for row in whole.top if row.keyword != ".model" or tokens(row.text)[1].lower() in words]
-        return Netlist(blocks, top, [], whole.dropped)
+        file, dialect = Path(swap.file), Dialect(swap.dialect)
+        self.dialects.add(dialect)
+        reader = Reader(file.parent, self.reader.trust, dialect)
+        return chosen(parse(reader.read(file), is_part=True, lenient=True), swap.subckt.lower(), file)
+
+
+def described(name: str, about: str, file: str) -> Part:
+    """Return the part that a ``*@ role= out= swing= noise= density=`` comment describes, without a level."""
+    said = assignments(tokens(about)[1:])
+    role = said.get("role")
+    if role is not None and role not in ROLES:
+        fail("unknown role", file=file, key="role", value=role, allowed=", ".join(ROLES))
+    out, swing, noise, density = (
+        said[key].lower() if key in said else None for key in ("out", "swing", "noise", "density")
+    )
+    return Part(name, role, out, swing, None, noise, density)
 
 
 def _by_name(original: Block, other: Block) -> dict[str, str]:

@@ -177,7 +177,6 @@ class Dialect(StrEnum):
     NGSPICE = "ngspice"
     PSPICE = "pspice"
     LTSPICE = "ltspice"
-    HSPICE = "hspice"
 
 
 # Strict validation accepts only members of an enum; in a TOML file a choice is a word.
