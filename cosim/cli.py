@@ -28,7 +28,7 @@ from cosim.commands import (
     stability,
     sweep,
 )
-from cosim.errors import CosimError
+from cosim.errors import CosimError, fail
 
 EXIT_FAILURE = 1
 EXIT_INTERRUPTED = 130
@@ -87,6 +87,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _outcome(args: argparse.Namespace) -> tuple[int, str, TextIO]:
     """Run the command; return exit code, what to print and where."""
     try:
+        _check_folder()
         result, text = args.run(args)
     except CosimError as error:
         if args.json:
@@ -95,6 +96,14 @@ def _outcome(args: argparse.Namespace) -> tuple[int, str, TextIO]:
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED, f"cosim {args.command}: interrupted; finished results are whole", sys.stderr
     return args.exit_code(args, result), _json(result) if args.json else text, sys.stdout
+
+
+def _check_folder() -> None:
+    """Refuse to work in a folder that was removed: no relative path means anything there."""
+    try:
+        os.getcwd()
+    except OSError:
+        fail("the folder that you are in does not exist any more; change to another one")
 
 
 def _json(value: dict[str, Any]) -> str:

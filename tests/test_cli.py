@@ -202,3 +202,17 @@ def test_export_looks_at_its_place_before_the_scene_runs(
     monkeypatch.setattr("cosim.run.run", pytest.fail)
     assert cli.main(["export", str(scenes_folder() / "drop.toml"), "-o", str(tmp_path / place)]) == 2
     assert "is no place for a file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words", [["check", "{scene}"], ["run", "{scene}"], ["new", "x"], ["plan", "{scene}", "--json"]]
+)
+def test_a_folder_that_has_vanished_is_told(tmp_path, monkeypatch, capsys, words):
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    scene = str(scenes_folder() / "press.toml")
+    assert cli.main([word.format(scene=scene) for word in words]) == 2
+    said = capsys.readouterr()
+    assert "does not exist any more" in said.out + said.err
