@@ -2,11 +2,18 @@
 
 A caution is no error: the run is complete. It is printed on the terminal, stands at the head of the page and
 in ``run.json`` under ``warnings``; ``--strict`` turns every caution into an error.
+
+Whoever finds a doubt calls `warn`, at any depth and in a child process too; whoever answers for a result
+hears it by `collected`, which also passes it on to whoever collects around it.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, replace
+from typing import Any
 
-__all__ = ["Caution"]
+__all__ = ["Caution", "caution_of", "collected", "grouped", "warn"]
 
 
 @dataclass(frozen=True)
@@ -33,3 +40,52 @@ class Caution:
     def as_dict(self) -> dict[str, str]:
         """Return the caution as JSON-ready fields."""
         return {"code": self.code, "text": self.text, "advice": self.advice}
+
+
+def caution_of(fields: Mapping[str, Any]) -> Caution:
+    """Return the caution that `Caution.as_dict` stored."""
+    return Caution(str(fields["code"]), str(fields["text"]), str(fields["advice"]))
+
+
+#: Cautions of one kind that are told in full: a sweep may have hundreds.
+_MOST_ALIKE = 3
+
+
+def grouped(cautions: Sequence[Caution]) -> list[tuple[list[Caution], int]]:
+    """Return cautions by kind, for people: the first few of each, and how many more there are."""
+    kinds = (
+        [caution for caution in cautions if caution.code == code]
+        for code in dict.fromkeys(caution.code for caution in cautions)
+    )
+    return [(alike[:_MOST_ALIKE], max(len(alike) - _MOST_ALIKE, 0)) for alike in kinds]
+
+
+_heard: ContextVar[list[Caution] | None] = ContextVar("heard", default=None)
+
+
+def warn(*cautions: Caution) -> None:
+    """Tell whoever collects, each caution once; without anybody who listens it is lost."""
+    heard = _heard.get()
+    if heard is not None:
+        heard.extend(caution for caution in dict.fromkeys(cautions) if caution not in heard)
+
+
+@contextmanager
+def collected(label: str = "", *, forward: bool = True) -> Iterator[list[Caution]]:
+    """Collect what `warn` is told inside the block.
+
+    Parameters
+    ----------
+    label
+        Stands before each text that is passed on, to tell one of several runs from the others.
+    forward
+        Whether the cautions are told to whoever collects around this block, at its end.
+    """
+    heard: list[Caution] = []
+    token = _heard.set(heard)
+    try:
+        yield heard
+    finally:
+        _heard.reset(token)
+        if forward:
+            warn(*(replace(each, text=f"{label}: {each.text}") if label else each for each in heard))

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import Any, TextIO
 
 from cosim import __version__
+from cosim.caution import Caution, collected
 from cosim.commands import (
     check,
     compare,
@@ -28,9 +29,11 @@ from cosim.commands import (
     stability,
     sweep,
 )
+from cosim.commands.command import caution_lines
 from cosim.errors import CosimError, fail
 
 EXIT_FAILURE = 1
+EXIT_REFUSED = 2
 EXIT_INTERRUPTED = 130
 
 
@@ -62,6 +65,11 @@ def build_parser() -> argparse.ArgumentParser:
         sub = commands.add_parser(command.name, help=command.help, description=command.help)
         command.arguments(sub)
         sub.add_argument("--json", action="store_true", help="print the result as JSON")
+        sub.add_argument(
+            "--strict",
+            action="store_true",
+            help="exit with 2 if there is a warning; finished results are kept",
+        )
         sub.set_defaults(run=command.run, exit_code=command.exit_code)
     return parser
 
@@ -86,16 +94,30 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _outcome(args: argparse.Namespace) -> tuple[int, str, TextIO]:
     """Run the command; return exit code, what to print and where."""
-    try:
-        _check_folder()
-        result, text = args.run(args)
-    except CosimError as error:
-        if args.json:
-            return error.exit_code, _json(error.as_dict()), sys.stdout
-        return error.exit_code, f"cosim {args.command}: {error}", sys.stderr
-    except KeyboardInterrupt:
-        return EXIT_INTERRUPTED, f"cosim {args.command}: interrupted; finished results are whole", sys.stderr
-    return args.exit_code(args, result), _json(result) if args.json else text, sys.stdout
+    with collected() as cautions:
+        try:
+            _check_folder()
+            result, text = args.run(args)
+        except CosimError as error:
+            if args.json:
+                return error.exit_code, _json(error.as_dict() | _as_dict(cautions)), sys.stdout
+            lines = [f"cosim {args.command}: {error}", *caution_lines(cautions)]
+            return error.exit_code, "\n".join(lines), sys.stderr
+        except KeyboardInterrupt:
+            said = f"cosim {args.command}: interrupted; finished results are whole"
+            return EXIT_INTERRUPTED, said, sys.stderr
+    code = args.exit_code(args, result)
+    if args.strict and cautions:
+        code = EXIT_REFUSED
+        count = f"{len(cautions)} warning{'s' if len(cautions) > 1 else ''}"
+        print(f"cosim {args.command}: {count} with --strict; finished results are kept", file=sys.stderr)
+    if args.json:
+        return code, _json(result | _as_dict(cautions)), sys.stdout
+    return code, "\n".join([text, *caution_lines(cautions)]), sys.stdout
+
+
+def _as_dict(cautions: Sequence[Caution]) -> dict[str, Any]:
+    return {"warnings": [caution.as_dict() for caution in cautions]}
 
 
 def _check_folder() -> None:

@@ -16,6 +16,8 @@ from cosim.errors import InputError, Problem, nearest
 from cosim.scene import Scene
 
 Signals = Mapping[str, NDArray[np.float64]]
+#: An amplifier that saturates softly stops short of its stated limit by so much.
+AT_LIMIT = 0.995
 #: The share of a run, at its end, over which steady figures are averaged.
 _STEADY = 0.2
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
-from cosim import effects
+from cosim import effects, plausibility
+from cosim.caution import Caution, collected, warn
 from cosim.circuits import cache
 from cosim.circuits.port import Stated
 from cosim.circuits.spice import MOST_NODES, Drive, Tolerances
@@ -33,6 +35,7 @@ class Plan:
     tolerances : ngspice's error control
     recorded : nodes written at every point; watched : nodes of which the peak is kept
     choice : how the effects were chosen, JSON-ready, where they were (``effects = "auto"``)
+    cautions : what is doubtful about scene and board before anything runs
     """
 
     scene: Scene
@@ -43,6 +46,7 @@ class Plan:
     recorded: tuple[str, ...]
     watched: tuple[str, ...]
     choice: Mapping[str, Any] = field(default_factory=dict)
+    cautions: tuple[Caution, ...] = ()
     _asked: dict[str, Stated] = field(default_factory=dict, repr=False, compare=False)
 
     def stated(self, child: Child | None = None) -> Stated:
@@ -183,20 +187,18 @@ def resolve(scene: Scene, *, trust: bool = False, board: Deck | None = None) -> 
     InputError
         For a board that does not fit the scene, or effects that its model cannot carry.
     """
+    with collected() as cautions:
+        plan = _resolved(scene, trust, board)
+    return replace(plan, cautions=tuple(cautions))
+
+
+def _resolved(scene: Scene, trust: bool, board: Deck | None) -> Plan:
     check_names(scene)
     tolerances(scene)
     _check_chosen(scene)
     effects.check(scene)
     try:
-        board = board or load_deck(
-            scene.device.board,
-            levels=effects.levels(scene),
-            parts=_swaps(scene),
-            overrides=scene.device.values,
-            features=effects.features(scene),
-            temperature_c=effects.temperature_c(scene),
-            trust=trust,
-        )
+        board = board or _loaded(scene, trust, scene.device.values)
     except InputError as error:
         raise InputError(_placed(problem, scene) for problem in error.problems) from error
     if board.joints != scene.joints:
@@ -209,6 +211,7 @@ def resolve(scene: Scene, *, trust: bool = False, board: Deck | None = None) -> 
             )
         )
     _check_path(scene)
+    warn(*plausibility.of_plan(scene, board, partial(_unedited, scene, trust)))
     model = effects.circuit_model(scene)
     _check_stops(scene, model)
     solver = scene.solver
@@ -235,6 +238,24 @@ def resolve(scene: Scene, *, trust: bool = False, board: Deck | None = None) -> 
         recorded=recorded,
         watched=watched,
     )
+
+
+def _loaded(scene: Scene, trust: bool, values: Mapping[str, str]) -> Deck:
+    return load_deck(
+        scene.device.board,
+        levels=effects.levels(scene),
+        parts=_swaps(scene),
+        overrides=values,
+        features=effects.features(scene),
+        temperature_c=effects.temperature_c(scene),
+        trust=trust,
+    )
+
+
+def _unedited(scene: Scene, trust: bool) -> Deck:
+    """Return the board as its files have it; what is doubtful about that is told of the edited one."""
+    with collected(forward=False):
+        return _loaded(scene, trust, {})
 
 
 def _check_chosen(scene: Scene) -> None:

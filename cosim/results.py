@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import cosim
+from cosim.caution import Caution, caution_of
 from cosim.errors import CosimError, InputError, fail
 from cosim.rawfile import Signals, read_raw
 from cosim.scene import Scene, scene_from_dict
@@ -43,6 +44,7 @@ _SEALED = (RAW, SAMPLES, SCENE, BOARD)
 _CONTENT = {
     **dict.fromkeys(("scene", "plan", "measures", "ledger", "stats", "provenance", "files"), dict),
     "events": list,
+    "warnings": list,
 }
 # Rows handled at once when exporting: some megabytes, whatever the length of the run.
 _CHUNK = 1 << 15
@@ -72,6 +74,8 @@ class Run:
         Wall time, points, rejected points and the like.
     provenance
         Versions, seed and command, see `provenance`.
+    warnings
+        What a person should doubt about the result.
     """
 
     scene: Scene
@@ -83,6 +87,7 @@ class Run:
     ledger: Mapping[str, Any] = field(default_factory=dict)
     stats: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    warnings: Sequence[Caution] = ()
 
     def save(self, folder: str | os.PathLike[str], formats: Collection[str] = ("parquet",)) -> Path:
         """Write the result folder whole, or not at all.
@@ -133,6 +138,7 @@ class Run:
             "title": self.scene.title,
             "scene": self.scene.as_dict(),
             "scene_digest": self.scene.digest(),
+            "warnings": [caution.as_dict() for caution in self.warnings],
             "plan": self.plan,
             "measures": self.measures,
             "ledger": self.ledger,
@@ -172,6 +178,7 @@ class Run:
             ledger=record["ledger"],
             stats=record["stats"],
             provenance=record["provenance"],
+            warnings=tuple(map(caution_of, record["warnings"])),
         )
 
 

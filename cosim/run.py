@@ -6,13 +6,15 @@ import sys
 import tempfile
 import time
 import uuid
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim import plausibility
+from cosim.caution import Caution, collected, warn
 from cosim.circuits.port import DesignConstants
 from cosim.errors import InputError, Problem
 from cosim.measures import chosen, headroom, standard
@@ -70,6 +72,21 @@ def run(
     SimulationError
         For everything that goes wrong while it runs.
     """
+    with collected() as cautions:
+        warn(*plan.cautions)
+        return _run(plan, out, formats, on_progress, child, command, cautions)
+
+
+def _run(
+    plan: Plan,
+    out: str | Path | None,
+    formats: Collection[str],
+    on_progress: Callable[[Mapping[str, Any]], None] | None,
+    child: Child | None,
+    command: list[str] | None,
+    cautions: Sequence[Caution],
+) -> Run:
+    """Simulate and save, with the `cautions` that were heard until the result was complete."""
     begun = time.perf_counter()
     scene = plan.scene
     plan.stated(child)
@@ -101,6 +118,9 @@ def run(
         signals = read_raw(stage.path / RAW)
         amplifiers = _amplifiers(plan, got)
         measures = standard(scene, constants, signals, samples, amplifiers, ledger)
+        warn(*plausibility.of_run(scene, constants, signals, samples, measures, amplifiers, ledger))
+        if "circuit" in got:
+            warn(*plausibility.of_circuit(got["circuit"], constants))
         stats = dict(got["stats"])
         stats["total_s"] = time.perf_counter() - begun
         result = Run(
@@ -118,6 +138,7 @@ def run(
             measures=chosen(measures, scene),
             ledger=ledger,
             stats=stats,
+            warnings=tuple(cautions),
             provenance=provenance(
                 scene,
                 command=command if command is not None else list(sys.argv),
@@ -171,6 +192,7 @@ def _amplifiers(plan: Plan, got: Mapping[str, Any]) -> list[dict[str, Any]]:
                 "node": amplifier.out_node,
                 "peak_v": peak,
                 "swing_v": swing,
+                "clipped_s": got["clipped_s"].get(amplifier.out_node, 0.0),
                 "headroom": 1.0 - peak / swing if swing else 0.0,
             }
         )

@@ -2,12 +2,14 @@
 
 import textwrap
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.caution import grouped
 from reports.compare import overlay
 from reports.page import Picture, picture, render, write_page
 from reports.style import FAINT, JOINTS, Drawn, figure, legend, look
@@ -59,6 +61,9 @@ def write_comparison(sides: "Sequence[Side]", rows: "Sequence[Row]", folder: Pat
         "run.html.j2",
         title=f"{sides[0].plan.scene.title}: {' against '.join(side.label for side in sides)}",
         command=command_line(sides[-1].run.provenance.get("command")),
+        warnings=grouped(
+            [replace(each, text=f"{side.label}: {each.text}") for side in sides for each in side.run.warnings]
+        ),
         tiles=[],
         summary=_summary(sides, rows),
         compare=None,

@@ -8,12 +8,13 @@ import re
 import shutil
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cosim.caution import Caution, grouped
 from cosim.errors import InputError, Problem
 from reports.source import RunLike, View
 from reports.tables import Trial, all_tables, command_line, compare_table
@@ -97,6 +98,7 @@ def write_report(run: RunLike, out_dir: str | Path, trials: Sequence[Trial] = ()
         title=str(view.scene_at("title", default="Co-simulation")),
         pictures=pictures,
         absent=absent,
+        warnings=grouped(_doubts(run, trials)),
         summary=summary(view),
         tiles=tiles(view),
         tables=all_tables(view),
@@ -106,6 +108,15 @@ def write_report(run: RunLike, out_dir: str | Path, trials: Sequence[Trial] = ()
         command=command_line(run.provenance.get("command")),
     )
     return write_page(Path(out_dir), html, [*compared, *pictures])
+
+
+def _doubts(run: RunLike, trials: Sequence[Trial]) -> list[Caution]:
+    """Return what to doubt about the run, and about every other one that is shown."""
+    found = [*run.warnings]
+    for trial in trials:
+        if trial.run is not None and trial.run is not run:
+            found += [replace(each, text=f"{trial.label}: {each.text}") for each in trial.run.warnings]
+    return found
 
 
 def draw_all(view: View) -> tuple[list[Picture], list[str]]:

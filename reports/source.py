@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cosim.caution import Caution
 from reports.decimate import merge_spans
 
 __all__ = ["Amplifier", "RunLike", "View", "WallFrame", "plain"]
@@ -58,6 +59,10 @@ class RunLike(Protocol):
     @property
     def provenance(self) -> Mapping[str, Any]:
         """Versions, seed, digests, command line."""
+
+    @property
+    def warnings(self) -> Sequence[Caution]:
+        """What to doubt about the result."""
 
 
 @dataclass(frozen=True)

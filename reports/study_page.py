@@ -6,6 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from cosim.caution import Caution, grouped
 from cosim.studies.claims import Claim
 from cosim.studies.study import StudyResult, write_table
 from cosim.studies.study import Table as StudyTable
@@ -72,6 +73,7 @@ def write_study_page(
     title: str,
     command: str = "",
     claims: Sequence[Claim] = (),
+    cautions: Sequence[Caution] = (),
 ) -> Path:
     """Write ``report.html`` with the figures (PNG, SVG, CSV) and tables (CSV) of studies.
 
@@ -85,6 +87,8 @@ def write_study_page(
         Heading, and the command line that made the page.
     claims
         What is to be judged, in the order of the page; verdicts with other ids follow.
+    cautions
+        What is to be doubted, for the head of the page.
 
     Raises
     ------
@@ -110,7 +114,7 @@ def write_study_page(
         )
     html = render(
         "study.html.j2", title=title, command=command, summary=_summary(judged), sections=sections,
-        claims=judged,
+        claims=judged, warnings=grouped(cautions),
     )  # fmt: skip
     page = write_page(out, html, pictures)
     data = out / "data"

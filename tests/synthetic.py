@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.caution import Caution
+
 Array = NDArray[np.float64]
 
 PERIOD_S = 0.025
@@ -37,6 +39,7 @@ class SyntheticRun:
     ledger: Mapping[str, Any] = field(default_factory=dict)
     stats: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    warnings: Sequence[Caution] = ()
 
 
 def _elbow(x: Array, y: Array) -> tuple[Array, Array]:

@@ -25,6 +25,7 @@ FLOORS = {
     "cosim.effects": 2,
     "cosim.plan": 2,
     "cosim.catalogue": 0,
+    "cosim.plausibility": 2,
     "cosim.measures": 2,
     "cosim.newproject": 2,
     "cosim.run": 3,

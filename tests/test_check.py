@@ -369,7 +369,7 @@ def test_strict_and_json(capsys):
     assert main(given) == 0
     as_found = json.loads(capsys.readouterr().out)["checks"]
     assert [done["problems"] for done in as_found] == [0, 1]
-    assert main([*given, "--strict"]) == 1
+    assert main([*given, "--strict"]) == 2
     assert json.loads(capsys.readouterr().out)["checks"] == as_found
 
 

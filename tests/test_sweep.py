@@ -69,7 +69,7 @@ def counted(monkeypatch):
         if period in broken:
             raise SimulationError("did not converge")
         seen.append(period)
-        return {"peak_force": period, "max_penetration": 2 * period}
+        return {"measures": {"peak_force": period, "max_penetration": 2 * period}, "warnings": []}
 
     monkeypatch.setattr(module, "_measured", pretend)
     return seen, broken

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from cosim.caution import warn
 from cosim.check.coupling import Coupling, step_bound
 from cosim.check.measure import Measured
 from cosim.check.subject import Subject
-from cosim.check.verdict import Finding, Severity, findings
+from cosim.check.verdict import Finding, Severity, findings, missed
 from cosim.ngspice.child import Child, call
 
 TIME_LIMIT_S = 300.0
@@ -78,4 +79,5 @@ def check(subject: Subject, *, child: Child | None = None) -> Check:
     coupling = None
     if subject.scene is not None:
         coupling = step_bound(subject.scene, measured.admittance_a_s, measured.stated)
+    warn(*missed(measured))
     return Check(subject, measured, coupling, tuple(findings(measured, coupling)))

@@ -6,9 +6,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
+from cosim.caution import Caution
 from cosim.check.constants import Constant
 from cosim.check.coupling import Coupling
 from cosim.check.measure import Measured
+from cosim.plausibility import DEVIATION, constant_missed
 
 DEVIATION_PERCENT = 0.1
 """The computer's numbers and the board must agree to 1e-3."""
@@ -51,6 +53,16 @@ def findings(measured: Measured, coupling: Coupling | None) -> list[Finding]:
         *_noise(measured),
         *_coupling(coupling),
     ]
+
+
+def missed(measured: Measured) -> list[Caution]:
+    """Return the design constants that the board misses by so much that its netlist or they are wrong."""
+    worst: dict[str, tuple[float, Caution]] = {}
+    for c in measured.constants:
+        size = abs(c.deviation_percent) if c.deviation_percent is not None else float("inf")
+        if c.measured is not None and size > 100.0 * DEVIATION and size > worst.get(c.name, (0.0,))[0]:
+            worst[c.name] = size, constant_missed(c.name, c.stated, c.measured, c.where)
+    return [caution for _, caution in worst.values()]
 
 
 def _problem(section: str, message: str) -> Finding:

@@ -3,6 +3,7 @@
 import argparse
 from typing import Any
 
+from cosim.caution import collected
 from cosim.commands.command import Command
 
 _LEVELS = ("ideal", "gbw", "full")
@@ -26,7 +27,6 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--driver", choices=_DRIVERS, help="kind of drive (default: the scene's; for a board: voltage)"
     )
-    parser.add_argument("--strict", action="store_true", help="exit with 1 if there is a problem")
     parser.add_argument(
         "--trust", action="store_true", help="let the netlists run commands and read files of their choice"
     )
@@ -45,7 +45,10 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
             load_subject(args.target, variant, args.level, args.driver, trust=args.trust)
             for variant in variants(parse_settings(args.set))
         ]
-        checks = [check(subject, child=child) for subject in subjects]
+        checks = []
+        for subject in subjects:
+            with collected(subject.label):
+                checks.append(check(subject, child=child))
     text = "\n\n".join(
         (f"{done.subject.label}\n" if done.subject.label else "") + describe(done) for done in checks
     )
@@ -53,7 +56,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
 
 def _exit_code(args: argparse.Namespace, result: dict[str, Any]) -> int:
-    return int(args.strict and any(done["problems"] for done in result["checks"]))
+    return 2 if args.strict and any(done["problems"] for done in result["checks"]) else 0
 
 
 COMMAND = Command(

@@ -5,6 +5,8 @@ import sys
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from cosim.caution import collected
+
 if TYPE_CHECKING:
     from cosim.ngspice.child import Child
     from cosim.plan import Plan
@@ -21,9 +23,10 @@ def plan_of(args: argparse.Namespace, variant: "Variant", scene: "Scene", child:
     from cosim.studies.auto import choose
 
     forced = [f"solver.model={args.model}"] if args.model else []
-    plan, cpu_s = choose(
-        args.scene, (*forced, *variant.overrides), child=child, trust=args.trust, on_progress=_told
-    )
+    with collected(forward=False):  # what is doubtful about a trial is told of the run that is kept
+        plan, cpu_s = choose(
+            args.scene, (*forced, *variant.overrides), child=child, trust=args.trust, on_progress=_told
+        )
     print(f"effects chosen in {plan.choice['runs']} runs, {cpu_s:.3g} s", file=sys.stderr, flush=True)
     return plan
 
@@ -34,7 +37,7 @@ def open_choice(args: argparse.Namespace, variant: "Variant") -> dict[str, Any]:
     from cosim.studies.candidates import Candidates
 
     forced = [f"solver.model={args.model}"] if args.model else []
-    with start_early("cosim.circuits.stated") as child:
+    with collected(forward=False), start_early("cosim.circuits.stated") as child:
         candidates = Candidates(args.scene, (*forced, *variant.overrides), trust=args.trust, child=child)
         force_n, least_n, ranked = candidates.force_n(), candidates.tolerance_n(), candidates.ranked()
     return {

@@ -1,9 +1,11 @@
 """What a subcommand is, and the arguments that several of them share."""
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+
+from cosim.caution import Caution, grouped
 
 if TYPE_CHECKING:
     from cosim.scene import Scene
@@ -72,3 +74,18 @@ def load_variants(args: argparse.Namespace) -> "list[tuple[Variant, Scene]]":
         (variant, load_scene(args.scene, [*forced, *variant.overrides]))
         for variant in variants(parse_settings(args.set))
     ]
+
+
+def caution_lines(cautions: Sequence[Caution]) -> list[str]:
+    """Return cautions as lines for people, those of one kind together."""
+    lines = []
+    for told, more in grouped(cautions):
+        lines += [f"warning: {caution} [{caution.code}]" for caution in told]
+        if more:
+            lines.append(f"warning: and {more} more [{told[0].code}] (all with --json)")
+    return lines
+
+
+def about(variant: "Variant", every: "Sequence[object]") -> str:
+    """Return what a caution about one of several variants begins with; nothing where there is only one."""
+    return variant.label if len(every) > 1 else ""

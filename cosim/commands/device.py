@@ -4,7 +4,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from cosim.commands.command import Command, load_variants, scene_arguments
+from cosim.caution import collected, warn
+from cosim.commands.command import Command, about, load_variants, scene_arguments
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,19 +18,23 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
     with start_early("cosim.studies.model") as child:
         from cosim.plan import resolve
+        from cosim.plausibility import of_asked, of_circuit
         from cosim.studies.device import PRESETS, device_numbers, flat
         from cosim.studies.model import circuit_of
 
         cases, texts, columns = [], [], {}
-        for variant, scene in load_variants(args):
-            circuit, constants = circuit_of(resolve(scene, trust=args.trust), child=child)
-            found = device_numbers(scene, constants, circuit)
-            cases.append({"set": dict(variant.values), **found.as_dict()})
-            head = variant.label or scene.title
-            columns[head] = flat(found)
-            lines = [f"{head} (circuit model {found.model}, {1e3 * found.period_s:g} ms)"]
-            lines += [f"  {name:38s}{_text(value)}" for name, value in columns[head].items()]
-            texts.append("\n".join([*lines, f"  workspace: {found.workspace.note}"]))
+        every = load_variants(args)
+        for variant, scene in every:
+            with collected(about(variant, every)):
+                circuit, constants = circuit_of(resolve(scene, trust=args.trust), child=child)
+                warn(*of_asked(scene, constants), *of_circuit(circuit, constants))
+                found = device_numbers(scene, constants, circuit)
+                cases.append({"set": dict(variant.values), **found.as_dict()})
+                head = variant.label or scene.title
+                columns[head] = flat(found)
+                lines = [f"{head} (circuit model {found.model}, {1e3 * found.period_s:g} ms)"]
+                lines += [f"  {name:38s}{_text(value)}" for name, value in columns[head].items()]
+                texts.append("\n".join([*lines, f"  workspace: {found.workspace.note}"]))
     if args.out:
         _write(Path(args.out), columns)
         texts.append(f"wrote {args.out}")

@@ -3,7 +3,8 @@
 import argparse
 from typing import Any
 
-from cosim.commands.command import Command, load_variants, scene_arguments
+from cosim.caution import collected, warn
+from cosim.commands.command import Command, about, load_variants, scene_arguments
 
 
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
@@ -11,16 +12,22 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
     with start_early("cosim.studies.model") as child:
         from cosim.plan import resolve
+        from cosim.plausibility import of_asked, of_circuit
         from cosim.studies.covariance import noise_covariance
         from cosim.studies.model import circuit_of
 
         cases, texts = [], []
-        for variant, scene in load_variants(args):
-            plan = resolve(scene, trust=args.trust)
-            circuit, constants = circuit_of(plan, child=child)
-            facts = noise_covariance(scene, constants, circuit).as_dict()
-            cases.append({"set": dict(variant.values), "model": circuit.model, **facts})
-            texts.append(f"{variant.label or scene.title} (circuit model {circuit.model})\n{describe(facts)}")
+        every = load_variants(args)
+        for variant, scene in every:
+            with collected(about(variant, every)):
+                plan = resolve(scene, trust=args.trust)
+                circuit, constants = circuit_of(plan, child=child)
+                warn(*of_asked(scene, constants), *of_circuit(circuit, constants))
+                facts = noise_covariance(scene, constants, circuit).as_dict()
+                cases.append({"set": dict(variant.values), "model": circuit.model, **facts})
+                texts.append(
+                    f"{variant.label or scene.title} (circuit model {circuit.model})\n{describe(facts)}"
+                )
     return {"cases": cases}, "\n".join(texts)
 
 

@@ -3,7 +3,8 @@
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from cosim.commands.command import Command, load_variants, scene_arguments
+from cosim.caution import collected, warn
+from cosim.commands.command import Command, about, load_variants, scene_arguments
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -14,17 +15,21 @@ if TYPE_CHECKING:
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.commands.choice import open_choice, open_lines
     from cosim.plan import resolve
+    from cosim.plausibility import of_asked
 
     texts, facts = [], []
-    for variant, scene in load_variants(args):
-        if scene.effects.auto:
-            found = open_choice(args, variant)
-            text = "\n".join(open_lines(scene, found))
-        else:
-            plan = resolve(scene, trust=args.trust)
-            if plan.circuit_states() is None:
-                plan.extracted()
-            text, found = describe(plan), plan.as_dict()
+    every = load_variants(args)
+    for variant, scene in every:
+        with collected(about(variant, every)):
+            if scene.effects.auto:
+                found = open_choice(args, variant)
+                text = "\n".join(open_lines(scene, found))
+            else:
+                plan = resolve(scene, trust=args.trust)
+                if plan.circuit_states() is None:
+                    plan.extracted()
+                text, found = describe(plan), plan.as_dict()
+                warn(*of_asked(scene, plan.stated()))
         texts.append((f"{variant.label}\n" if variant.label else "") + text)
         facts.append({"set": dict(variant.values), **found})
     return {"plans": facts}, "\n\n".join(texts)

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from cosim.caution import collected, warn
 from cosim.commands.command import Command
 
 
@@ -40,6 +41,9 @@ def _report_runs(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         fail("a result is what it is: only the scenes of studies can be changed", key="--set", value=args.set)
     folders = [folder for given in args.results for folder in result_folders(Path(given))]
     runs = [Run.load(folder) for folder in folders]
+    for folder, run in zip(folders, runs, strict=True):
+        with collected(folder.name if len(runs) > 1 else ""):
+            warn(*run.warnings)
     trials = [Trial(folder.name, run.measures, run) for folder, run in zip(folders, runs, strict=True)]
     out = Path(args.out) if args.out else Path(args.results[0]) / "report"
     page = write_report(runs[0], out, trials if len(trials) > 1 else ())
@@ -84,15 +88,21 @@ def _report_studies(args: argparse.Namespace, files: list[Path]) -> tuple[dict[s
         else Path("out") / (files[0].parent.name if len(files) > 1 else files[0].stem)
     )
     results = []
-    for number, spec in enumerate(specs, start=1):
-        with progress(f"{number}/{len(specs)} {spec.title}") as show:
-            results.append(
-                (spec.file.stem, run_study(spec, out / "studies" / spec.file.stem, on_progress=show))
-            )
+    with collected() as cautions:
+        for number, spec in enumerate(specs, start=1):
+            with progress(f"{number}/{len(specs)} {spec.title}") as show, collected(spec.title):
+                results.append(
+                    (spec.file.stem, run_study(spec, out / "studies" / spec.file.stem, on_progress=show))
+                )
     title = claims.title or (specs[0].title if len(specs) == 1 else f"Studies of {files[0].parent.name}")
     asked = [f"--set {change}" for change in args.set]
     page = write_study_page(
-        results, out, title, " ".join(["cosim report", *args.results, *asked]), claims.claims
+        results,
+        out,
+        title,
+        " ".join(["cosim report", *args.results, *asked]),
+        claims.claims,
+        cautions=cautions,
     )
     verdicts = [verdict for _, result in results for verdict in result.verdicts]
     judged = {verdict.id for verdict in verdicts}

@@ -7,7 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.commands.command import Command, load_variants, out_argument, scene_arguments
+from cosim.caution import collected
+from cosim.commands.command import Command, about, load_variants, out_argument, scene_arguments
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -39,12 +40,16 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         base = Path(args.out) if args.out else Path("out") / Path(args.scene).stem
         _keep_apart(base, series=len(found) > 1)
         _announce_compilation()
-        plans = [(variant, plan_of(args, variant, scene, child)) for variant, scene in found]
+        plans = []
+        for variant, scene in found:
+            with collected(about(variant, found)):
+                plans.append((variant, plan_of(args, variant, scene, child)))
         finished: list[tuple[Variant, Path, Run]] = []
         names = folder_names([variant.label for variant, _ in plans])
         for (variant, plan), name in zip(plans, names, strict=True):
             out = base if len(plans) == 1 else base / name
-            with progress(plan.scene.duration_s, variant.label or plan.scene.title) as show:
+            title = variant.label or plan.scene.title
+            with collected(about(variant, found)), progress(plan.scene.duration_s, title) as show:
                 result = run(plan, out, formats=tuple(args.format), on_progress=show, child=child)
             finished.append((variant, out, result))
     return _json(finished), _text(finished)
@@ -121,6 +126,7 @@ def _json(finished: "list[tuple[Variant, Path, Run]]") -> dict[str, Any]:
                 "measures": dict(run.measures),
                 "ledger": dict(run.ledger),
                 "stats": dict(run.stats),
+                "warnings": [caution.as_dict() for caution in run.warnings],
             }
             for variant, out, run in finished
         ]
@@ -142,11 +148,6 @@ def _text(finished: "list[tuple[Variant, Path, Run]]") -> str:
             lines += choice_lines(run.plan["choice"])
         lines += _certified(run)
         lines += [f"  note: {note}" for note in run.plan["notes"]]
-        if not run.ledger["closes"]:
-            lines.append(
-                f"  warning: the energy ledger leaves {run.ledger['closure']:.2g} of the energy unexplained "
-                f"(tolerance {run.ledger['tolerance']:g}): shorten solver.max_step_s"
-            )
     return "\n".join([*lines, "", measure_table([(v.label, r.measures) for v, _, r in finished])])
 
 

@@ -4,7 +4,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.commands.command import Command, load_variants, out_argument, scene_arguments
+from cosim.caution import collected, warn
+from cosim.commands.command import Command, about, load_variants, out_argument, scene_arguments
 
 if TYPE_CHECKING:
     from cosim.studies.limits import Limits
@@ -20,23 +21,27 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
     with start_early("cosim.studies.model") as child:
         from cosim.plan import resolve
+        from cosim.plausibility import of_asked, of_circuit
         from cosim.studies.limits import limits
         from cosim.studies.model import circuit_of
 
         cases, texts = [], []
-        for variant, scene in load_variants(args):
-            plan = resolve(scene, trust=args.trust)
-            circuit, constants = circuit_of(plan, child=child)
-            found = limits(scene, constants, circuit)
-            cases.append({"set": dict(variant.values), "model": circuit.model, **found.as_dict()})
-            head = variant.label or scene.title
-            texts.append(f"{head} (circuit model {circuit.model})\n{describe(found)}")
-            if args.out:
-                from cosim.commands.run import folder_name
-                from reports.stability import write_stability
+        every = load_variants(args)
+        for variant, scene in every:
+            with collected(about(variant, every)):
+                plan = resolve(scene, trust=args.trust)
+                circuit, constants = circuit_of(plan, child=child)
+                warn(*of_asked(scene, constants), *of_circuit(circuit, constants))
+                found = limits(scene, constants, circuit)
+                cases.append({"set": dict(variant.values), "model": circuit.model, **found.as_dict()})
+                head = variant.label or scene.title
+                texts.append(f"{head} (circuit model {circuit.model})\n{describe(found)}")
+                if args.out:
+                    from cosim.commands.run import folder_name
+                    from reports.stability import write_stability
 
-                folder = Path(args.out) / folder_name(variant.label) if variant.label else Path(args.out)
-                texts.append(f"wrote {write_stability(found, scene, constants, circuit, folder)}")
+                    folder = Path(args.out) / folder_name(variant.label) if variant.label else Path(args.out)
+                    texts.append(f"wrote {write_stability(found, scene, constants, circuit, folder)}")
     return {"cases": cases}, "\n".join(texts)
 
 

@@ -114,6 +114,7 @@ def accepted(data: Any, count: int, ident: int, user: Any) -> int:
         s.tau[j] = s.torque_per_amp * vector_value(vectors, s.current_index[j])
         if not abs(s.tau[j]) < _NEVER:
             s.fault = _NOT_FINITE
+    step = t - s.t
     if t > s.t:
         if t != s.t_trial:
             fill(s, t)
@@ -134,6 +135,8 @@ def accepted(data: Any, count: int, ident: int, user: Any) -> int:
         value = vector_value(vectors, s.node_index[i])
         if abs(value) > s.node_peak[i]:
             s.node_peak[i] = abs(value)
+        if abs(value) >= s.node_limit[i]:
+            s.node_clipped[i] += step
         if i < s.nodes_recorded:
             row[at] = value
             at += 1

@@ -192,7 +192,8 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     Returns
     -------
     dict
-        As `cosim.loop.simulate.simulate`; 'peaks' and 'swings' are empty, and 'circuit' is what was simulated
+        As `cosim.loop.simulate.simulate`; 'peaks', 'clipped_s' and 'swings' are empty, 'circuit' is what was
+        simulated
     """
     scene: Scene = payload["scene"]
     board: Deck = payload["board"]
@@ -249,6 +250,7 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         "stats": statistics(packed.memory, wall, cpu),
         "component_noise": component.about if component is not None else None,
         "peaks": {},
+        "clipped_s": {},
         "swings": {},
         "ngspice": version,
         "circuit": circuit,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -22,6 +23,7 @@ from cosim.loop.setup import Memory, columns, pack, sample_columns
 from cosim.loop.signals import Layout, write_signals
 from cosim.loop.state import Fault
 from cosim.loop.userlaw import UserLaw, in_users_words, load_law
+from cosim.measures import AT_LIMIT
 from cosim.ngspice.deck import Deck
 from cosim.ngspice.simulator import Simulator
 from cosim.results import RAW
@@ -169,9 +171,9 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     Returns
     -------
     dict
-        'ledger', 'sample_columns', 'constants', 'stats', 'peaks' (largest |v| of each node), 'swings' (output
-        limits by parameter), 'ngspice' (version), 'component_noise' (as `ComponentGrid.about`); signals.raw
-        and samples.f64 are in the folder
+        'ledger', 'sample_columns', 'constants', 'stats', 'peaks' (largest |v| of each node), 'clipped_s' (how
+        long it was at its limit), 'swings' (output limits by parameter), 'ngspice' (version),
+        'component_noise' (as `ComponentGrid.about`); signals.raw and samples.f64 are in the folder
     """
     scene: Scene = payload["scene"]
     board: Deck = payload["board"]
@@ -199,6 +201,8 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         if a.swing_param is not None
     }
     state = memory.state[0]
+    limits = {a.out_node: AT_LIMIT * swings[a.swing_param] for a in board.amplifiers if a.swing_param}
+    state["node_limit"][: len(nodes)] = [limits.get(node, math.inf) for node in nodes]
     missing: list[str] = []
     person = scene.operator.file if isinstance(scene.operator, PythonOperator) else "operator"
     recorder = Recorder(
@@ -263,6 +267,7 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         "stats": statistics(memory, wall, cpu),
         "component_noise": component.about if component is not None else None,
         "peaks": dict(zip(nodes, state["node_peak"].tolist(), strict=False)),
+        "clipped_s": dict(zip(nodes, state["node_clipped"].tolist(), strict=False)),
         "swings": swings,
         "ngspice": simulator.version,
     }

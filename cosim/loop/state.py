@@ -123,6 +123,8 @@ STATE = np.dtype(
         ("nodes", "i8"),
         ("node_index", "i8", MOST_NODES),
         ("node_peak", "f8", MOST_NODES),
+        ("node_limit", "f8", MOST_NODES),  # V, where an amplifier's output clips; inf where that is not known
+        ("node_clipped", "f8", MOST_NODES),  # s spent there, by the accepted points
         # rows of results
         ("rows", "i8"),
         ("rows_capacity", "i8"),

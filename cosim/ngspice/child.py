@@ -20,6 +20,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from cosim.caution import warn
 from cosim.compiled import cache_folder
 from cosim.errors import SimulationError
 from cosim.ngspice.worker import HEAD
@@ -158,6 +159,9 @@ class Child:
                     return content
                 if kind == "error":
                     raise _raised(*content, deck=deck, watch=watch)
+                if kind == "cautions":
+                    warn(*content)
+                    continue
                 watch.beat(content)
                 if content and on_progress is not None:
                     on_progress(content)

@@ -16,6 +16,7 @@ from functools import cache
 from queue import SimpleQueue
 from typing import Any, NoReturn
 
+from cosim.caution import collected
 from cosim.errors import CosimError
 
 __all__ = ["HEAD", "main"]
@@ -124,7 +125,12 @@ def _serve(descriptor: int, request: bytes) -> None:
         module, _, name = target.partition(":")
         function = getattr(_import(module), name)
         _send(descriptor, ("progress", {}))  # imports may have taken long
-        _send(descriptor, ("result", function(pickle.loads(payload), report)))
+        with collected() as cautions:
+            try:
+                result = function(pickle.loads(payload), report)
+            finally:  # a doubt may be what explains an error
+                _send(descriptor, ("cautions", tuple(cautions)))
+        _send(descriptor, ("result", result))
     except BaseException as error:  # whatever it is, the parent must hear of it
         text = traceback.format_exc()
         kept = error if isinstance(error, CosimError) else None

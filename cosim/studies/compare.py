@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from cosim.caution import collected, warn
 from cosim.check.check import Check, check
 from cosim.check.subject import Subject, load_subject
 from cosim.circuits.linear import LinearCircuit
@@ -157,15 +158,20 @@ def compare(
     InputError
         For a board that does not fit the scene, or a result that keeps no board.
     """
-    prepared = [_prepared(scene_file, each, trust) for each in asked]
+    prepared = []
+    for each in asked:
+        with collected(each.label):
+            prepared.append(_prepared(scene_file, each, trust))
     sides = []
     for number, (each, (plan, subject, result)) in enumerate(zip(asked, prepared, strict=True)):
         if on_progress is not None:
             on_progress(number, len(asked), each.label)
-        if result is None:
-            name = "".join(c if c.isalnum() or c in "._=-+" else "_" for c in each.label)
-            result = run(plan, folder / name, formats=(), child=child)
-        sides.append(_side(each.label, plan, subject, result, child))
+        with collected(each.label):
+            if result is None:
+                name = "".join(c if c.isalnum() or c in "._=-+" else "_" for c in each.label)
+                result = run(plan, folder / name, formats=(), child=child)
+            warn(*result.warnings)
+            sides.append(_side(each.label, plan, subject, result, child))
     return sides
 
 

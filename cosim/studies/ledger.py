@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from cosim.caution import collected
 from cosim.effects import EFFECTS, Effect, features, levels, temperature_c
 from cosim.errors import InputError, SimulationError
 from cosim.ngspice.child import Child, start_early
@@ -241,7 +242,7 @@ class _Runner:
             if isinstance(plan, InputError):
                 raise plan
             try:
-                with scratch_folder("effects") as folder:
+                with collected(name), scratch_folder("effects") as folder:
                     result = run(plan, folder / "run", formats=(), child=self._child)
                     self._known[key] = dict(result.measures), float(result.stats["cpu_s"])
             except SimulationError as error:

@@ -12,6 +12,7 @@ from typing import Any
 
 import cosim
 from cosim.catalogue import UNITS
+from cosim.caution import caution_of, collected, warn
 from cosim.errors import InputError, Problem, SimulationError, StorageError, nearest
 from cosim.ngspice.child import Child
 from cosim.ngspice.lines import number
@@ -24,6 +25,8 @@ from cosim.studies.candidates import all_measures
 from cosim.studies.points import Points, Progress
 
 POINTS, TABLE = "points.jsonl", "sweep.csv"
+#: Form of a kept point; points of another form are computed anew.
+_FORM = "measures and warnings"
 #: A range of more points than this is a slip of the pen.
 MOST_POINTS = 10_000
 
@@ -146,7 +149,10 @@ def sweep(
             try:
                 if isinstance(plan, InputError):
                     raise plan
-                found.append(points.get(label, lambda plan=plan: _measured(plan, child)))  # type: ignore[misc]
+                with collected(label):
+                    row = points.get(label, lambda plan=plan: _measured(plan, child))  # type: ignore[misc]
+                    warn(*map(caution_of, row["warnings"]))  # of a point that was kept, too
+                    found.append(row["measures"])
             except StorageError:
                 raise
             except (InputError, SimulationError) as error:  # not kept: a resumed sweep tries it again
@@ -169,7 +175,8 @@ def _plans(
     plans: list[Plan | InputError] = []
     for variant in every:
         try:
-            plans.append(all_measures(_plan(path, overrides, variant, trust)))
+            with collected(variant.label):
+                plans.append(all_measures(_plan(path, overrides, variant, trust)))
         except StorageError:
             raise
         except InputError as error:
@@ -184,16 +191,18 @@ def _plan(path: str | Path, overrides: tuple[str, ...], variant: Variant, trust:
     return resolve(load_scene(path, [*overrides, *variant.overrides]), trust=trust)
 
 
-def _measured(plan: Plan, child: Child | None) -> dict[str, float]:
+def _measured(plan: Plan, child: Child | None) -> dict[str, Any]:
     with scratch_folder("sweep") as folder:
         result = run(plan, folder / "run", formats=(), child=child)
-        return {name: float(row["value"]) for name, row in result.measures.items()}
+        measures = {name: float(row["value"]) for name, row in result.measures.items()}
+        return {"measures": measures, "warnings": [caution.as_dict() for caution in result.warnings]}
 
 
 def _digest(path: str | Path, overrides: tuple[str, ...], trust: bool) -> str:
     """Return what the points depend on besides their own values: scene, user's code, board and version."""
-    plan = resolve(load_scene(path, overrides), trust=trust)
-    text = f"{cosim.__version__} {plan.scene.digest()} {plan.scene.code_digest()} {plan.board.digest}"
+    with collected(forward=False):  # the points tell it
+        plan = resolve(load_scene(path, overrides), trust=trust)
+    text = f"{_FORM} {cosim.__version__} {plan.scene.digest()} {plan.scene.code_digest()} {plan.board.digest}"
     return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -1,0 +1,150 @@
+"""Slips that scene and netlist show before anything runs."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator
+
+from cosim.caution import Caution
+from cosim.circuits.port import DesignConstants
+from cosim.ngspice.deck import Deck
+from cosim.ngspice.lines import assignments, tokens
+from cosim.plausibility.resistors import resistors
+from cosim.scene import Chain, Scene, Slider
+
+__all__ = ["of_plan"]
+
+#: A revolute joint turns less than this between its stops [rad]; in degrees every pose beyond 6.28 is more.
+_TURN_RAD = 2.0 * math.pi
+#: g for kg, the commonest slip, is a factor of 1000; a light hand on a heavy arm is a factor of 100.
+_MASS_RATIO = 1000.0
+
+
+def of_plan(scene: Scene, board: Deck, bare: Callable[[], Deck]) -> list[Caution]:
+    """Return the cautions about a scene and its flattened board.
+
+    Parameters
+    ----------
+    bare
+        Makes the board without the scene's `device.values`, to tell an edit from what was there before.
+    """
+    return [
+        *_outside_stops(scene),
+        *_degrees(scene),
+        *_masses(scene),
+        *resistors(scene.device.values, board, bare),
+        *_unused(scene, board),
+    ]
+
+
+def _table(scene: Scene) -> Chain | Slider:
+    table = scene.device.slider if scene.is_slider else scene.device.chain
+    assert table is not None  # the scene's checks hold this
+    return table
+
+
+def _outside_stops(scene: Scene) -> Iterator[Caution]:
+    stops, q = _table(scene).stops_rad, scene.device.start.q_rad
+    if not stops:
+        return
+    if q is None:
+        from cosim.loop.setup import mechanism, start  # compiled code, which a plan has no other need of
+
+        q = tuple(start(scene, mechanism(scene, 1.0))[0].tolist())
+    for joint, (angle, (low, high)) in enumerate(zip(q, stops, strict=False), 1):
+        if not low <= angle <= high:
+            off = "" if scene.effects.end_stops else " (which are off: effects.end_stops)"
+            yield Caution(
+                "start-outside-stops",
+                f"joint {joint} starts at {angle:.4g} rad, outside of its stops {low:g} to {high:g} rad{off}",
+                "correct device.start or stops_rad",
+            )
+
+
+def _degrees(scene: Scene) -> Iterator[Caution]:
+    if scene.is_slider:  # a drum turns as often as it likes
+        return
+    stops = _table(scene).stops_rad
+    for key, angles in (
+        ("device.start.q_rad", scene.device.start.q_rad or ()),
+        ("device.chain.stops_rad", [angle for pair in stops for angle in pair]),
+    ):
+        far = max(angles, key=abs, default=0.0)
+        if abs(far) > _TURN_RAD:
+            yield Caution(
+                "angle-beyond-turn",
+                f"{key} holds {far:g} rad, more than a full turn",
+                f"angles are in radians: {far:g} degrees are {math.radians(far):.4g} rad",
+            )
+
+
+def _masses(scene: Scene) -> Iterator[Caution]:
+    table, person = _table(scene), scene.operator
+    named = {}
+    if isinstance(table, Chain):
+        named = {f"link {k}": mass for k, mass in enumerate(table.masses_kg, 1)}
+        for k, (mass, length, inertia) in enumerate(
+            zip(table.masses_kg, table.lengths_m, table.inertias_kg_m2, strict=True), 1
+        ):
+            # a link whose mass sits at its two ends has m L^2 / 4 about its middle; none has more
+            if mass > 0.0 and inertia > mass * length**2:
+                yield Caution(
+                    "inertia-beyond-length",
+                    f"link {k} of {mass:g} kg and {length:g} m has an inertia of {inertia:g} kg m^2, more "
+                    f"than its mass can have within its length ({mass * length**2 / 4:.3g} kg m^2)",
+                    "look at the units of device.chain.inertias_kg_m2",
+                )
+    else:
+        named = {"the carriage": table.mass_kg}
+    held = getattr(person, "mass_kg", 0.0)
+    if person.type == "mass" or (person.type == "hand" and scene.effects.operator_dynamics):
+        named["the operator"] = held
+    known = {name: mass for name, mass in named.items() if mass > 0.0}
+    if len(known) > 1:
+        light, heavy = min(known, key=known.__getitem__), max(known, key=known.__getitem__)
+        if known[heavy] > _MASS_RATIO * known[light]:
+            yield Caution(
+                "masses-far-apart",
+                f"{heavy} has {known[heavy]:g} kg, {light} {known[light]:g} kg",
+                "masses are in kilograms: look at their units",
+            )
+
+
+def _unused(scene: Scene, board: Deck) -> Iterator[Caution]:
+    """Yield the values of the netlist that are set and come to nothing."""
+    for name in scene.device.values:
+        key = name.lower().rpartition(".")[2]
+        if hasattr(scene.effects, key):
+            yield Caution(
+                "value-unused",
+                f"device.values sets {name}, which the effect of that name sets itself",
+                f"set effects.{key} instead",
+            )
+        elif "." not in name and not _is_read(key, board, scene.effects.component_noise):
+            yield Caution(
+                "value-unused",
+                f"device.values sets {name}, which nothing in the netlist reads at the levels in force",
+                "take it out, or switch on the effect that reads it",
+            )
+
+
+def _is_read(key: str, board: Deck, noise: bool) -> bool:
+    """Whether an element has this name or depends on it, through as many parameters as there may be."""
+    told = {*DesignConstants.names(), *(a.swing_param for a in board.amplifiers if a.swing_param)}
+    names = {key}
+    while True:
+        mentioned = re.compile("|".join(rf"(?<![\w.]){re.escape(name)}(?!\w)" for name in names))
+        found = set(names)
+        for line in board.lines[1:]:
+            word = line.keyword
+            if word in (".param", ".params", ".subckt", ".csparam") or word.startswith("x"):
+                given = assignments(tokens(line.text.lower()))
+                found |= {name for name, text in given.items() if mentioned.search(text)}
+                if word == ".csparam" and (noise or given.keys() & told) and found & given.keys():
+                    return True
+            elif mentioned.search(line.text.lower()):
+                return True
+        if found == names:
+            return False
+        names = found

@@ -1,0 +1,74 @@
+"""A board's stated constants against its circuit, and against what a scene asks of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from cosim.caution import Caution
+from cosim.circuits.linear import LinearCircuit, channel_names
+from cosim.circuits.port import DesignConstants
+from cosim.scene import Method, Scene
+
+__all__ = ["DEVIATION", "constant_missed", "of_asked", "of_circuit"]
+
+#: The circuit's constants and the computer's numbers are equal by design; resistors of 10 % stay below this.
+DEVIATION = 0.2
+
+
+def of_asked(scene: Scene, constants: DesignConstants) -> Iterator[Caution]:
+    """Yield where the wall that is asked for is beyond the board's full scale at its reach `r_tip`."""
+    computer = scene.computer
+    for what, key, asked, unit, full in (
+        ("stiffness", "stiffness_n_per_m", computer.analog_stiffness_n_per_m, "N/m", constants.k_fs),
+        ("damping", "damping_n_s_per_m", computer.analog_damping_n_s_per_m, "N s/m", constants.c_fs),
+    ):
+        shown = full / constants.r_tip**2
+        if computer.method in (Method.CONTINUOUS, Method.COMBINED) and asked > shown:
+            yield Caution(
+                "gain-beyond-full-scale",
+                f"an analog {what} of {asked:.4g} {unit} is asked for, the board shows at most {shown:.4g} "
+                f"{unit} at its reach of {constants.r_tip:g} m",
+                f"lower computer.analog_{key}, or raise the board's gain",
+            )
+
+
+def of_circuit(circuit: LinearCircuit, constants: DesignConstants) -> Iterator[Caution]:
+    """Yield the design constants that the circuit misses, the worst place of each."""
+    for name, rows in _made(circuit, constants).items():
+        stated = getattr(constants, name)
+        where, made = max(rows.items(), key=lambda row: abs(row[1] / stated - 1.0))
+        if not abs(made / stated - 1.0) <= DEVIATION:
+            yield constant_missed(name, stated, made, where)
+
+
+def constant_missed(name: str, stated: float, made: float, where: str) -> Caution:
+    """Return the caution about a design constant that the circuit does not make."""
+    return Caution(
+        "constant-missed",
+        f"the board states {name} = {stated:.4g}, its circuit makes {made:.4g} at {where} "
+        f"({100 * (made / stated - 1):+.3g} %)",
+        "correct the netlist or its .csparam line: the computer believes the stated value "
+        "(cosim check lists all of them)",
+    )
+
+
+def _made(circuit: LinearCircuit, constants: DesignConstants) -> dict[str, dict[str, float]]:
+    """Return what the circuit makes of k_fs, c_fs and v_nm as the frequency goes to zero, by place."""
+    n, m = circuit.joints, len(circuit.gain)
+    inverse = [np.linalg.pinv(a) if len(a) else a for a in (circuit.a_pre, circuit.a_post)]
+    before = circuit.d_pre - circuit.c_pre @ inverse[0] @ circuit.b_pre
+    rate = circuit.e_pre - (circuit.c_pre @ inverse[0] @ inverse[0] @ circuit.b_pre)[:, :n]
+    after = circuit.d_post - circuit.c_post @ inverse[1] @ circuit.b_post
+    per_ampere = constants.kt * constants.gear
+    found: dict[str, dict[str, float]] = {"k_fs": {}, "c_fs": {}, "v_nm": {}}
+    for c, pin in enumerate(channel_names(n)):
+        i, j = int(pin[3]) - 1, int(pin[4]) - 1
+        name, read = ("k_fs", before[c, j]) if pin.startswith("ksp") else ("c_fs", rate[c, j])
+        found[name][pin] = float(-per_ampere * after[i, c] * circuit.gain[c] * constants.v_fs * read)
+    for i in range(n):
+        torque = float(after[i, m + i]) * per_ampere
+        found["v_nm"][f"cmd{i + 1}"] = 1.0 / torque if torque else math.inf
+    return found
