@@ -91,9 +91,13 @@ def test_segmentation_fault() -> None:
 
 
 def test_ngspices_own_segmentation_fault() -> None:
-    """`dc 0 external` crashes ngspice before version 41; later ones simulate it, and nothing answers."""
-    with pytest.raises(SimulationError, match=r"SIGSEGV|external source"):
-        run("simulate", "t\nV1 a 0 dc 0 external\nR1 a 0 1k\n")
+    """`dc 0 external` crashes ngspice before version 41; later ones take 0 V for the operating point."""
+    try:
+        vectors = run("simulate", "t\nV1 a 0 dc 0 external\nR1 a 0 1k\n")
+    except SimulationError as error:
+        assert "SIGSEGV" in str(error)  # noqa: PT017
+    else:
+        assert vectors["a"] == 0.0
 
 
 def test_exit() -> None:

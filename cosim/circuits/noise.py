@@ -255,7 +255,11 @@ def _density(
 ) -> tuple[Array, bool]:
     """Return the device's noise current [F] A/sqrt(Hz), and whether `.noise` could not tell it."""
     reach = np.abs(response)
+    if maker.warmed:  # what `.noise` makes of it depends on the version
+        return np.full(len(reach), _at_operating_point(session, maker)), False
     found = np.stack([one.get(maker.name, np.zeros(len(reach))) for one in heard], axis=1)
+    if maker.from_data_sheet:  # `.noise` has it at the circuit's temperature, the data sheet at its own
+        found *= math.sqrt(_kelvin(ROOM_C) / _kelvin(session.reading(maker.name, "temp")))
     best = np.argmax(found / (np.max(found, axis=0) + 1e-300) * (reach > 0.0), axis=1)
     row = np.arange(len(reach))
     size = found[row, best] / np.maximum(reach[row, best], 1e-300)
@@ -264,7 +268,7 @@ def _density(
     audible = np.maximum(expected, found).max(axis=0) > 0.0
     if reach.max() == 0.0:
         return size, False
-    least = _at_operating_point(session, maker.name)
+    least = _at_operating_point(session, maker)
     # what passes in part would look right at the only output that hears it
     loud = reach > _FAINT * reach.max()
     short = (loud & (found < (1.0 - _SAME) * least * reach)).any()
@@ -273,16 +277,18 @@ def _density(
     return size, False
 
 
-def _at_operating_point(session: Session, element: str) -> float:
+def _kelvin(celsius: float) -> float:
+    return celsius + 273.15
+
+
+def _at_operating_point(session: Session, maker: Element) -> float:
     """Return an element's thermal or shot noise A/sqrt(Hz), by the formulas of ngspice's own models."""
-    letter = element[0]
+    element, letter = maker.name, maker.name[0]
     if letter == "r":
-        kelvin = session.reading(element, "temp") + 273.15
+        kelvin = _kelvin(ROOM_C if maker.from_data_sheet else session.reading(element, "temp"))
         return math.sqrt(4.0 * Boltzmann * kelvin / session.reading(element, "resistance"))
     if letter in "jm":  # a channel in saturation
-        return math.sqrt(
-            4.0 * Boltzmann * (ROOM_C + 273.15) * abs(session.reading(element, "gm")) * 2.0 / 3.0
-        )
+        return math.sqrt(4.0 * Boltzmann * _kelvin(ROOM_C) * abs(session.reading(element, "gm")) * 2.0 / 3.0)
     return math.sqrt(2.0 * elementary_charge * abs(session.reading(element, _CURRENT[letter])))
 
 
@@ -292,7 +298,7 @@ def _left_out(
     """Name what `.noise` hears of elements whose terminals are not known."""
     known = {maker.name for maker in makers}
     # of a part that states its noise, what else its model makes is none of the component's
-    stated = tuple(m.name.partition(".")[2].removesuffix(SOURCE) for m in makers if m.name.endswith(SOURCE))
+    stated = tuple(m.name.partition(".")[2].removesuffix(SOURCE) for m in makers if m.from_data_sheet)
     return [
         f"{name} makes noise that is left out: its terminals are not known"
         for name in sorted({name for found in heard.values() for name in found} - known)

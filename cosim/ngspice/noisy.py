@@ -6,6 +6,7 @@ part stay free of it. The density comes from the part's own parameter, as its ``
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 
 from scipy.constants import Boltzmann
@@ -23,6 +24,7 @@ _OUTSIDE, _NODE = "noise_pin", "noise_node"
 #: The resistor whose thermal noise is a part's voltage noise; its name in ngspice ends so.
 SOURCE = "rnoise_source"
 #: Letters of elements that make noise, and the places of the two nodes between which most of it flows.
+_TEMP = re.compile(r"temp\b")
 _MAKERS = {"r": (1, 2), "d": (1, 2), "j": (1, 3), "q": (1, 3), "m": (1, 3)}
 
 
@@ -40,12 +42,21 @@ class Element:
         ngspice's names of the nodes between which its noise current flows.
     resistor
         Whether it is a resistor of a stated value: its noise is 4 k T / R whatever `.noise` says.
+    warmed
+        Whether its line states its own temperature (``temp=``), which `.noise` takes differently by version:
+        39 does not hear of it, 44 adds it to 27 degC, 47 takes it as it is.
     """
 
     name: str
     device: str
     nodes: tuple[str, str]
     resistor: bool
+    warmed: bool = False
+
+    @property
+    def from_data_sheet(self) -> bool:
+        """Whether it stands for a density that a part states: at `ROOM_C`, however warm the circuit."""
+        return self.name.endswith(SOURCE)
 
 
 def noisy(board: Deck) -> Deck:
@@ -83,10 +94,14 @@ def _part(block: str, parts: dict[str, Part]) -> Part | None:
 
 
 def _source(part: Part, line: Line) -> list[Line]:
-    """Return a voltage source of the part's noise between its pin's outer and inner side."""
+    """Return a voltage source of the part's noise between its pin's outer and inner side.
+
+    Its resistor has the circuit's temperature, since ``temp=`` means something else in every version; who
+    measures its noise scales it back (`Element.from_data_sheet`).
+    """
     four_kt = 4.0 * Boltzmann * (ROOM_C + 273.15)
     texts = (
-        f"{SOURCE} {_NODE} 0 {{{part.density}*{part.density}/{four_kt!r}}} temp={ROOM_C:g}",
+        f"{SOURCE} {_NODE} 0 {{{part.density}*{part.density}/{four_kt!r}}}",
         f"enoise_source {part.noise} {_OUTSIDE} {_NODE} 0 1",
     )
     return [replace(line, text=text, comment="") for text in texts]
@@ -119,6 +134,7 @@ def elements(board: Deck) -> list[Element]:
                     (device or own).removeprefix("xboard."),
                     (named(words[places[0]]), named(words[places[1]])),
                     words[0][0] == "r",
+                    words[0][0] == "r" and any(_TEMP.match(word) for word in words[3:]),
                 )
             )
         for instance in block.instances():

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cosim.errors import CosimError, InputError, Problem, SimulationError, nearest
 from cosim.ngspice.library import OLDEST_VERSION, STOP_COMMAND, Init, Library, Source, Sync
-from cosim.ngspice.lines import Line
+from cosim.ngspice.lines import Line, number
 from cosim.ngspice.words import is_error, load_problems, operating_point_problem, step_problem
 
 __all__ = ["OLDEST_VERSION", "STOP_COMMAND", "Simulator"]
@@ -322,6 +322,7 @@ class Simulator:
         library.lines.clear()
         library.recent.clear()
         library.failure = None
+        library.end_s = _end(command)
         status = library.api.ngSpice_Command(command.encode())
         if library.failure is not None:
             failure, library.failure = library.failure, None
@@ -353,3 +354,10 @@ class Simulator:
             match = _STOP.match(line)
             if match:
                 library.api.ngSpice_Command(f"delete {match[1]}".encode())
+
+
+def _end(command: str) -> float:
+    """Return the time [s] at which a ``tran`` command ends, infinity for any other command."""
+    words = command.split()
+    end = number(words[2]) if len(words) > 2 and words[0].lower() == "tran" else None
+    return math.inf if end is None else end

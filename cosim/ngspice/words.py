@@ -1,7 +1,7 @@
 """What ngspice prints, and what it means.
 
 ngspice writes errors, warnings and chatter to both streams, in words that differ from place to place. The
-patterns here were collected by running broken decks through the shared library of version 39.
+patterns here were collected by running broken decks through the shared libraries of versions 39, 44 and 47.
 """
 
 import re
@@ -40,7 +40,7 @@ _CHATTER = re.compile(
     r"|shared library",
     re.IGNORECASE,
 )
-_NUMBERED = re.compile(r"(?:Error on line|Netlist line no\.)\s*(\d+)", re.IGNORECASE)
+_NUMBERED = re.compile(r"(?:Error on line|Netlist line no\.|parsing stopped at line)\s*(\d+)", re.IGNORECASE)
 _PARAMETER = re.compile(r"Undefined parameter \[(\w+)\]", re.IGNORECASE)
 _INSTANCE = re.compile(r"\(instance: x(\S+)\)", re.IGNORECASE)
 _SINGULAR = re.compile(r"singular matrix:\s*check nodes?\s+(\S+(?:\s+and\s+\S+)?)", re.IGNORECASE)
