@@ -6,9 +6,7 @@ some microseconds instead of nanoseconds (`compiled` says which).
 """
 
 import ctypes
-import importlib.util
 import inspect
-import sys
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,6 +17,7 @@ import numpy as np
 
 from mech.checks import Checker, ParameterError, Refusal
 from mech.records import KNOTS, OPERATOR, OperatorKind
+from mech.userfile import load_file
 
 __all__ = ["Hand", "NoOperator", "Operator", "PointMass", "UserOperator", "load_user"]
 
@@ -239,13 +238,10 @@ def load_user(spec: str, folder: str | Path = ".") -> UserOperator:
     path = (Path(folder) / file).resolve()
     if not path.is_file():
         raise refused(f"an existing file; there is no {path}")
-    module_spec = importlib.util.spec_from_file_location(f"_operator_{path.stem}", path)
-    if module_spec is None or module_spec.loader is None:
+    if path.suffix != ".py":
         raise refused("a Python file, '.py'")
-    module = importlib.util.module_from_spec(module_spec)
-    sys.modules[module_spec.name] = module  # dataclasses and pickle look a class's module up
     try:
-        module_spec.loader.exec_module(module)
+        module = load_file(path)
     except (Exception, SystemExit) as error:
         raise refused(f"loadable; it raised {type(error).__name__}: {error}", error) from error
     kind: Any = getattr(module, name, None)

@@ -7,7 +7,6 @@ stays as the scene says. It runs in the simulation's process and is trusted as a
 from __future__ import annotations
 
 import ctypes
-import importlib.util
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -20,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from cosim.errors import InputError, Problem, SimulationError, nearest
 from mech.kernels import jacobian, tip
 from mech.records import NMAX
+from mech.userfile import load_file
 
 
 @dataclass(frozen=True)
@@ -80,12 +80,8 @@ def load_law(where: str, scene: Path | None) -> Any:
         raise refuse("a control law is named as 'file.py:Class'")
     if not path.is_file():
         raise refuse(f"there is no file {path}")
-    spec = importlib.util.spec_from_file_location("cosim_user_law", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
     try:
-        spec.loader.exec_module(module)
+        module = load_file(path)
         kind = getattr(module, name, None)
         if not isinstance(kind, type):
             near = nearest(name, [key for key, value in vars(module).items() if isinstance(value, type)])
