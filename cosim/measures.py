@@ -119,7 +119,7 @@ def _heat(t: NDArray[np.float64], signals: Signals, n: int) -> float:
     return float(np.trapezoid(squares, t))
 
 
-def chosen(measures: dict[str, dict[str, Any]], scene: Scene) -> dict[str, dict[str, Any]]:
+def chosen(measures: Mapping[str, Mapping[str, Any]], scene: Scene) -> dict[str, Mapping[str, Any]]:
     """Return the measures that `[measures] names` asks for and this run has, all when it asks for none."""
     return {name: measures[name] for name in scene.measures.names or measures if name in measures}
 

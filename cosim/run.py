@@ -47,6 +47,7 @@ def run(
     on_progress: Callable[[Mapping[str, Any]], None] | None = None,
     child: Child | None = None,
     command: list[str] | None = None,
+    more: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Run:
     """Simulate a plan and save the result whole, or not at all.
 
@@ -64,6 +65,8 @@ def run(
         A process from `cosim.ngspice.child.start_early`; it can serve several runs.
     command
         Command line for the provenance.
+    more
+        Measures that no run is needed for, to be kept with its own (`cosim.studies.measuring`).
 
     Raises
     ------
@@ -74,7 +77,7 @@ def run(
     """
     with collected() as cautions:
         warn(*plan.cautions)
-        return _run(plan, out, formats, on_progress, child, command, cautions)
+        return _run(plan, out, formats, on_progress, child, command, more or {}, cautions)
 
 
 def _run(
@@ -84,6 +87,7 @@ def _run(
     on_progress: Callable[[Mapping[str, Any]], None] | None,
     child: Child | None,
     command: list[str] | None,
+    more: Mapping[str, Mapping[str, Any]],
     cautions: Sequence[Caution],
 ) -> Run:
     """Simulate and save, with the `cautions` that were heard until the result was complete."""
@@ -117,7 +121,7 @@ def _run(
         ledger = got["ledger"]
         signals = read_raw(stage.path / RAW)
         amplifiers = _amplifiers(plan, got)
-        measures = standard(scene, constants, signals, samples, amplifiers, ledger)
+        measures = standard(scene, constants, signals, samples, amplifiers, ledger) | dict(more)
         warn(*plausibility.of_run(scene, constants, signals, samples, measures, amplifiers, ledger))
         if "circuit" in got:
             warn(*plausibility.of_circuit(got["circuit"], constants))

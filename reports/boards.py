@@ -1,5 +1,6 @@
 """The page of a comparison: what changed in numbers, the paths as they are rendered, the poles."""
 
+import math
 import textwrap
 from collections.abc import Sequence
 from dataclasses import replace
@@ -104,6 +105,21 @@ def tables(sides: "Sequence[Side]", rows: "Sequence[Row]") -> list[Table]:
     return found
 
 
+def felt(rows: "Sequence[Row]", most: int = 4) -> list[str]:
+    """Say what of an edit is felt, most first; of figures that nobody feels, that there are others."""
+    beyond = [row for row in rows if row.felt is not None and row.felt >= 1.0]
+    if not beyond:
+        return ["No force, stiffness or damping at the hand changes by what is noticed or tolerated."]
+    said = [
+        f"{row.quantity}{f' ({row.where})' if row.where else ''}: {', '.join(cells(row))}; "
+        + (f"{row.felt:.3g} times" if math.isfinite(row.felt or 0.0) else "beyond any")
+        + f" what matters: {row.by}"
+        for row in beyond[:most]
+    ]
+    more = len(beyond) - len(said)
+    return [f"Felt: {line}." for line in said] + ([f"{more} more are felt."] if more else [])
+
+
 def _summary(sides: "Sequence[Side]", rows: "Sequence[Row]") -> list[str]:
     said = []
     changed = {row.section for row in rows}
@@ -113,6 +129,7 @@ def _summary(sides: "Sequence[Side]", rows: "Sequence[Row]") -> list[str]:
         if rows
         else "No figure differs by more than rounding."
     )
+    said += felt(rows) if rows else []
     if same and rows:
         said.append(f"Nothing changed in: {'; '.join(title[0].lower() + title[1:] for title in same)}.")
     for name in dict.fromkeys(name for side in sides for name, _ in side.said):

@@ -16,7 +16,7 @@ from cosim.plan import resolve
 from cosim.results import Run, effects_digest
 from cosim.scene import Level, load_scene
 from cosim.scene.schema import CHOICES
-from cosim.studies import auto
+from cosim.studies import auto, measuring
 from cosim.studies.auto import choose
 from cosim.studies.candidates import Candidates, ladder
 
@@ -154,10 +154,12 @@ def device(monkeypatch):
             value += share.get((effect.name, str(effect.value(plan.scene))), 0.0)
         seen.append(effects_digest(plan.scene))
         return SimpleNamespace(
-            measures={"peak_force": {"value": value, "unit": "N", "text": ""}}, stats={"cpu_s": 0.0}
+            measures={"peak_force": {"value": value, "unit": "N", "text": ""}},
+            stats={"cpu_s": 0.0},
+            warnings=(),
         )
 
-    monkeypatch.setattr(auto, "run", pretend)
+    monkeypatch.setattr(measuring, "run", pretend)
     return share, seen
 
 

@@ -22,8 +22,10 @@ from cosim.plan import resolve
 from cosim.scene import load_scene
 from cosim.settings import Variant
 from cosim.studies import ledger
-from cosim.studies.compare import sides_of
+from cosim.studies.compare import changes, sides_of
 from cosim.studies.dissipation import dissipation
+from cosim.studies.figures import Figure
+from reports.boards import felt
 
 DROP = str(scenes_folder() / "drop.toml")
 BOARD = str(netlists_folder() / "board1.cir")
@@ -83,6 +85,59 @@ def test_compare_with_a_value_and_with_the_last_run(tmp_path, edited, capsys):
     _, by_value = compared(capsys, BOARD, DROP, "--set", "r_sum_spring=27k", "--out", tmp_path / "c")
     place = ("spring at full-scale gain", "motor 1 from joint 1")
     assert by_edit[place]["values"] == by_value[place]["values"]
+
+
+def side(figures, tolerance=None):
+    """A side of a comparison that holds figures: (section, quantity, place, unit, value, part)."""
+    scene = load_scene(DROP).model_copy(update={"tolerance": tolerance or {}})
+    return SimpleNamespace(
+        plan=SimpleNamespace(scene=scene), figures=tuple(Figure(*figure) for figure in figures)
+    )
+
+
+def test_what_is_felt_leads_and_the_tools_own_bounds_come_last():
+    """7 % of the scene's largest force and 8 % of a stiffness are noticed; a bound is felt by nobody."""
+
+    def figures(k):
+        return [
+            ("bounds", "error of that model up to 1000 Hz, at most", "", "%", 1e-3 * (1 + 9 * k)),
+            ("loops", "phase margin", "xsum1.xop", "deg", 80.0 - 40.0 * k, "tl072"),
+            ("measures", "peak force", "", "N", 2.0 + 0.02 * k),
+            ("measures", "steady tangential force", "", "N", 1e-4 + 3e-4 * k),
+            ("measures", "steady normal force", "", "N", 1.0 + 0.28 * k),
+            ("measures", "rendered stiffness", "", "N/m", 100.0 - 20.0 * k),
+            ("measures", "heat", "", "A^2 s", 1.0 + k),
+        ]
+
+    rows = changes([side(figures(0)), side(figures(1))])
+    names = [row.quantity for row in rows]
+    assert names[:2] == ["rendered stiffness", "steady normal force"]
+    assert [row.felt for row in rows[:2]] == pytest.approx([20.0 / 8.0, 0.28 / (0.07 * 2.0)], rel=1e-9)
+    assert names[-1].startswith("error of that model")
+    assert next(row for row in rows if row.quantity == "phase margin").felt is None
+    small = next(row for row in rows if row.quantity == "steady tangential force")
+    assert small.felt == pytest.approx(3e-4 / (0.07 * 2.0), rel=1e-9)
+    assert felt(rows)[0].startswith("Felt: rendered stiffness: 100 N/m, 80 N/m")
+    stated = [side(figures(0), {"peak_force": 0.001}), side(figures(1))]
+    assert changes(stated)[0].quantity == "peak force"  # ten times what the scene allows
+    assert felt([row for row in rows if row.felt is None or row.felt < 1]) == [
+        "No force, stiffness or damping at the hand changes by what is noticed or tolerated."
+    ]
+
+
+def test_a_measure_that_appears_is_beyond_any_tolerance():
+    one = [("measures", "peak force", "", "N", 2.0)]
+    two = [*one, ("measures", "tangential ratio", "", "", 0.1)]
+    rows = changes([side(one, {"tangential_ratio": 0.5}), side(two)])
+    assert [(row.quantity, row.felt) for row in rows] == [("tangential ratio", np.inf)]
+
+
+def test_another_part_in_the_same_place_is_the_same_loop(tmp_path, capsys):
+    """Amplifiers pair by instance: OPA2134 for TL072 moves crossovers by their gain-bandwidths, 8/3."""
+    _, rows = compared(capsys, DROP, "--set", "device.parts.tl072=opa2134", *SHORT, "--out", tmp_path)
+    before, after = rows["crossover", "xsum1.xop (tl072 / opa2134)"]["values"]
+    assert after / before == pytest.approx(8.0 / 3.0, rel=2e-2)
+    assert not [row for row in rows.values() if row["section"] == "loops" and None in row["values"]]
 
 
 def test_what_can_be_compared(tmp_path, capsys):
@@ -167,7 +222,7 @@ def test_effects_ledger_knows_what_matters(tmp_path, capsys):
 def test_every_choice_of_the_ledger_runs_on_a_board_of_its_own():
     """What one effect makes of the netlist may not be the board of another."""
     path = scenes_folder() / "press.toml"
-    runner = ledger._Runner(path, ("solver.model=auto", "device.temperature_c=50"), None, None)
+    runner = ledger._Runner(path, ("solver.model=auto", "device.temperature_c=50"), (), None, None)
     null = {effect.name: effect.null for effect in EFFECTS}
     for effect in CIRCUIT:
         for value in effect.on:

@@ -1,6 +1,7 @@
 """What a subcommand is, and the arguments that several of them share."""
 
 import argparse
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -57,6 +58,17 @@ def scene_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def measure_argument(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add ``--measure``; `what` says what it does there."""
+    parser.add_argument(
+        "--measure",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help=f"{what}; repeatable; nothing is simulated where no measure needs it",
+    )
+
+
 def out_argument(parser: argparse.ArgumentParser) -> None:
     """Add the folder for results."""
     parser.add_argument(
@@ -70,6 +82,8 @@ def load_variants(args: argparse.Namespace) -> "list[tuple[Variant, Scene]]":
     from cosim.settings import parse_settings, variants
 
     forced = [f"solver.model={args.model}"] if args.model else []
+    if getattr(args, "measure", None):
+        forced.append(f"measures.names={json.dumps(list(dict.fromkeys(args.measure)))}")
     return [
         (variant, load_scene(args.scene, [*forced, *variant.overrides]))
         for variant in variants(parse_settings(args.set))

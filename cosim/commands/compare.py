@@ -5,10 +5,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.commands.command import Command
+from cosim.commands.command import Command, measure_argument
 
 if TYPE_CHECKING:
-    from cosim.studies.compare import Row, Side
+    from cosim.ngspice.child import Child
+    from cosim.studies.compare import Asked, Row, Side
 
 #: Results of `cosim run SCENE` without a folder of their own.
 _USUAL = Path("out")
@@ -39,6 +40,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--out", metavar="FOLDER", help="folder for the runs and a page (default: out/compare)"
     )
+    measure_argument(parser, "measure to compare, and nothing else: no check, no page")
     parser.add_argument("--most", type=int, default=40, metavar="N", help="figures to show (default: 40)")
     parser.add_argument(
         "--trust", action="store_true", help="let the netlists run commands and read files of their choice"
@@ -52,9 +54,13 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         from cosim.commands.progress import progress
         from cosim.settings import parse_settings, variants
         from cosim.studies.compare import changes, compare, sides_of
+        from cosim.studies.measuring import check_measures
 
+        check_measures(args.measure)
         last = _USUAL / Path(args.scene).stem if args.last == "" else Path(args.last) if args.last else None
         asked = sides_of(args.boards, variants(parse_settings(args.set)), last)
+        if args.measure:
+            return _measures(args, asked, child)
         out = Path(args.out) if args.out else _USUAL / "compare"
         with progress("comparing") as show:
             sides = compare(args.scene, asked, out, child=child, trust=args.trust, on_progress=show)
@@ -73,10 +79,25 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     return result, text
 
 
+def _measures(args: argparse.Namespace, asked: "list[Asked]", child: "Child") -> tuple[dict[str, Any], str]:
+    """Compare the measures that are asked for."""
+    from cosim.commands.progress import progress
+    from cosim.commands.run import measure_table
+    from cosim.studies.compare import compare_measures
+
+    names = list(dict.fromkeys(args.measure))
+    with progress("comparing") as show:
+        sides = compare_measures(args.scene, asked, names, child=child, trust=args.trust, on_progress=show)
+    rows = [(label, {n: found.rows[n] for n in names if n in found.rows}) for label, found in sides]
+    why = [f"{label}, no {name}: {why}" for label, found in sides for name, why in found.lacking.items()]
+    result = {"boards": [label for label, _ in rows], "measures": [dict(row) for _, row in rows]}
+    return result, "\n".join([*([measure_table(rows)] if any(r for _, r in rows) else []), *why])
+
+
 def _table(sides: "Sequence[Side]", rows: "Sequence[Row]", most: int) -> list[str]:
     """Return what changed, by section, as far as there is room for the largest changes."""
     from cosim.studies.figures import SECTIONS
-    from reports.boards import cells
+    from reports.boards import cells, felt
 
     if not rows:
         return ["no figure differs"]
@@ -97,7 +118,7 @@ def _table(sides: "Sequence[Side]", rows: "Sequence[Row]", most: int) -> list[st
         )
         for row in table
     )
-    text = [next(formed).rstrip() if line is None else line for line in lines]
+    text = [*felt(rows), "", *(next(formed).rstrip() if line is None else line for line in lines)]
     if len(rows) > len(shown):
         text.append(f"and {len(rows) - len(shown)} smaller changes (--most, --json)")
     return text

@@ -30,24 +30,27 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
     with start_early("cosim.loop.simulate") as child:
-        from cosim.errors import fail, nearest
+        from cosim.catalogue import OF_A_RUN
+        from cosim.errors import fail
         from cosim.settings import parse_settings
         from cosim.studies.ledger import effects_ledger
+        from cosim.studies.measuring import check_measures
+
+        check_measures([args.measure])
+        wanted = OF_A_RUN if args.measure in OF_A_RUN else (args.measure,)
 
         settings = parse_settings(args.set)
         if any(len(setting.values) > 1 for setting in settings):
             fail("a ledger is of one scene: give each name one value", key="--set", value=args.set)
         overrides = tuple(setting.override(setting.values[0]) for setting in settings)
         with progress("effects") as show:
-            ledger = effects_ledger(args.scene, overrides, child=child, on_progress=show)
+            ledger = effects_ledger(args.scene, overrides, measures=wanted, child=child, on_progress=show)
     if args.measure not in ledger.full:
-        near = nearest(args.measure, ledger.full)
+        why = ledger.lacking.get(args.measure)
         fail(
-            "no such measure in this scene" + (f"; nearest is {near}" if near else ""),
-            key="--measure",
-            value=args.measure,
-            allowed=", ".join(ledger.full),
-        )
+            "this scene has no such measure" + (f": {why}" if why else ""),
+            key="--measure", value=args.measure, allowed=", ".join(ledger.full) or None,
+        )  # fmt: skip
     text = table(ledger, args.measure)
     if args.out:
         from reports.effects import write_effects
@@ -71,10 +74,12 @@ def table(ledger: "EffectsLedger", measure: str) -> str:
     """Return the ledger of one measure, the largest effect first."""
     row = ledger.full[measure]
     unit = str(row["unit"])
-    first, last = ledger.null[measure]["value"], row["value"]
+    none, last = ledger.null.get(measure), row["value"]
+    first = f"{none['value']:.5g}" if none else f"none ({ledger.lacking.get(measure, 'the scene has none')})"
     lines = [
-        f"{measure} [{unit}]: {first:.5g} with no effect ({1e3 * ledger.null_s:.3g} ms), "
-        f"{last:.5g} with all ({1e3 * ledger.full_s:.3g} ms); {ledger.runs} runs",
+        f"{measure} [{unit}]: {first} with no effect ({1e3 * ledger.null_s:.3g} ms), "
+        f"{last:.5g} with all ({1e3 * ledger.full_s:.3g} ms); "
+        + (f"{ledger.runs} runs" if ledger.runs else "no run is needed"),
         "",
         f"{'effect':19} {'value':14} {'alone':>12} {'cost [ms]':>10} {'on top of all':>14} {'cost [ms]':>10}",
     ]

@@ -8,17 +8,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.caution import collected
-from cosim.commands.command import Command, about, load_variants, out_argument, scene_arguments
+from cosim.commands.command import (
+    Command,
+    about,
+    load_variants,
+    measure_argument,
+    out_argument,
+    scene_arguments,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
+    from cosim.ngspice.child import Child
+    from cosim.plan import Plan
     from cosim.results import Run
     from cosim.settings import Variant
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     scene_arguments(parser)
+    measure_argument(parser, "measure to show, instead of the scene's [measures]")
     out_argument(parser)
     parser.add_argument(
         "--format",
@@ -34,9 +44,12 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
     with start_early("cosim.loop.simulate") as child:  # it imports while the scene is read
         from cosim.commands.choice import plan_of
-        from cosim.run import run
+        from cosim.studies.measuring import check_measures, needs_a_run, run_with_measures
 
+        check_measures(args.measure)
         found = load_variants(args)
+        if args.measure and not needs_a_run(args.measure):
+            return _without_run(args, [(v, plan_of(args, v, scene, child)) for v, scene in found], child)
         base = Path(args.out) if args.out else Path("out") / Path(args.scene).stem
         _keep_apart(base, series=len(found) > 1)
         _announce_compilation()
@@ -50,9 +63,29 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
             out = base if len(plans) == 1 else base / name
             title = variant.label or plan.scene.title
             with collected(about(variant, found)), progress(plan.scene.duration_s, title) as show:
-                result = run(plan, out, formats=tuple(args.format), on_progress=show, child=child)
+                result = run_with_measures(
+                    plan, out, formats=tuple(args.format), on_progress=show, child=child
+                )
             finished.append((variant, out, result))
     return _json(finished), _text(finished)
+
+
+def _without_run(
+    args: argparse.Namespace, plans: "list[tuple[Variant, Plan]]", child: "Child"
+) -> tuple[dict[str, Any], str]:
+    """Measure what needs no run: nothing is simulated, nothing is stored."""
+    from cosim.studies.board_measures import board_measures
+
+    rows: list[tuple[str, Mapping[str, Mapping[str, Any]]]] = []
+    told, lines = [], ["no run is needed for these measures: nothing was simulated or stored"]
+    for variant, plan in plans:
+        found, lacking = board_measures(plan, args.measure, child=child)
+        rows.append((variant.label, found))
+        told.append({"set": dict(variant.values), "folder": None, "measures": found, "lacking": lacking})
+        head = f"{variant.label}: " if variant.label else ""
+        lines += [f"  {head}no {name}: {why}" for name, why in lacking.items()]
+    shown = [row for row in rows if row[1]]
+    return {"runs": told}, "\n".join([*lines, *(["", measure_table(shown)] if shown else [])])
 
 
 def _keep_apart(base: Path, *, series: bool) -> None:
@@ -171,7 +204,7 @@ def _certified(run: "Run") -> list[str]:
     return [f"  model {run.plan['model']}: {left_out}"]
 
 
-def measure_table(columns: "list[tuple[str, Mapping[str, Mapping[str, Any]]]]") -> str:
+def measure_table(columns: "Sequence[tuple[str, Mapping[str, Mapping[str, Any]]]]") -> str:
     """Return measures side by side: the first column in full, the others with their change."""
     reference = columns[0][1]
     names = list(dict.fromkeys(name for _, measures in columns for name in measures))

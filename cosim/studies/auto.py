@@ -18,15 +18,15 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from cosim.catalogue import OF_A_RUN
 from cosim.effects import EFFECTS
 from cosim.errors import InputError, Problem
 from cosim.measures import Tolerance, tolerances
 from cosim.ngspice.child import Child
 from cosim.plan import Plan
 from cosim.results import effects_digest
-from cosim.run import run
-from cosim.staging import scratch_folder
-from cosim.studies.candidates import Candidates, Rung, Settings, all_measures
+from cosim.studies.candidates import Candidates, Rung, Settings
+from cosim.studies.measuring import measure
 
 Measures = Mapping[str, Mapping[str, Any]]
 
@@ -93,11 +93,9 @@ class _Search:
         if key not in self.known:
             if self.on_progress is not None:
                 self.on_progress(name)
-            with scratch_folder("auto") as folder:
-                plan = all_measures(self.candidates.plan(settings))
-                result = run(plan, folder / "run", formats=(), child=self.child)
-                self.known[key] = dict(result.measures)
-                self.cpu_s += float(result.stats["cpu_s"])
+            found = measure(self.candidates.plan(settings), (*OF_A_RUN, *self.tolerances), child=self.child)
+            self.known[key] = found.rows
+            self.cpu_s += found.cpu_s
         return self.known[key]
 
     def force_n(self, settings: Settings) -> float:

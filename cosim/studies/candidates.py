@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -201,14 +201,6 @@ class Candidates:
             settings = self._needed(rung.effect)
             found.append((rung, self.plan(self.with_(settings, rung)), self.size(rung, settings)))
         return sorted(found, key=lambda row: -row[2].force_n / row[1].cost()["seconds"])
-
-
-def all_measures(plan: Plan) -> Plan:
-    """Return the plan with every measure, whatever the scene wants to see."""
-    scene = plan.scene
-    return replace(
-        plan, scene=scene.model_copy(update={"measures": scene.measures.model_copy(update={"names": ()})})
-    )
 
 
 def _toml(value: Any) -> str:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from cosim.catalogue import MEASURES, Need
 from cosim.caution import collected, warn
 from cosim.check.check import Check, check
 from cosim.check.subject import Subject, load_subject
 from cosim.circuits.linear import LinearCircuit
 from cosim.errors import InputError, fail
+from cosim.measures import Tolerance, tolerances
 from cosim.ngspice import stored
 from cosim.ngspice.child import Child, call
 from cosim.plan import Plan, resolve
@@ -18,6 +21,7 @@ from cosim.results import Run
 from cosim.run import run
 from cosim.scene import load_scene
 from cosim.settings import Variant
+from cosim.studies.board_measures import board_measures
 from cosim.studies.dissipation import dissipation
 from cosim.studies.figures import (
     Figure,
@@ -25,12 +29,24 @@ from cosim.studies.figures import (
     of_check,
     of_circuit,
     of_dissipation,
+    of_measures,
     of_reduced,
-    of_run,
 )
+from cosim.studies.measuring import Measured, measure
 
 #: Differences below this share are rounding of the measurement, not the edit.
 _ROUNDING = 1e-6
+#: Least share of a force at the hand that is noticed, and who measured it; of the largest force of the scene,
+#: for a change of what is next to nothing beside it is not felt whatever its own share.
+_FORCE = (0.07, "Pang, Tan and Durlach 1991")
+#: The same of a stiffness and a damping, as a share of itself.
+_IMPEDANCE = {
+    ("measures", "rendered stiffness"): (0.08, "Jones and Hunter 1990"),
+    ("gains", "spring at full-scale gain"): (0.08, "Jones and Hunter 1990"),
+    ("gains", "damper at full-scale gain"): (0.14, "Jones and Hunter 1993"),
+}
+#: Sections whose forces are those at the hand.
+_AT_THE_HAND = ("measures", "out of contact", "noise")
 #: Magnitudes below which a figure is nothing, by unit.
 _NOTHING = {"N": 1e-9, "A": 1e-9, "V": 1e-9, "s": 1e-12, "W": 1e-9, "%": 1e-6, "N/m": 1e-9, "N s/m": 1e-9}
 
@@ -61,7 +77,17 @@ class Side:
 
 @dataclass(frozen=True)
 class Row:
-    """One figure on all sides; `change` is the largest relative change against the first."""
+    """One figure on all sides.
+
+    Attributes
+    ----------
+    section, quantity, unit : of the figure
+    places : where on the board, with the parts that sit there
+    values : one a side, None where a side has none
+    change : largest change against the first, as a share of the larger of the two
+    felt : that change over what matters of this figure, None where nobody feels it
+    by : what matters, in words
+    """
 
     section: str
     quantity: str
@@ -69,6 +95,8 @@ class Row:
     unit: str
     values: tuple[float | None, ...]
     change: float
+    felt: float | None = None
+    by: str = ""
 
     @property
     def where(self) -> str:
@@ -190,8 +218,15 @@ def _prepared(scene_file: str | Path, asked: Asked, trust: bool) -> tuple[Plan, 
 def _side(label: str, plan: Plan, subject: Subject, result: Run, child: Child | None) -> Side:
     measured = check(subject, child=child)
     stated = plan.stated(child)
-    figures = [*of_run(result), *of_check(measured), *of_dissipation(dissipation(result, stated))]
+    # of the board's own measures the check tells more
+    held = (name for name, each in MEASURES.items() if each.needs is Need.CONTACT)
+    rows, lacking = board_measures(plan, held, child=child, lenient=True)
+    figures = [
+        *of_measures({**result.measures, **rows}), *of_check(measured),
+        *of_dissipation(dissipation(result, stated)),
+    ]  # fmt: skip
     said = first_to_clip(measured, result)
+    said += [(MEASURES[name].text, why) for name, why in lacking.items()]
     circuit = None
     try:
         circuit = _circuit(plan, 0.0, child)
@@ -202,6 +237,35 @@ def _side(label: str, plan: Plan, subject: Subject, result: Run, child: Child | 
         figures += [*of_circuit(circuit), *of_reduced(reduced)]
         said.append(("small-signal model", str(circuit.certificate["footnote_1"]["sentence"])))
     return Side(label, plan, result, measured, circuit, tuple(figures), tuple(said))
+
+
+def compare_measures(
+    scene_file: str | Path,
+    asked: list[Asked],
+    names: Sequence[str],
+    *,
+    child: Child | None = None,
+    trust: bool = False,
+    on_progress: Callable[[int, int, str], None] | None = None,
+) -> list[tuple[str, Measured]]:
+    """Return the named measures of every side, and nothing else; nothing runs where none of them needs it.
+
+    Raises
+    ------
+    InputError
+        For a board that does not fit the scene, and a measure that has nothing to be taken from.
+    """
+    prepared = [_prepared(scene_file, each, trust) for each in asked]
+    found = []
+    for number, (each, (plan, _, result)) in enumerate(zip(asked, prepared, strict=True)):
+        if on_progress is not None:
+            on_progress(number, len(asked), each.label)
+        if result is None:
+            found.append((each.label, measure(plan, names, child=child)))
+        else:
+            rows, lacking = board_measures(plan, names, child=child)
+            found.append((each.label, Measured({**result.measures, **rows}, lacking, 0.0)))
+    return found
 
 
 def _circuit(plan: Plan, tolerance: float, child: Child | None) -> LinearCircuit:
@@ -222,11 +286,16 @@ def _circuit(plan: Plan, tolerance: float, child: Child | None) -> LinearCircuit
 
 
 def changes(sides: list[Side]) -> list[Row]:
-    """Return the figures that differ between the sides, the largest relative change first.
+    """Return the figures that differ between the sides, what is felt most first.
 
+    What is felt, that is beyond the scene's tolerance or what a hand notices, stands by how far it is beyond;
+    then all else by relative change; then bounds of the tool's own models, which are no property of a board.
     Places with the same values are told once.
     """
     known = [{figure.key: figure for figure in side.figures} for side in sides]
+    stated = tolerances(sides[0].plan.scene)
+    peak = known[0].get(("measures", "peak force", ""))
+    force_n = peak.value if peak is not None and peak.value is not None else 0.0
     rows: dict[tuple[object, ...], Row] = {}
     for key in dict.fromkeys(key for figures in known for key in figures):
         found = [figures.get(key) for figures in known]
@@ -235,14 +304,46 @@ def changes(sides: list[Side]) -> list[Row]:
         size = _change(values, _NOTHING.get(unit, 1e-12))
         if size <= _ROUNDING:
             continue
+        parts = dict.fromkeys(figure.part for figure in found if figure is not None and figure.part)
+        place = key[2] + (f" ({' / '.join(parts)})" if parts else "")
         same = (key[0], key[1], tuple(None if v is None else f"{v:.6g}" for v in values))
         if same in rows:
-            rows[same] = Row(
-                key[0], key[1], (*rows[same].places, key[2]), unit, rows[same].values, rows[same].change
-            )
+            rows[same] = replace(rows[same], places=(*rows[same].places, place))
         else:
-            rows[same] = Row(key[0], key[1], (key[2],) if key[2] else (), unit, values, size)
-    return sorted(rows.values(), key=lambda row: -row.change)
+            felt, by = _felt(key[0], key[1], unit, values, stated, force_n)
+            rows[same] = Row(key[0], key[1], (place,) if place else (), unit, values, size, felt, by)
+    return sorted(rows.values(), key=_rank)
+
+
+def _rank(row: Row) -> tuple[int, float]:
+    if row.section == "bounds":
+        return 2, -row.change
+    beyond = row.felt is not None and row.felt >= 1.0
+    return (0, -(row.felt or 0.0)) if beyond else (1, -row.change)
+
+
+def _felt(
+    section: str, quantity: str, unit: str, values: tuple[float | None, ...],
+    stated: Mapping[str, Tolerance], force_n: float,
+) -> tuple[float | None, str]:  # fmt: skip
+    """Return a change over what matters of a figure, and what that is; (None, '') for what nobody feels."""
+    tolerance = stated.get(quantity.replace(" ", "_")) if section == "measures" else None
+    known = [abs(value) for value in values if value is not None]
+    share, source = _IMPEDANCE.get((section, quantity), (0.0, ""))
+    if tolerance is not None:
+        allowed, by = tolerance.allowed(max(known)), f"tolerance of {tolerance.text(unit)}"
+    elif share:
+        allowed, by = share * max(known), f"{100 * share:.0f} % is noticed ({source})"
+    elif section in _AT_THE_HAND and unit == "N":
+        share, source = _FORCE
+        allowed = share * max(*known, force_n)
+        by = f"{100 * share:.0f} % of {allowed / share:.3g} N is noticed ({source})"
+    else:
+        return None, ""
+    first = values[0]
+    if first is None or len(known) < len(values) or not allowed > 0.0:
+        return math.inf, by
+    return max(abs(value - first) for value in values if value is not None) / allowed, by
 
 
 def _change(values: tuple[float | None, ...], nothing: float) -> float:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -43,13 +44,17 @@ _PATHS = {
 
 @dataclass(frozen=True)
 class Figure:
-    """One number: where it belongs, what it is, of which place on the board, in which unit."""
+    """One number: where it belongs, what it is, of which place on the board, in which unit.
+
+    `part` is what sits at that place: another part in the same place is still the same figure.
+    """
 
     section: str
     quantity: str
     place: str
     unit: str
     value: float | None
+    part: str = ""
 
     @property
     def key(self) -> tuple[str, str, str]:
@@ -57,9 +62,9 @@ class Figure:
         return self.section, self.quantity, self.place
 
 
-def of_run(run: Run) -> Iterator[Figure]:
-    """Yield the measures of a run; how well its energies close is the solver's, not the board's."""
-    for name, row in run.measures.items():
+def of_measures(measures: Mapping[str, Mapping[str, Any]]) -> Iterator[Figure]:
+    """Yield measures; how well a run's energies close is the solver's, not the board's."""
+    for name, row in measures.items():
         if name == "ledger_closure":
             continue
         yield Figure("measures", name.replace("_", " "), "", str(row["unit"]), float(row["value"]))
@@ -142,17 +147,17 @@ def of_check(check: Check) -> Iterator[Figure]:
 
 
 def _of_loop(loop: Loop) -> Iterator[Figure]:
-    place = f"{part_name(loop.path)} ({loop.part})" + (", current loop" if loop.kind == "motor" else "")
-    yield Figure("loops", "crossover", place, "Hz", loop.crossover_hz)
-    yield Figure("loops", "phase margin", place, "deg", loop.phase_margin_deg)
-    yield Figure("loops", "gain margin", place, "dB", loop.gain_margin_db)
+    place = part_name(loop.path) + (", current loop" if loop.kind == "motor" else "")
+    yield Figure("loops", "crossover", place, "Hz", loop.crossover_hz, loop.part)
+    yield Figure("loops", "phase margin", place, "deg", loop.phase_margin_deg, loop.part)
+    yield Figure("loops", "gain margin", place, "dB", loop.gain_margin_db, loop.part)
 
 
 def _of_headroom(check: Check) -> Iterator[Figure]:
     headroom = check.measured.headroom
     for s in headroom.swings:
-        place = f"{part_name(s.path)} ({s.part})"
-        yield Figure("headroom", "left of the output limit at rated torque", place, "%", s.headroom_percent)
+        quantity = "left of the output limit at rated torque"
+        yield Figure("headroom", quantity, part_name(s.path), "%", s.headroom_percent, s.part)
     for speed in headroom.speeds:
         quantity = "speed at which the damper at full scale clips"
         yield Figure("headroom", quantity, f"joint {speed.joint}", "rad/s", speed.speed_rad_per_s)

@@ -14,15 +14,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from cosim.catalogue import OF_A_RUN
 from cosim.caution import collected
 from cosim.effects import EFFECTS, Effect, features, levels, temperature_c
 from cosim.errors import InputError, SimulationError
 from cosim.ngspice.child import Child, start_early
 from cosim.ngspice.deck import Deck
 from cosim.plan import Plan, resolve
-from cosim.run import run
 from cosim.scene import Scene, load_scene
-from cosim.staging import scratch_folder
+from cosim.studies.measuring import measure, needs_a_run
 
 Measures = Mapping[str, Mapping[str, Any]]
 Settings = Mapping[str, Any]
@@ -61,6 +61,7 @@ class EffectsLedger:
     rows : one an effect and value
     runs : how many co-simulations were run
     not_applicable : name of an effect that was not run -> why
+    lacking : measure that not every choice of effects has -> why
     """
 
     null: Measures
@@ -70,12 +71,14 @@ class EffectsLedger:
     rows: tuple[Row, ...]
     runs: int
     not_applicable: Mapping[str, str] = field(default_factory=dict)
+    lacking: Mapping[str, str] = field(default_factory=dict)
 
 
 def effects_ledger(
     path: str | Path,
     overrides: tuple[str, ...] = (),
     *,
+    measures: tuple[str, ...] = OF_A_RUN,
     child: Child | None = None,
     on_progress: Callable[[int, int, str], None] | None = None,
 ) -> EffectsLedger:
@@ -85,6 +88,8 @@ def effects_ledger(
     ----------
     path, overrides
         The scene, as for `load_scene`. Where the scene has an effect in force, its value counts as 'on'.
+    measures
+        What is looked at; nothing is simulated where none of them needs a run, and all costs are 0 then.
     child
         A simulation process to use for all runs.
     on_progress
@@ -95,7 +100,7 @@ def effects_ledger(
     InputError, SimulationError
         When one of the two baselines cannot be run; a single effect that cannot is told in its row.
     """
-    runner = _Runner(path, overrides, child, on_progress)
+    runner = _Runner(path, overrides, measures, child, on_progress)
     try:
         return _measured(runner)
     finally:
@@ -144,7 +149,7 @@ def _measured(runner: _Runner) -> EffectsLedger:
             off, off_s, why_not = runner.difference(top, f"all, with and without {effect.name} = {value}")
         note = "; ".join(dict.fromkeys(filter(None, (why, why_not))))
         rows.append(Row(effect.name, str(value), on, off, on_s, off_s, note))
-    return EffectsLedger(null, full, null_s, full_s, tuple(rows), runner.done, apart)
+    return EffectsLedger(null, full, null_s, full_s, tuple(rows), runner.runs, apart, runner.lacking)
 
 
 def _key(settings: Settings) -> tuple[tuple[str, Any], ...]:
@@ -179,15 +184,22 @@ class _Runner:
         self,
         path: str | Path,
         overrides: tuple[str, ...],
+        measures: tuple[str, ...],
         child: Child | None,
         on_progress: Callable[[int, int, str], None] | None,
     ) -> None:
-        self.path, self.overrides = path, overrides
+        self.path, self.overrides, self._names = path, overrides, measures
         self.done = self.total = 0
+        self.lacking: dict[str, str] = {}
         self._child, self._own, self._on_progress = child, False, on_progress
         self._boards: dict[Any, Deck] = {}
         self._plans: dict[Any, Plan | InputError] = {}
         self._known: dict[Any, tuple[Measures, float] | str] = {}
+
+    @property
+    def runs(self) -> int:
+        """How many runs there were: none for measures that need none."""
+        return self.done if needs_a_run(self._names) else 0
 
     def close(self) -> None:
         """End the process that was started here."""
@@ -242,9 +254,10 @@ class _Runner:
             if isinstance(plan, InputError):
                 raise plan
             try:
-                with collected(name), scratch_folder("effects") as folder:
-                    result = run(plan, folder / "run", formats=(), child=self._child)
-                    self._known[key] = dict(result.measures), float(result.stats["cpu_s"])
+                with collected(name):
+                    found = measure(plan, self._names, child=self._child, lenient=True)
+                self.lacking |= found.lacking
+                self._known[key] = found.rows, found.cpu_s
             except SimulationError as error:
                 self._known[key] = str(error).splitlines()[0]
                 self.close()

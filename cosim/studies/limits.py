@@ -19,12 +19,15 @@ from cosim.studies.passivity import Device, least_damping, needed_damping, share
 from cosim.studies.rules import gil_hulin
 from cosim.studies.stability import Border, Stability, border, held, stability, touching, with_computer
 
-__all__ = ["Limits", "limits", "locus"]
+__all__ = ["RANGE", "Limits", "largest_passive", "limits", "locus", "varied"]
 
 Array = NDArray[np.float64]
 
 #: Stiffness that is scanned for the border [N/m].
 RANGE = (1.0, 1e7)
+#: A damping that is negative by this share of that at rest is rounding: behind a winding's lag all damping
+#: goes to zero with frequency.
+_NOTHING = 1e-9
 #: At this rate [rad/s] the device's damping counts as that at rest.
 _SLOW = 1e-2
 
@@ -147,6 +150,32 @@ def limits(
         passive_n_per_m=passive,
         gil_hulin_n_per_m=gil_hulin(viscosity, c.period_s, damping, late),
     )
+
+
+def largest_passive(scene: Scene, constants: DesignConstants, circuit: LinearCircuit, q: Array) -> float:
+    """Return the largest passive stiffness at a pose [N/m], of the part that `varied` names.
+
+    0 where the device is active whatever that stiffness is; infinite for an analog spring that no lag makes
+    active within `RANGE`.
+    """
+    key = varied(scene)
+
+    def left(k: float) -> float:
+        """Return the least damping left, beyond what is nothing beside that at rest without a spring."""
+        moved = scene if key == "discrete_stiffness_n_per_m" else with_computer(scene, **{key: k})
+        device = device_of(moved, constants, circuit, q)
+        at_rest = device_of(with_computer(scene, analog_stiffness_n_per_m=0.0), constants, circuit, q)
+        nothing = _NOTHING * float(np.linalg.norm(at_rest.damping(np.array([1.0]))))
+        return least_damping(device, lowest=1.0)[0] + nothing
+
+    low, high = RANGE
+    if left(low) <= 0.0:
+        return 0.0
+    if key == "discrete_stiffness_n_per_m":
+        return _largest_passive(scene, device_of(scene, constants, circuit, q))
+    if left(high) > 0.0:
+        return math.inf
+    return math.exp(brentq(lambda x: left(math.exp(x)), math.log(low), math.log(high), rtol=1e-12))
 
 
 def _delay(scene: Scene) -> float:

@@ -25,7 +25,7 @@ from cosim.studies.points import Points
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 from mech import Chain
 
-__all__ = ["STUDY", "Drag", "Unevenness", "drag", "rendered", "unevenness"]
+__all__ = ["STUDY", "Drag", "Unevenness", "drag", "joint_area", "rendered", "unevenness"]
 
 Array = NDArray[np.float64]
 
@@ -114,7 +114,7 @@ def unevenness(
     parts = np.einsum("ia,ij,jb->ijab", inverse, ksp, inverse)
     across = np.einsum("a,ijab,b->ij", tangent, parts, normal) / stiffness
     curl = parts[:, :, 0, 1] - parts[:, :, 1, 0]
-    area = _joint_area(chain, q, circle_m)
+    area = joint_area(chain, q, circle_m)
     # round a circle at the joints only the antisymmetric part of Ksp does work: twice it times the area
     fed = (ksp[0, 1] * area, ksp[1, 0] * area)
     widest = ksp + mismatch * np.array([[-1.0, 1.0], [-1.0, -1.0]]) * ksp
@@ -126,17 +126,24 @@ def unevenness(
     )
 
 
-def _joint_area(chain: Chain, q: Array, radius: float) -> float:
-    """Area [rad^2] within the joints' path while the tip goes round a circle, centre at `q`."""
-    centre = chain.forward(q)
-    angles = 2 * np.pi * np.arange(_CIRCLE) / _CIRCLE
-    seed, path = q, []
-    for turn in angles:
-        seed = np.asarray(chain.inverse(centre + radius * np.array([np.cos(turn), np.sin(turn)]), seed=seed))
-        path.append(seed)
-    a = np.array(path)
-    b = np.roll(a, -1, axis=0)
-    return float(abs(np.sum(a[:, 0] * b[:, 1] - b[:, 0] * a[:, 1])) / 2)
+def joint_area(chain: Chain, q: Array, radius: float) -> float:
+    """Return the area [rad^2] within the joints' path while the tip goes round a circle, centre at `q`.
+
+    Half the integral of q1 dq2 - q2 dq1, dq = J^-1 dr: smooth and periodic, so that equal steps are exact to
+    rounding.
+
+    Raises
+    ------
+    ValueError
+        Where the circle leaves the workspace.
+    """
+    centre, seed, area = chain.forward(q), q, 0.0
+    for turn in 2 * np.pi * np.arange(_CIRCLE) / _CIRCLE:
+        out, along = np.array([np.cos(turn), np.sin(turn)]), np.array([-np.sin(turn), np.cos(turn)])
+        seed = np.asarray(chain.inverse(centre + radius * out, seed=seed))
+        dq = np.linalg.solve(chain.jacobian(seed), radius * along)
+        area += float(seed[0] * dq[1] - seed[1] * dq[0])
+    return abs(area) * np.pi / _CIRCLE
 
 
 def rendered(circuit: LinearCircuit, constants: DesignConstants, ksp: Array) -> Array:

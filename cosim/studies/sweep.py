@@ -5,23 +5,24 @@ from __future__ import annotations
 import csv
 import hashlib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import cosim
-from cosim.catalogue import UNITS
+from cosim.catalogue import OF_A_RUN, UNITS
 from cosim.caution import caution_of, collected, warn
-from cosim.errors import InputError, Problem, SimulationError, StorageError, nearest
+from cosim.errors import InputError, Problem, SimulationError, StorageError
 from cosim.ngspice.child import Child
 from cosim.ngspice.lines import number
 from cosim.plan import Plan, resolve
-from cosim.run import run
 from cosim.scene import load_scene
 from cosim.settings import Setting, Variant, split_values, variants
-from cosim.staging import disk_errors, scratch_folder, whole_file
-from cosim.studies.candidates import all_measures
+from cosim.staging import disk_errors, whole_file
+from cosim.studies.board_measures import needing_no_run
+from cosim.studies.measuring import check_measures, measure, needs_a_run
 from cosim.studies.points import Points, Progress
 
 POINTS, TABLE = "points.jsonl", "sweep.csv"
@@ -87,22 +88,6 @@ def parse_range(text: str) -> Setting:
     )
 
 
-def check_measures(names: Iterable[str]) -> None:
-    """Raise an `InputError` for every measure that there is not."""
-    problems = [
-        Problem(
-            "no such measure" + (f"; nearest is {near}" if (near := nearest(name, UNITS)) else ""),
-            key="--measure",
-            value=name,
-            allowed=", ".join(UNITS),
-        )
-        for name in names
-        if name not in UNITS
-    ]
-    if problems:
-        raise InputError(problems)
-
-
 def sweep(
     path: str | Path,
     settings: Sequence[Setting],
@@ -114,7 +99,9 @@ def sweep(
     trust: bool = False,
     on_progress: Progress | None = None,
 ) -> Sweep:
-    """Run a scene at every combination of the values; what is already in `folder` is not run again.
+    """Measure a scene at every combination of the values; what is already in `folder` is not run again.
+
+    Nothing is simulated where no measure needs it.
 
     Parameters
     ----------
@@ -123,7 +110,7 @@ def sweep(
     settings
         What is varied; the last one changes fastest.
     measures
-        Names of the measures of the table, all are kept.
+        Names of the measures of the table; of a run all are kept.
     folder
         Keeps the points; those of another scene, board or version are begun anew.
 
@@ -138,26 +125,31 @@ def sweep(
     check_measures(measures)
     every = variants(settings)
     plans = _plans(path, overrides, every, trust)
+    alone = needing_no_run(measures)  # a part of its own: asked for later, it runs nothing again
+    parts = [part for part in (OF_A_RUN if needs_a_run(measures) else (), alone) if part]
     failed: dict[str, str] = {}
     found: list[Mapping[str, Any]] = []
     with disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     with Points(folder / POINTS, _digest(path, overrides, trust), on_progress) as points:
-        points.expect(len(every))
+        points.expect(len(every) * len(parts))
         for variant, plan in zip(every, plans, strict=True):
             label = " ".join(f"{name}={value}" for name, value in variant.values)
-            try:
-                if isinstance(plan, InputError):
-                    raise plan
-                with collected(label):
-                    row = points.get(label, lambda plan=plan: _measured(plan, child))  # type: ignore[misc]
-                    warn(*map(caution_of, row["warnings"]))  # of a point that was kept, too
-                    found.append(row["measures"])
-            except StorageError:
-                raise
-            except (InputError, SimulationError) as error:  # not kept: a resumed sweep tries it again
-                failed[label] = str(error)
-                found.append({})
+            row: dict[str, float] = {}
+            for part in parts:
+                key = label if part is OF_A_RUN else f"{label}: {', '.join(part)}"
+                try:
+                    if isinstance(plan, InputError):
+                        raise plan
+                    with collected(label):
+                        got = points.get(key, partial(_measured, plan, part, child))
+                        warn(*map(caution_of, got["warnings"]))  # of a point that was kept, too
+                        row |= got["measures"]
+                except StorageError:
+                    raise
+                except (InputError, SimulationError) as error:  # not kept: a resumed sweep tries it again
+                    failed[label] = str(error)
+            found.append(row)
     result = Sweep(
         names=tuple(setting.name for setting in settings),
         values=tuple(tuple(value for _, value in variant.values) for variant in every),
@@ -176,7 +168,7 @@ def _plans(
     for variant in every:
         try:
             with collected(variant.label):
-                plans.append(all_measures(_plan(path, overrides, variant, trust)))
+                plans.append(_plan(path, overrides, variant, trust))
         except StorageError:
             raise
         except InputError as error:
@@ -191,11 +183,10 @@ def _plan(path: str | Path, overrides: tuple[str, ...], variant: Variant, trust:
     return resolve(load_scene(path, [*overrides, *variant.overrides]), trust=trust)
 
 
-def _measured(plan: Plan, child: Child | None) -> dict[str, Any]:
-    with scratch_folder("sweep") as folder:
-        result = run(plan, folder / "run", formats=(), child=child)
-        measures = {name: float(row["value"]) for name, row in result.measures.items()}
-        return {"measures": measures, "warnings": [caution.as_dict() for caution in result.warnings]}
+def _measured(plan: Plan, names: Sequence[str], child: Child | None) -> dict[str, Any]:
+    found = measure(plan, names, child=child)
+    measures = {name: float(row["value"]) for name, row in found.rows.items()}
+    return {"measures": measures, "warnings": [caution.as_dict() for caution in found.warnings]}
 
 
 def _digest(path: str | Path, overrides: tuple[str, ...], trust: bool) -> str:

@@ -1,0 +1,203 @@
+"""Measures that need no run: values from theory, reached by every command, and no simulation for them."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support import (
+    COMMAND_TRUE,
+    EMF_TRUE,
+    K_FS,
+    MOTOR_H,
+    MOTOR_OHM,
+    SCENES,
+    SPRING_TRUE,
+    V_NM,
+    Arm,
+    scene_of,
+    shared_child,
+    slider,
+)
+
+from cosim.catalogue import MEASURES, NAMES, OF_A_RUN
+from cosim.cli import main
+from cosim.plan import resolve
+from cosim.results import Run
+from cosim.scene import load_scene
+from cosim.studies import measuring
+from cosim.studies.board_measures import board_measures, needing_no_run
+
+IDEAL = ("opamp=ideal", "vca=ideal", "driver_level=ideal", "motor=emf", "differentiator=ideal")
+DROP, SLOPE, PRESS = (str(SCENES / f"{name}.toml") for name in ("drop", "slope", "press"))
+#: What the model of a slider's circuit and the root of its border are good to.
+CLOSE = 1e-6
+RADIUS, MASS, PERIOD = 0.1333, 0.2, 0.025
+VISCOSITY = EMF_TRUE / RADIUS**2
+DISCRETE = {"method": "discrete", "discrete_stiffness_n_per_m": 10.0, "analog_stiffness_n_per_m": 0.0}
+
+
+def measured(plan: Any, *names: str) -> dict[str, float]:
+    rows, lacking = board_measures(plan, names, child=shared_child())
+    assert not lacking
+    return {name: row["value"] for name, row in rows.items()}
+
+
+def of_slider(folder: Path, *names: str, motor: str = "emf", **computer: Any) -> dict[str, float]:
+    tables = slider(computer=computer, effects={"motor": motor}, solver={"model": "auto"})
+    return measured(resolve(scene_of(folder, tables)), *names)
+
+
+# ---- values
+
+
+def test_limits_of_a_sampled_wall_on_a_mass(tmp_path: Path) -> None:
+    """k* = b (1-E)/(tau (1-E) - T E), E = exp(-T/tau), tau = m/b; passive up to 2b/T."""
+    found = of_slider(tmp_path, "k_max", "passive_stiffness", **DISCRETE)
+    rendered = COMMAND_TRUE * V_NM
+    tau = MASS / VISCOSITY
+    e = math.exp(-PERIOD / tau)
+    exact = VISCOSITY * (1 - e) / (tau * (1 - e) - PERIOD * e)
+    assert found["k_max"] * rendered == pytest.approx(exact, rel=CLOSE)
+    assert found["passive_stiffness"] * rendered == pytest.approx(2 * VISCOSITY / PERIOD, rel=CLOSE)
+
+
+def test_limits_of_an_analog_spring_behind_the_windings_lag(tmp_path: Path) -> None:
+    """Spring and back-EMF act through one pole L/R: active and unstable from b R/L, and eta = k L/(R b)."""
+    found = of_slider(tmp_path, "k_max", "passive_stiffness", "eta", motor="full")
+    lag = MOTOR_H / MOTOR_OHM
+    limit = VISCOSITY / lag
+    for name in ("k_max", "passive_stiffness"):
+        assert found[name] * SPRING_TRUE / K_FS == pytest.approx(limit, rel=1e-5), name
+    # the delay is read at a phase of 1e-3: its cube is 1e-6 of it
+    assert found["eta"] == pytest.approx(100.0 / limit, rel=1e-5)
+
+
+def test_what_no_viscosity_and_no_lag_leave(tmp_path: Path) -> None:
+    none = of_slider(tmp_path, "k_max", "passive_stiffness", motor="ideal", **DISCRETE)
+    assert none == {"k_max": 0.0, "passive_stiffness": 0.0}
+    plan = resolve(scene_of(tmp_path, slider(effects={"motor": "emf"}, solver={"model": "auto"})))
+    rows, lacking = board_measures(plan, ("k_max", "passive_stiffness", "phase_margin"), child=shared_child())
+    assert not rows
+    assert set(lacking) == {"k_max", "passive_stiffness", "phase_margin"}
+
+
+@pytest.mark.parametrize("pair", ["12", "21"])
+def test_one_multiplier_off_makes_curl_and_feeds_energy(pair: str) -> None:
+    """Against Ksp written out with one cross gain 1 % up: the circle's area by a polygon of 20000 corners."""
+    up = 1.01
+    null = [f"effects.{each}" for each in IDEAL]
+    values = f"device.values.Rsp{pair}={24.3e3 / up!r}"
+    plan = resolve(load_scene(SLOPE, [*null, "solver.model=auto", values]))
+    scene = plan.scene
+    assert scene.wall is not None
+    assert scene.device.chain is not None
+    l1, l2 = scene.device.chain.lengths_m
+    arm = Arm(l1, l2, 0, 0, 0, 0, 0, 0, 0)
+    point, normal = np.array(scene.wall.point_m), np.array(scene.wall.normal)
+    jac = arm.jacobian(arm.inverse(point))
+    w = jac.T @ normal
+    ksp = scene.computer.analog_stiffness_n_per_m * SPRING_TRUE / K_FS * np.outer(w, w)
+    i, j = (int(digit) - 1 for digit in pair)
+    ksp[i, j] *= (24.3e3 + 0.1) / (24.3e3 / up + 0.1)
+    inverse = np.linalg.inv(jac)
+    tip = inverse.T @ ksp @ inverse
+    turns = 2 * np.pi * np.arange(20000) / 20000
+    path = np.array([arm.inverse(point + 0.01 * np.array([math.cos(a), math.sin(a)])) for a in turns])
+    after = np.roll(path, -1, axis=0)
+    area = 0.5 * float(np.sum(path[:, 0] * after[:, 1] - path[:, 1] * after[:, 0]))
+    found = measured(plan, "curl", "circle_energy", "least_stiffness")
+    # gains of the model are good to 1e-7 of the largest, the difference of two of them to 1e-5
+    assert found["curl"] == pytest.approx(tip[0, 1] - tip[1, 0], rel=1e-4)
+    assert found["circle_energy"] == pytest.approx(abs((ksp[0, 1] - ksp[1, 0]) * area), rel=1e-4)
+    assert found["least_stiffness"] == pytest.approx(np.linalg.eigvalsh((ksp + ksp.T) / 2)[0], rel=1e-2)
+    assert found["least_stiffness"] < 0.0
+
+
+def test_margins_and_rest_are_those_of_the_check(capsys: pytest.CaptureFixture[str]) -> None:
+    full = ["effects.opamp=full", "effects.opamp_offset=true", "effects.driver=current"]
+    assert main(["check", DROP, *(word for each in full for word in ("--set", each)), "--json"]) == 0
+    board = json.loads(capsys.readouterr().out)["checks"][0]
+    found, lacking = board_measures(
+        resolve(load_scene(DROP, full)), ("rest_force", "phase_margin", "gain_margin"), child=shared_child()
+    )
+    assert found["rest_force"]["value"] == max(abs(row["force_n"]) for row in board["rest"]) > 0.0
+    for name, unit in (("phase_margin", "deg"), ("gain_margin", "db")):
+        margins = [row[f"{name}_{unit}"] for row in board["loops"] if row[f"{name}_{unit}"] is not None]
+        assert found[name]["value"] == min(margins) if margins else name in lacking
+
+
+def test_every_measure_says_what_it_is() -> None:
+    assert set(OF_A_RUN) | set(needing_no_run(NAMES)) == set(NAMES)
+    assert len(needing_no_run(NAMES)) == 9
+    assert all(measure.text and measure.name == name for name, measure in MEASURES.items())
+
+
+# ---- every command reaches them, and simulates nothing for them
+
+
+@pytest.fixture
+def no_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any, **__: Any) -> None:
+        raise AssertionError("a simulation for a measure that needs none")
+
+    monkeypatch.setattr(measuring, "run", refuse)
+
+
+def told(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
+    assert main([*words, "--json"]) == 0
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return found
+
+
+@pytest.mark.usefixtures("no_run")
+def test_run_sweep_and_compare_agree_without_a_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    asked = ("--measure", "k_max", "--measure", "eta")
+    runs = told(capsys, "run", DROP, "--set", "motor_l=1.5m,3m", *asked)["runs"]
+    found = [[run["measures"][name]["value"] for name in ("k_max", "eta")] for run in runs]
+    assert [run["folder"] for run in runs] == [None, None]
+    assert found[1][1] > 1.5 * found[0][1]  # of three lags that of the winding is by far the largest
+    swept = told(capsys, "sweep", DROP, "motor_l=1.5m,3m", *asked)["measures"]
+    assert [list(pair) for pair in zip(swept["k_max"], swept["eta"], strict=True)] == found
+    sides = told(capsys, "compare", DROP, "--set", "motor_l=3m", *asked)["measures"]
+    assert [[side[name]["value"] for name in ("k_max", "eta")] for side in sides] == found
+    assert not (tmp_path / "out" / "drop").exists()
+
+
+@pytest.mark.usefixtures("no_run")
+def test_effects_on_a_limit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A limit of its own for every choice of effects: without a back-EMF there is none."""
+    folder = scene_of(tmp_path, slider(effects={"motor": "emf"}, computer=DISCRETE)).file
+    found = told(capsys, "effects", str(folder), "--measure", "k_max")
+    assert found["runs"] == 0
+    rows = {(row["effect"], row["value"]): row["on"].get("k_max") for row in found["rows"]}
+    limit = of_slider(tmp_path, "k_max", **DISCRETE)["k_max"]  # nothing is stable without the back-EMF
+    assert rows["motor", "emf"] == pytest.approx(limit, rel=CLOSE)
+
+
+def test_a_scene_names_them_and_a_result_keeps_them(tmp_path: Path) -> None:
+    tables = slider(duration_s=0.05, effects={"motor": "full"}, measures={"names": ["eta", "peak_force"]},
+                    solver={"model": "linear"})  # fmt: skip
+    plan = resolve(scene_of(tmp_path, tables))
+    measuring.run_with_measures(plan, tmp_path / "run", formats=(), child=shared_child())
+    kept = Run.load(tmp_path / "run").measures
+    assert list(kept) == ["eta", "peak_force"]
+    assert kept["eta"]["value"] == measured(plan, "eta")["eta"]
+
+
+def test_slips_name_the_measure(capsys: pytest.CaptureFixture[str]) -> None:
+    wall = ("--set", "wall={point_m=[0.0,9.0],normal=[0.0,1.0]}")
+    for words, said in (
+        (["run", DROP, "--measure", "k_maximum"], "nearest is k_max"),
+        (["effects", DROP, "--measure", "kmax"], "nearest is k_max"),
+        (["compare", DROP, "--set", "seed=2", "--measure", "etta"], "nearest is eta"),
+        (["effects", DROP, "--measure", "curl"], "it is of an arm of two joints"),
+        (["run", SLOPE, "--measure", "k_max", *wall], "wall.point_m"),
+    ):
+        assert main(words) == 2, words
+        assert said in capsys.readouterr().err
