@@ -14,6 +14,7 @@ from cosim.circuits.port import Stated
 from cosim.circuits.spice import MOST_NODES, Drive, Tolerances
 from cosim.circuits.stated import kept
 from cosim.effects.prediction import predict
+from cosim.effects.unused import stated_in_vain
 from cosim.errors import InputError, Problem
 from cosim.loop.driven import drive
 from cosim.measures import check_names, tolerances
@@ -128,7 +129,13 @@ class Plan:
             "circuit_states": self.circuit_states(),
             "predicted": self.cost(),
             **({"choice": self.choice} if self.choice else {}),
-            "notes": [*self.board.notes, *slower_paths(self.scene), *self._unseen(), *self._unused()],
+            "notes": [
+                *self.board.notes,
+                *slower_paths(self.scene),
+                *self._unseen(),
+                *self._unused(),
+                *stated_in_vain(self.scene, effects.EFFECTS),
+            ],
             "tolerances": self.tolerances.line(),
         }
 

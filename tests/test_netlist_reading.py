@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from cosim.errors import InputError
-from cosim.ngspice.deck import Deck, PartSwap, load_deck
+from cosim.ngspice.deck import Deck, Feature, PartSwap, load_deck
 from cosim.ngspice.dialect import Dialect
 from cosim.ngspice.expression import evaluate
 from cosim.ngspice.lines import Line, number, read_lines
@@ -391,3 +391,105 @@ def test_files_that_are_no_files(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_expressions(text: str, value: float | None) -> None:
     assert evaluate(text, {"a": 3.0, "b": 5.0}) == value
+
+
+# --- values set from outside --------------------------------------------------------------------------
+
+NETLISTS = Path(__file__).parents[1] / "netlists"
+LEVELS = {"opamp": "gbw", "vca": "gbw", "driver_level": "gbw", "motor": "full"}
+
+
+def shipped(features: tuple[Feature, ...] = (), **values: str) -> Deck:
+    return load_deck(NETLISTS / "board2.cir", levels=LEVELS, overrides=values, features=features)
+
+
+def text_of(deck: Deck, name: str) -> str:
+    return next(line.text for line in deck.lines if line.text.startswith(f".param {name}="))
+
+
+def test_values_from_outside_mean_what_those_of_a_file_mean() -> None:
+    assert text_of(shipped(c_der_in="1\u03bc"), "c_der_in") == ".param c_der_in=1u"
+    drawn = shipped(r_sum_fb="{agauss(10k,1k,3)}")
+    assert text_of(drawn, "r_sum_fb") == ".param r_sum_fb={10k}"
+    assert any("r_sum_fb" in note and "nominal value" in note for note in drawn.notes)
+
+
+@pytest.mark.parametrize("character", [*"\r\x0b\x0c\x1c\x85\u2028\u2029"])
+@pytest.mark.parametrize("form", ["10{}k", "{{10k{}}}", "{{10k{}.control}}"])
+def test_a_value_is_one_row(character: str, form: str) -> None:
+    with pytest.raises(InputError, match="r_sum_fb"):
+        shipped(r_sum_fb=form.format(character))
+
+
+@pytest.mark.parametrize(
+    "value", ["24k3", "4,7k", "0x10", "1e-320", "-1e-31", "1e31", "{(1k}", "{1k}5", "{1k)}"]
+)
+def test_values_that_are_none(value: str) -> None:
+    with pytest.raises(InputError, match="r_sum_fb"):
+        shipped(r_sum_fb=value)
+
+
+@pytest.mark.parametrize("zero", ["0", "{0}", "{1k-1000}", "{r_sum_cmd-20k}", "0meg", "{-0}"])
+def test_a_resistor_of_zero_ohm_by_any_road(tmp_path: Path, zero: str) -> None:
+    with pytest.raises(InputError, match="of 0 Ohm"):
+        shipped(r_sum_fb=zero)
+    with pytest.raises(InputError, match="of 0 Ohm"):
+        load_deck(NETLISTS / "board2.cir", levels=LEVELS, overrides={"xsum1.r31": zero})
+    if "cmd" not in zero:
+        with pytest.raises(InputError, match=r"stage.cir:\d+: 'R9 out sum .*of 0 Ohm"):
+            load_deck(project(tmp_path, inside=f"R9 out sum {zero}"))
+
+
+def test_a_value_that_an_effect_sets_is_refused() -> None:
+    offset = (Feature("opamp_offset", False, ("opamp",)),)
+    with pytest.raises(InputError, match=r"opamp_offset = '1': is what effects.opamp_offset sets"):
+        shipped(offset, opamp_offset="1")
+
+
+def test_a_value_that_nothing_uses_is_told() -> None:
+    def told(on: bool, **values: str) -> bool:
+        notes = shipped((Feature("opamp_offset", on, ("opamp",)),), **values).notes
+        return any("depends on it" in note and next(iter(values)) in note for note in notes)
+
+    assert told(False, tl072_vos="5m")
+    assert not told(True, tl072_vos="5m")
+    assert told(True, tl072_sr="1meg")  # the slew limit is off
+    for used in ("r_sum_fb", "tl072_gbw", "tl072_swing", "k_fs", "motor_k"):
+        assert not told(False, **{used: "2"}), used
+
+
+# --- notes --------------------------------------------------------------------------------------------
+
+BOYLE = (DATA / "vendor" / "boyle.lib").read_text()
+
+
+def including(folder: Path, about: str = "") -> Deck:
+    """Load the small board whose stage takes a Boyle model that the board includes itself."""
+    board = project(folder, addition=".include boyle.lib\n")
+    (board.parent / "boyle.lib").write_text(f"{about}\n{BOYLE}")
+    stage = board.parent / "blocks" / "stage.cir"
+    text = stage.read_text()
+    assert " opx" in text
+    stage.write_text(text.replace(" opx", " tl072"))
+    return load_deck(board)
+
+
+def test_an_amplifier_that_the_board_includes_itself(tmp_path: Path) -> None:
+    deck = including(tmp_path / "a")
+    assert not any("terminal" in note for note in deck.notes), deck.notes
+    assert sum("no table of loops and headroom" in note and "tl072" in note for note in deck.notes) == 1
+    described = including(tmp_path / "b", "*@ role=opamp out=5")
+    assert [a.part for a in described.amplifiers].count("tl072") == 2
+    assert not any("headroom" in note for note in described.notes)
+
+
+def test_notes_on_nodes_know_the_forms_of_controlled_sources(tmp_path: Path) -> None:
+    inside = (
+        "E7 e7 0 poly(2) (sum,0) (out, vcc) 0 1 1\nE8 e7 0 POLY(1) sum 0 0 1\nG9 e7 0 value={v(out)}\n"
+        ".include 'more.cir'"
+    )
+    board = project(tmp_path, inside=inside)
+    (board.parent / "blocks" / "more.cir").write_text("R7 e7 0 1k\n")
+    assert not any("terminal" in note for note in load_deck(board).notes)
+    lonely = project(tmp_path / "x", inside="E7 out 0 poly(1) (lonely,0) 0 1")
+    assert any("terminal touches node lonely" in note for note in load_deck(lonely).notes)

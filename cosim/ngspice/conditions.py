@@ -5,22 +5,30 @@ from collections.abc import Mapping
 
 from cosim.errors import fail
 from cosim.ngspice.expression import evaluate, is_well_formed
-from cosim.ngspice.lines import Line, number, tokens
+from cosim.ngspice.lines import Line, tokens
 from cosim.ngspice.netlist import Block, Netlist
 
 __all__ = ["flags", "mentions", "settle"]
 
+_ROUNDS = 20
+"""Depth of parameters that are stated by later ones."""
+
 
 def flags(net: Netlist) -> dict[str, float]:
-    """Return the parameters outside subcircuits whose value is a plain number."""
-    found = {}
-    for line in net.top:
-        if line.keyword in (".param", ".params"):
-            for word in tokens(line.text)[1:]:
-                name, _, text = word.partition("=")
-                value = number(text.strip("{}"))
-                if value is not None:
-                    found[name.lower()] = value
+    """Return the parameters outside subcircuits whose value comes to a plain number."""
+    pairs = [
+        (name.lower(), text.strip("{}'"))
+        for line in net.top
+        if line.keyword in (".param", ".params")
+        for name, _, text in (word.partition("=") for word in tokens(line.text)[1:])
+    ]
+    found: dict[str, float] = {}
+    for _ in range(_ROUNDS):  # a value may be stated behind its use
+        values = {name: evaluate(text, found) for name, text in pairs}  # the last definition counts
+        now = {name: value for name, value in values.items() if value is not None}
+        if now == found:
+            break
+        found = now
     return found
 
 

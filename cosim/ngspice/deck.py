@@ -19,9 +19,10 @@ from cosim.ngspice.lines import Line, tokens
 from cosim.ngspice.needed import check_size, judged, judged_bench, judged_block
 from cosim.ngspice.netlist import Block, Netlist, parse
 from cosim.ngspice.notes import notes
-from cosim.ngspice.overrides import apply_overrides, set_param
+from cosim.ngspice.overrides import apply_overrides, set_param, shorts
 from cosim.ngspice.parts import Feature, Part, PartSwap, Shelf, described
 from cosim.ngspice.unfed import unfed_nodes
+from cosim.ngspice.unused import unused
 
 __all__ = ["NOMINAL_C", "Amplifier", "Deck", "Feature", "PartSwap", "board_pins", "load_deck"]
 
@@ -141,12 +142,19 @@ def load_deck(
         raise
     _complete(net, board, shelf, refused)
     check_size(net.blocks, board)
-    apply_overrides(net, board, overrides or {})
-    said = _switch(net, shelf, features)
+    features = tuple(features)
+    _check_overrides(overrides or {}, features, temperature_c)
+    said = apply_overrides(net, board, overrides or {}) + _switch(net, shelf, features)
     warm = _heat(net, temperature_c)
     conditions.settle(net)
     joints = _joints(board)
     blocks = _reachable(net, board)
+    said += unused(
+        net, blocks, overrides or {}, shelf=shelf.folder / "parts", constants=_used_constants(shelf)
+    )
+    short = shorts(net, blocks)
+    if short:
+        raise InputError(short)
     unfed = unfed_nodes(net.blocks, board, set(global_nodes(net)))
     if unfed:
         raise InputError(unfed)
@@ -168,6 +176,25 @@ def load_deck(
         path,
         reactances(net, board),
     )
+
+
+def _check_overrides(overrides: Mapping[str, str], features: Iterable[Feature], temperature_c: float) -> None:
+    """Refuse values that an effect of the scene would set again."""
+    owners = {feature.name: f"effects.{feature.name}" for feature in features}
+    if temperature_c != NOMINAL_C:
+        owners["temperature_c"] = "device.temperature_c"
+    problems = [
+        Problem(f"is what {owners[name.strip().lower()]} sets: state it there", key=name, value=value)
+        for name, value in overrides.items()
+        if name.strip().lower() in owners
+    ]
+    if problems:
+        raise InputError(problems)
+
+
+def _used_constants(shelf: Shelf) -> set[str]:
+    """Return the constants of parts that are used where no element uses them."""
+    return {name for part in shelf.used.values() for name in (part.swing, part.density) if name is not None}
 
 
 def _switch(net: Netlist, shelf: Shelf, features: Iterable[Feature]) -> list[str]:

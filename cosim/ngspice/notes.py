@@ -40,6 +40,7 @@ def notes(net: Netlist, blocks: list[Block]) -> list[str]:
         + (f" and {len(names) - 8} more" if len(names) > 8 else "")
         for file, names in outside.items()
     ]
+    said += _untold(blocks)
     said += [
         f"{block.header.file}: in {block.name} only one terminal touches node {node}"
         for block in blocks
@@ -47,3 +48,24 @@ def notes(net: Netlist, blocks: list[Block]) -> list[str]:
         for node in block.loose_nodes()
     ]
     return said
+
+
+def _untold(blocks: list[Block]) -> list[str]:
+    """Say of each amplifier that the board includes itself why no table of loops or headroom has it.
+
+    What has supplies among five pins or more and sources of its own, and instantiates nothing, is taken for
+    an amplifier.
+    """
+    board = blocks[-1]
+    users = {x.block: f"{x.name} in {block.name}" for block in blocks for x in block.instances()}
+    return [
+        f"{block.header.file}: {block.name} ({users[block.name]}) is in no table of loops and headroom: "
+        "a line `*@ role=opamp out=PIN` before its .subckt puts it there"
+        for block in blocks
+        if block is not board
+        and not block.is_part
+        and len(block.pins) >= 5
+        and block.name in users
+        and not block.references()
+        and any(line.keyword[0] in "egfhbqjm" for line in block.body)
+    ]

@@ -3,13 +3,20 @@
 import re
 from collections.abc import Mapping
 from dataclasses import replace
-from math import isfinite
 
 from cosim.errors import InputError, Problem, nearest
-from cosim.ngspice.lines import join, number, tokens
+from cosim.ngspice.conditions import flags
+from cosim.ngspice.dialect import Dialect
+from cosim.ngspice.expression import evaluate
+from cosim.ngspice.form import malformed
+from cosim.ngspice.lines import Line, join, number, tokens
 from cosim.ngspice.netlist import Block, Instance, Netlist
+from cosim.ngspice.values import as_meant
 
-__all__ = ["apply_overrides", "set_param"]
+__all__ = ["LARGEST", "SMALLEST", "apply_overrides", "set_param", "shorts"]
+
+SMALLEST, LARGEST = 1e-30, 1e30
+"""Magnitudes of values other than 0: beyond them products overflow or vanish, in ngspice and here."""
 
 _VALUE_PLACE = {"r": 3, "c": 3, "l": 3, "v": 3, "i": 3, "e": 5, "g": 5, "f": 4, "h": 4}
 """Where the value stands on an element's line, by the element's letter."""
@@ -17,27 +24,46 @@ _VALUE_PLACE = {"r": 3, "c": 3, "l": 3, "v": 3, "i": 3, "e": 5, "g": 5, "f": 4, 
 _EXPRESSION = re.compile(r"[{'][^{}'\"\n;]*[}']")
 
 
-def apply_overrides(net: Netlist, board: Block, overrides: Mapping[str, str]) -> None:
+def apply_overrides(net: Netlist, board: Block, overrides: Mapping[str, str]) -> list[str]:
     """Substitute values in `net`; all that is wrong is told at once.
 
     A name is looked for as a ``.param`` (every definition of it changes, so every use sees the value), then
     as an element's designator outside the parts, then inside them. A path such as ``xdiff1.r12`` names one
     instance's parameter or element; the subcircuits on the way are copied for that instance.
 
+    Returns
+    -------
+    list of str
+        What was taken otherwise than it was written, in words.
+
     Raises
     ------
     InputError
-        For an unknown or ambiguous name, a value that is no SPICE number and no ``{expression}``, or a
-        resistor of 0 Ohm.
+        For an unknown or ambiguous name, a value that is no SPICE number and no ``{expression}``, one beyond
+        `SMALLEST` and `LARGEST`, or a resistor of 0 Ohm.
     """
-    problems = []
+    problems, said = [], []
+    known = flags(net)
     # bare names first: they change a subcircuit before some instance gets its own copy of it
     for name, value in sorted(overrides.items(), key=lambda item: "." in item[0]):
         key, text = name.strip().lower(), str(value).strip()
+        line = as_meant(Line(f".param value={text}"), Dialect.NGSPICE)
+        text = line.text.partition("=")[2]
         parsed = number(text)
-        if (parsed is None and not _EXPRESSION.fullmatch(text)) or not isfinite(parsed or 0.0):
-            problems.append(Problem("is not a SPICE number or {expression}", key=name, value=value))
+        wrong = None
+        if parsed is None and not _EXPRESSION.fullmatch(text):
+            wrong = "is not a SPICE number or {expression}"
+        elif parsed is None and (form := malformed(line)) is not None:
+            wrong = form.message
+        elif parsed and not SMALLEST <= abs(parsed) <= LARGEST:
+            wrong = "is beyond what can be computed with"
+        if wrong:
+            allowed = f"0, or {SMALLEST:g} to {LARGEST:g} in magnitude" if parsed is not None else None
+            problems.append(Problem(wrong, key=name, value=value, allowed=allowed))
             continue
+        if parsed is None:
+            parsed = evaluate(text[1:-1], known)
+        said += [f"{name} = {value}: {line.note}"] if line.note else []
         path = key.removeprefix("xboard.")
         error = _short(net, path.split(".")[-1]) if parsed == 0.0 else None
         if error is None:
@@ -47,6 +73,42 @@ def apply_overrides(net: Netlist, board: Block, overrides: Mapping[str, str]) ->
             problems.append(Problem(error, key=name, value=value))
     if problems:
         raise InputError(problems)
+    return said
+
+
+def shorts(net: Netlist, blocks: list[Block]) -> list[Problem]:
+    """Return one problem for each resistor outside the parts whose value comes to 0 Ohm."""
+    known = flags(net)
+    problems = []
+    for block in blocks:
+        inside = known | _block_values(block, known)
+        for line in () if block.is_part else block.body:
+            words = tokens(line.text)
+            if words[0][0] not in "rR" or len(words) < 4:
+                continue
+            value = words[3].lower().removeprefix("r=")
+            if evaluate(value.strip("{}'"), inside) == 0.0:
+                problems.append(
+                    Problem(
+                        f"{words[0]} of {block.name} is a resistor of 0 Ohm: ngspice takes 1 mOhm, and gains "
+                        "run away; a short is a small value, 10m",
+                        file=line.file,
+                        line=line.lineno,
+                        value=line.text,
+                    )
+                )
+    return problems
+
+
+def _block_values(block: Block, known: Mapping[str, float]) -> dict[str, float]:
+    """Return the parameters of a subcircuit with their default values, where these are plain."""
+    own: dict[str, float] = {}
+    rows = [tokens(line.text)[1:] for line in block.body if line.keyword in (".param", ".params")]
+    pairs = [*block.params.items(), *(word.partition("=")[::2] for row in rows for word in row)]
+    for name, text in pairs:
+        value = evaluate(text.strip("{}'"), {**known, **own})
+        own[name.lower()] = float("nan") if value is None else value
+    return own
 
 
 def _short(net: Netlist, key: str) -> str | None:
