@@ -32,6 +32,8 @@ class Bench:
         The flat deck.
     extra
         Further lines of the deck: sources at nodes inside the board.
+    multipliers
+        Whether to look for them, which takes analyses.
 
     Attributes
     ----------
@@ -41,7 +43,7 @@ class Bench:
         In the order of `channel_names`; empty where a gain pin has no multiplier with probes.
     """
 
-    def __init__(self, board: Deck, extra: Sequence[str] = ()) -> None:
+    def __init__(self, board: Deck, extra: Sequence[str] = (), *, multipliers: bool = True) -> None:
         self.board, self.joints = board, board.joints
         joints = range(1, self.joints + 1)
         self.channels = channel_names(self.joints)
@@ -71,7 +73,9 @@ class Bench:
         self.v_fs = self.simulator.constant("v_fs")
         self._probes = find_probes(board)
         halves = (self.signals[: self.joints], self.signals[self.joints :])
-        self.multipliers = find_multipliers(self, self._probes, self.channels, halves)
+        self.multipliers: list[Multiplier] = []
+        if multipliers:
+            self.multipliers = find_multipliers(self, self._probes, self.channels, halves)
 
     def hold(self, pins: Mapping[str, float]) -> None:
         """Set the DC voltage of some pins or probes [V]."""
@@ -133,6 +137,14 @@ class Bench:
                 run(f"alter @{name}[acmag] = 0")
         run("destroy")
         return found
+
+    def transient(self, step_s: float, length_s: float, node: str) -> tuple[Array, Array]:
+        """Return times [s] and the voltage of `node` with steps of at most `step_s`."""
+        self._save([node])
+        self.simulator.command(f"tran {step_s!r} {length_s!r} 0 {step_s!r}")
+        time, found = (np.asarray(self.simulator.vector(name), float) for name in ("time", node))
+        self.simulator.command("destroy")
+        return time, found
 
     def noise(self, node: str, sweep: str) -> dict[str, Array]:
         """Return what each element adds to the noise of `node` by `.noise` [F] V/sqrt(Hz), by its name."""

@@ -14,7 +14,7 @@ from cosim.errors import InputError, Problem, fail, nearest
 from cosim.ngspice import conditions
 from cosim.ngspice.dialect import Dialect
 from cosim.ngspice.flatten import Reader
-from cosim.ngspice.inventory import Amplifier, amplifiers, global_nodes, reactances
+from cosim.ngspice.inventory import Amplifier, amplifiers, declared, global_nodes, reactances
 from cosim.ngspice.lines import Line, tokens
 from cosim.ngspice.needed import check_size, judged, judged_bench, judged_block
 from cosim.ngspice.netlist import Block, Netlist, parse
@@ -54,6 +54,8 @@ class Deck:
         The board file.
     reactances
         Capacitors and inductors, each a state; without those inside a vendor's nested subcircuits.
+    declared
+        Instance paths of blocks that are meant to be bistable or to oscillate.
     """
 
     lines: tuple[Line, ...]
@@ -65,6 +67,7 @@ class Deck:
     notes: tuple[str, ...]
     path: Path
     reactances: int = 0
+    declared: tuple[str, ...] = ()
 
     @property
     def text(self) -> str:
@@ -175,6 +178,7 @@ def load_deck(
         (*notes(net, blocks), *said),
         path,
         reactances(net, board),
+        tuple(declared(net, board)),
     )
 
 

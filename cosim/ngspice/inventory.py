@@ -7,7 +7,7 @@ from cosim.ngspice.lines import tokens
 from cosim.ngspice.netlist import Block, Netlist
 from cosim.ngspice.parts import Shelf
 
-__all__ = ["Amplifier", "amplifiers", "global_nodes", "reactances"]
+__all__ = ["Amplifier", "amplifiers", "declared", "global_nodes", "reactances"]
 
 
 @dataclass(frozen=True)
@@ -72,6 +72,26 @@ def reactances(net: Netlist, block: Block) -> int:
         return known[block.name]
 
     return count(block)
+
+
+def declared(net: Netlist, board: Block) -> list[str]:
+    """Return the paths of the outermost instances that are declared not to be stable."""
+    known: dict[str, bool] = {}
+
+    def holds(block: Block) -> bool:
+        if block.name not in known:
+            known[block.name] = bool(block.stability) or any(holds(child) for _, child in inside(block))
+        return known[block.name]
+
+    def inside(block: Block) -> list[tuple[str, Block]]:
+        return [(x.name, net.blocks[x.block]) for x in block.instances() if x.block in net.blocks]
+
+    def walk(block: Block, path: str) -> list[str]:
+        if block.stability:
+            return [path]
+        return [found for name, child in inside(block) if holds(child) for found in walk(child, f"{path}.{name}")]
+
+    return walk(board, "xboard")
 
 
 def global_nodes(net: Netlist) -> dict[str, str]:

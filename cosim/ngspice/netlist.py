@@ -8,10 +8,12 @@ from cosim.errors import InputError, Problem, fail
 from cosim.ngspice.lines import Line, assignments, join, tokens
 from cosim.ngspice.safety import DROPPED
 
-__all__ = ["Block", "Instance", "Netlist", "doubled", "parse"]
+__all__ = ["DECLARED", "Block", "Instance", "Netlist", "doubled", "parse"]
 
 MOST_NESTED = 40
 """Depth of subcircuits that are defined inside each other."""
+DECLARED = ("bistable", "oscillating")
+"""What a block may declare itself to be where it is not meant to be stable."""
 
 _TERMINALS = {"r": 2, "c": 2, "l": 2, "v": 2, "i": 2, "d": 2, "b": 2, "e": 4, "g": 4, "f": 2, "h": 2, "k": 0,
               ".": 0, "q": 3, "j": 3, "m": 4, "s": 4, "w": 2}  # fmt: skip
@@ -41,6 +43,8 @@ class Block:
         Name of the subcircuit it is a copy of; its own name if it is none.
     about
         The ``*@`` comment before it in its file.
+    stability
+        What its ``*@ stability=`` line declares, one of `DECLARED`; empty without one.
     """
 
     name: str
@@ -52,6 +56,7 @@ class Block:
     is_part: bool = False
     origin: str = ""
     about: str = ""
+    stability: str = ""
 
     def __post_init__(self) -> None:
         self.origin = self.origin or self.name
@@ -239,6 +244,7 @@ def parse(lines: Iterable[Line], *, is_part: bool = False, lenient: bool = False
         elif word in DROPPED:
             net.dropped.append(line)
         elif word.startswith("*@"):
+            slips += _declare(line, stack)
             about = about if stack else line
         elif stack:
             stack[0].body.append(line)
@@ -253,6 +259,21 @@ def parse(lines: Iterable[Line], *, is_part: bool = False, lenient: bool = False
     if slips and not lenient:
         raise InputError(slips)
     return net
+
+
+def _declare(line: Line, stack: list[Block]) -> list[Problem]:
+    """Take what a ``*@ stability=`` line says of its block; other ``*@`` lines are not for us."""
+    said = assignments(tokens(line.text)).get("stability")
+    if said is None:
+        return []
+    if said.lower() not in DECLARED:
+        return [Problem("unknown declaration", file=line.file, line=line.lineno, key="stability", value=said,
+                        allowed=", ".join(DECLARED))]  # fmt: skip
+    if not stack:
+        return [Problem("the line must stand inside the .subckt that it is about", file=line.file,
+                        line=line.lineno, key="stability", value=said)]  # fmt: skip
+    stack[0].stability = said.lower()
+    return []
 
 
 def doubled(block: Block) -> list[Problem]:

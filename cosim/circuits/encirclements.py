@@ -1,0 +1,129 @@
+"""Poles in the right half plane, counted from driving-point impedances on the imaginary axis.
+
+Ground all ports of a network for signals, one after the other. Each step multiplies the network's determinant
+by the impedance that the port shows while the ports before it are grounded: their product is det Z, and by the
+principle of the argument its winding along the imaginary axis counts the poles in the right half plane, as
+long as the network with every port grounded has none. Nothing is fitted and no loop has to be known or
+opened (Bode 1945, ch. 8; Struble and Platzker, "A rigorous yet simple method", GaAs IC Symposium 1993).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["SWEEP", "Impedances", "count", "independent", "measure"]
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+#: Asks for the impedance matrix [F, N, N] over a sweep; returns it with its frequencies [Hz].
+Ask = Callable[[str], tuple[Array, Complex]]
+
+#: Far beyond every pole on either side: behind both ends a response is a power of s.
+SWEEP = "dec 10 1e-7 1e15"
+#: A port that shows less [Ohm] is held by a voltage source; one that keeps less of itself (relative) when
+#: the ports before it are grounded is tied to them.
+_HELD, _TIED = 1e-13, 1e-9
+#: Phase [rad] and level [Np] may turn by so much between two points; more is looked at more closely.
+_TURN, _BEND = 0.7, 0.7
+#: Points between two that are too far apart, rounds of doing so, and where rounding of frequency ends it.
+_BETWEEN, _ROUNDS, _CLOSE = 4, 24, 1e-9
+
+
+@dataclass(frozen=True)
+class Impedances:
+    """Impedances between ports: `z` [F, N, N] in ohms at `hz` [F], ascending."""
+
+    hz: Array
+    z: Complex
+
+    def of(self, ports: list[int]) -> Impedances:
+        """Return those between some of the ports, the others left open."""
+        return Impedances(self.hz, self.z[:, ports][:, :, ports])
+
+
+def independent(seen: Impedances) -> list[int]:
+    """Return the ports that are neither held by a voltage source nor tied to an earlier port."""
+    kept: list[int] = []
+    for port in range(seen.z.shape[1]):
+        own = np.abs(seen.z[:, port, port])
+        if own.max() <= _HELD:
+            continue
+        left = _shown(seen.of([*kept, port]))[:, -1] if kept else seen.z[:, port, port]
+        if (np.abs(left) > _TIED * own).any():
+            kept.append(port)
+    return kept
+
+
+def _shown(seen: Impedances) -> Complex:
+    """Return what each port shows while those before it are grounded [F, N]: the pivots of elimination."""
+    left = seen.z.copy()
+    out = np.empty(left.shape[:2], complex)
+    for k in range(left.shape[1]):
+        out[:, k] = left[:, k, k]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = left[:, k + 1 :, k] / out[:, k, None]
+        left[:, k + 1 :, k + 1 :] -= share[:, :, None] * left[:, k, None, k + 1 :]
+    return out
+
+
+def measure(ask: Ask, ports: list[int] | None = None) -> tuple[Impedances, list[int]]:
+    """Measure the impedances of ports so closely that no turn of phase is missed.
+
+    Parameters
+    ----------
+    ask
+        Measures over a sweep such as ``dec 10 1 1meg`` or ``lin 4 1 2``.
+    ports
+        Those that count; `independent` ones where nothing is said.
+
+    Returns
+    -------
+    Impedances, list of int
+        Of all ports, and the ports that count.
+    """
+    seen = Impedances(*ask(SWEEP))
+    chosen = independent(seen) if ports is None else ports
+    for _ in range(_ROUNDS):
+        wide = _wide(seen.hz, _shown(seen.of(chosen))) if chosen else []
+        if not wide:
+            break
+        parts = [seen]
+        for k in wide:
+            low, high = float(seen.hz[k]), float(seen.hz[k + 1])
+            step = (high - low) / (_BETWEEN + 1)
+            parts.append(Impedances(*ask(f"lin {_BETWEEN} {low + step!r} {high - step!r}")))
+        hz = np.concatenate([part.hz for part in parts])
+        order = np.argsort(hz, kind="stable")
+        seen = Impedances(hz[order], np.concatenate([part.z for part in parts])[order])
+    return seen, chosen
+
+
+def _wide(hz: Array, shown: Complex) -> list[int]:
+    """Return the intervals in which some phase or level turns too far to be followed."""
+    turn = np.abs(np.angle(shown[1:] / shown[:-1]))
+    level = np.log(np.abs(shown))
+    slope = np.diff(level, axis=0)
+    bend = np.abs(np.diff(slope, axis=0))
+    far = turn > _TURN
+    far[:-1] |= bend > _BEND
+    far[1:] |= bend > _BEND
+    near = np.diff(hz) <= _CLOSE * hz[1:]
+    return np.flatnonzero(far.any(axis=1) & ~near).tolist()
+
+
+def count(seen: Impedances) -> int:
+    """Return how many poles the network has in the right half plane; `seen` as `measure` leaves it.
+
+    At both ends a response is taken to be a power of s, c s^k: its phase beyond is known from its slope.
+    """
+    shown = _shown(seen)
+    if not shown.size:
+        return 0
+    turned = np.angle(shown[1:] / shown[:-1]).sum()
+    level, w = np.log(np.abs(shown)).sum(axis=1), np.log(seen.hz)
+    low, high = ((level[k + 1] - level[k]) / (w[k + 1] - w[k]) for k in (0, -2))
+    return round(float(turned - 0.5 * np.pi * (high - low)) / np.pi)

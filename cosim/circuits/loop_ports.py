@@ -1,0 +1,101 @@
+"""Places on a board that together see every loop: grounded for signals, they leave nothing that can oscillate.
+
+A loop needs gain, and gain comes from active elements. For a part of the shelf its output is enough; of an
+active element that a board or a part of its own brings along, all nodes that it touches.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from cosim.ngspice.deck import Deck
+from cosim.ngspice.lines import Line, tokens
+from cosim.ngspice.netlist import Block, Instance, Netlist, parse
+
+__all__ = ["Port", "loop_ports"]
+
+#: Nodes of an element by its letter: what it drives and what it listens to.
+_NODES = {"e": 4, "g": 4, "f": 2, "h": 2, "q": 3, "j": 3, "m": 4, "z": 3, "s": 4, "w": 2, "u": 3, "t": 4}
+_VOLTAGE = re.compile(r"\bv\(\s*([^\s,()]+)\s*(?:,\s*([^\s,()]+)\s*)?\)")
+
+
+@dataclass(frozen=True)
+class Port:
+    """A node of the board at which a loop passes.
+
+    Attributes
+    ----------
+    node
+        ngspice's name.
+    owner
+        Instance path of the amplifier or element that drives it.
+    spare
+        Nodes that see the same loops should this one be forced by a voltage source.
+    """
+
+    node: str
+    owner: str
+    spare: tuple[str, ...] = ()
+
+
+def loop_ports(board: Deck) -> list[Port]:
+    """Return one port for each node, amplifiers of the shelf first."""
+    return list(_Walk(board).found.values())
+
+
+class _Walk:
+    """One pass through the instances of a flat deck."""
+
+    def __init__(self, board: Deck) -> None:
+        self.net: Netlist = parse(board.lines[1:])
+        self.amplifiers = {a.path: a for a in board.amplifiers}
+        #: What closes no loop whatever is connected to it.
+        self.passive = {part.name for part in board.parts if part.role in ("motor", "potentiometer")}
+        self.fixed = {"0", "vcc", "vee"}
+        self.found: dict[str, Port] = {}
+        self._block(self.net.blocks[board.board], "xboard", {pin: pin for pin in board.pins})
+
+    def _block(self, block: Block, path: str, nets: Mapping[str, str]) -> None:
+        def named(node: str) -> str:
+            return nets.get(node, "0" if node in ("0", "gnd") else f"{path}.{node}")
+
+        depth = 0
+        for index, line in enumerate(block.body):
+            depth += (line.keyword == ".subckt") - (line.keyword in (".ends", ".eom"))
+            if depth or line.keyword.startswith((".", "*")) or not line.text.strip():
+                continue
+            if line.keyword.startswith("x"):
+                self._instance(Instance.of(line, index), path, named)
+            else:
+                owner = f"{path}.{line.keyword}"
+                for node in map(named, _touched(line)):
+                    self._add(node, owner)
+
+    def _instance(self, instance: Instance, path: str, named: Callable[[str], str]) -> None:
+        here, child = f"{path}.{instance.name}", self.net.blocks.get(instance.block)
+        nodes = [named(node) for node in instance.nodes]
+        known = self.amplifiers.get(here)
+        if known is not None:
+            others = tuple(n for n in nodes if n not in self.fixed and n != known.out_node)
+            self._add(known.out_node, here, others)
+        elif child is None:  # defined inside a vendor's model: its pins are all that can be reached
+            for node in nodes:
+                self._add(node, here)
+        elif child.name.partition("__")[0] not in self.passive:
+            self._block(child, here, dict(zip(child.pins, nodes, strict=False)))
+
+    def _add(self, node: str, owner: str, spare: tuple[str, ...] = ()) -> None:
+        if node not in self.fixed:
+            self.found.setdefault(node, Port(node, owner, spare))
+
+
+def _touched(line: Line) -> list[str]:
+    """Return the nodes of an active element in lower case; none for a passive one."""
+    words = [word.lower() for word in tokens(line.text)]
+    kind = words[0][0]
+    if kind == "b":
+        spoken = [node for pair in _VOLTAGE.findall(line.text.lower()) for node in pair if node]
+        return [*words[1:3], *spoken]
+    return words[1 : 1 + _NODES.get(kind, 0)]
