@@ -39,7 +39,9 @@ def slipped(folder, seed):
         place = _resistor(file, kind, rng)
     else:
         file = blocks[int(rng.integers(len(blocks)))]
-        place = {"inputs swapped": _inputs, "feedback opened": _open, "supplies crossed": _supplies}[kind](file)
+        place = {"inputs swapped": _inputs, "feedback opened": _open, "supplies crossed": _supplies}[kind](
+            file
+        )
     return board, drive, f"{joints} joint(s), {drive}, {kind}: {place}"
 
 

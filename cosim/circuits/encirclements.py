@@ -1,10 +1,10 @@
 """Poles in the right half plane, counted from driving-point impedances on the imaginary axis.
 
-Ground all ports of a network for signals, one after the other. Each step multiplies the network's determinant
-by the impedance that the port shows while the ports before it are grounded: their product is det Z, and by the
+Ground all ports of a network for signals, one after the other. Each step multiplies its determinant by the
+impedance that the port shows while those before it are grounded. The product of all is det Z, and by the
 principle of the argument its winding along the imaginary axis counts the poles in the right half plane, as
-long as the network with every port grounded has none. Nothing is fitted and no loop has to be known or
-opened (Bode 1945, ch. 8; Struble and Platzker, "A rigorous yet simple method", GaAs IC Symposium 1993).
+long as the network with every port grounded has none. Nothing is fitted, no loop has to be known or opened
+(Bode, Network Analysis and Feedback Amplifier Design, 1945, ch. 8).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["SWEEP", "Impedances", "count", "independent", "measure"]
+__all__ = ["HELD_OHM", "SWEEP", "Impedances", "alike", "count", "independent", "measure", "winding"]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -23,12 +23,14 @@ Complex = NDArray[np.complex128]
 Ask = Callable[[str], tuple[Array, Complex]]
 
 #: Far beyond every pole on either side: behind both ends a response is a power of s.
-SWEEP = "dec 10 1e-7 1e15"
+SWEEP = "dec 4 1e-7 1e15"
 #: A port that shows less [Ohm] is held by a voltage source; one that keeps less of itself (relative) when
 #: the ports before it are grounded is tied to them.
-_HELD, _TIED = 1e-13, 1e-9
+HELD_OHM, _TIED = 1e-13, 1e-9
 #: Phase [rad] and level [Np] may turn by so much between two points; more is looked at more closely.
 _TURN, _BEND = 0.7, 0.7
+#: Loops that change by less with the gains have the same poles on the right, but for rounding.
+_ALIKE = 0.01
 #: Points between two that are too far apart, rounds of doing so, and where rounding of frequency ends it.
 _BETWEEN, _ROUNDS, _CLOSE = 4, 24, 1e-9
 
@@ -50,7 +52,7 @@ def independent(seen: Impedances) -> list[int]:
     kept: list[int] = []
     for port in range(seen.z.shape[1]):
         own = np.abs(seen.z[:, port, port])
-        if own.max() <= _HELD:
+        if own.max() <= HELD_OHM:
             continue
         left = _shown(seen.of([*kept, port]))[:, -1] if kept else seen.z[:, port, port]
         if (np.abs(left) > _TIED * own).any():
@@ -116,14 +118,24 @@ def _wide(hz: Array, shown: Complex) -> list[int]:
 
 
 def count(seen: Impedances) -> int:
-    """Return how many poles the network has in the right half plane; `seen` as `measure` leaves it.
-
-    At both ends a response is taken to be a power of s, c s^k: its phase beyond is known from its slope.
-    """
+    """Return how many poles the network has in the right half plane; `seen` as `measure` leaves it."""
     shown = _shown(seen)
-    if not shown.size:
-        return 0
-    turned = np.angle(shown[1:] / shown[:-1]).sum()
-    level, w = np.log(np.abs(shown)).sum(axis=1), np.log(seen.hz)
+    return round(sum(winding(seen.hz, shown[:, k]) for k in range(shown.shape[1])))
+
+
+def winding(hz: Array, h: Complex) -> float:
+    """Return the poles less the zeros of a response in the right half plane, from its values at j w.
+
+    At both ends it is taken to be a power of s, c s^k: its phase beyond them is known from its slope.
+    """
+    turned = np.angle(h[1:] / h[:-1]).sum()
+    level, w = np.log(np.abs(h)), np.log(hz)
     low, high = ((level[k + 1] - level[k]) / (w[k + 1] - w[k]) for k in (0, -2))
-    return round(float(turned - 0.5 * np.pi * (high - low)) / np.pi)
+    return float(turned - 0.5 * np.pi * (high - low)) / np.pi
+
+
+def alike(first: Impedances, second: Impedances) -> bool:
+    """Whether ports show the same in two states of a network: then no loop passes what was changed."""
+    _, at, there = np.intersect1d(first.hz, second.hz, return_indices=True)
+    ratio = _shown(first)[at] / _shown(second)[there]
+    return bool((np.abs(ratio - 1.0) < _ALIKE).all())

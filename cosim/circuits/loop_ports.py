@@ -1,4 +1,4 @@
-"""Places on a board that together see every loop: grounded for signals, they leave nothing that can oscillate.
+"""Places on a board that together see every loop: with all of them grounded nothing can oscillate.
 
 A loop needs gain, and gain comes from active elements. For a part of the shelf its output is enough; of an
 active element that a board or a part of its own brings along, all nodes that it touches.
@@ -7,7 +7,7 @@ active element that a board or a part of its own brings along, all nodes that it
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
 from cosim.ngspice.deck import Deck
@@ -30,27 +30,33 @@ class Port:
     node
         ngspice's name.
     owner
-        Instance path of the amplifier or element that drives it.
-    spare
-        Nodes that see the same loops should this one be forced by a voltage source.
+        Instance path of the amplifier or element that touches it.
     """
 
     node: str
     owner: str
-    spare: tuple[str, ...] = ()
 
 
-def loop_ports(board: Deck) -> list[Port]:
-    """Return one port for each node, amplifiers of the shelf first."""
-    return list(_Walk(board).found.values())
+def loop_ports(board: Deck, inside: Collection[str] = ()) -> list[Port]:
+    """Return one port for each node.
+
+    Parameters
+    ----------
+    board
+        The flat deck.
+    inside
+        Paths of amplifiers whose output is held by a voltage source, where no current shows anything: all
+        nodes that the active elements inside them touch take its place.
+    """
+    return list(_Walk(board, inside).found.values())
 
 
 class _Walk:
     """One pass through the instances of a flat deck."""
 
-    def __init__(self, board: Deck) -> None:
+    def __init__(self, board: Deck, inside: Collection[str]) -> None:
         self.net: Netlist = parse(board.lines[1:])
-        self.amplifiers = {a.path: a for a in board.amplifiers}
+        self.amplifiers = {a.path: a for a in board.amplifiers if a.path not in inside}
         #: What closes no loop whatever is connected to it.
         self.passive = {part.name for part in board.parts if part.role in ("motor", "potentiometer")}
         self.fixed = {"0", "vcc", "vee"}
@@ -78,17 +84,16 @@ class _Walk:
         nodes = [named(node) for node in instance.nodes]
         known = self.amplifiers.get(here)
         if known is not None:
-            others = tuple(n for n in nodes if n not in self.fixed and n != known.out_node)
-            self._add(known.out_node, here, others)
+            self._add(known.out_node, here)
         elif child is None:  # defined inside a vendor's model: its pins are all that can be reached
             for node in nodes:
                 self._add(node, here)
         elif child.name.partition("__")[0] not in self.passive:
             self._block(child, here, dict(zip(child.pins, nodes, strict=False)))
 
-    def _add(self, node: str, owner: str, spare: tuple[str, ...] = ()) -> None:
+    def _add(self, node: str, owner: str) -> None:
         if node not in self.fixed:
-            self.found.setdefault(node, Port(node, owner, spare))
+            self.found.setdefault(node, Port(node, owner))
 
 
 def _touched(line: Line) -> list[str]:
