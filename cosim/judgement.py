@@ -24,6 +24,7 @@ FINITE: Mapping[str, str] = {
 }  # fmt: skip
 #: Decks made for verdicts in this process, by the plan's own: to flatten one takes longer than to look it up.
 _decks: dict[tuple[str, ...], Deck] = {}
+_MOST_DECKS = 32
 
 
 def question(plan: Plan) -> Question:
@@ -47,6 +48,8 @@ def _finite(plan: Plan, *, vendors: bool) -> Deck:
     scene = plan.scene
     name = (plan.board.digest, str(plan.board.path), str(vendors), scene.effects.driver.value)
     if name not in _decks:
+        if len(_decks) >= _MOST_DECKS:
+            _decks.clear()
         parts = {k: v for k, v in swaps(scene).items() if vendors or isinstance(v, str)}
         _decks[name] = load_deck(
             scene.device.board,

@@ -37,6 +37,7 @@ class Plan:
     recorded : nodes written at every point; watched : nodes of which the peak is kept
     choice : how the effects were chosen, JSON-ready, where they were (``effects = "auto"``)
     cautions : what is doubtful about scene and board before anything runs
+    trust : whether control blocks and file access may pass
     """
 
     scene: Scene
@@ -48,6 +49,7 @@ class Plan:
     watched: tuple[str, ...]
     choice: Mapping[str, Any] = field(default_factory=dict)
     cautions: tuple[Caution, ...] = ()
+    trust: bool = False
     _asked: dict[str, Stated] = field(default_factory=dict, repr=False, compare=False)
 
     def stated(self, child: Child | None = None) -> Stated:
@@ -168,7 +170,8 @@ def _placed(problem: Problem, scene: Scene) -> Problem:
     return replace(problem, file=str(scene.file) if scene.file else None, key=f"device.parts.{problem.key}")
 
 
-def _swaps(scene: Scene) -> dict[str, PartSwap | str]:
+def swaps(scene: Scene) -> dict[str, PartSwap | str]:
+    """Return what stands in for parts of the shelf, as `load_deck` takes it."""
     return {
         name: PartSwap(part.file, part.subckt, part.pins, part.dialect.value)
         if isinstance(part, PartFile)
@@ -244,6 +247,7 @@ def _resolved(scene: Scene, trust: bool, board: Deck | None) -> Plan:
         tolerances=Tolerances(solver.rtol, solver.method.value, solver.charge_tolerance_c),
         recorded=recorded,
         watched=watched,
+        trust=trust,
     )
 
 
@@ -251,7 +255,7 @@ def _loaded(scene: Scene, trust: bool, values: Mapping[str, str]) -> Deck:
     return load_deck(
         scene.device.board,
         levels=effects.levels(scene),
-        parts=_swaps(scene),
+        parts=swaps(scene),
         overrides=values,
         features=effects.features(scene),
         temperature_c=effects.temperature_c(scene),

@@ -17,6 +17,7 @@ from cosim import plausibility
 from cosim.caution import Caution, collected, warn
 from cosim.circuits.port import DesignConstants
 from cosim.errors import InputError, Problem
+from cosim.judgement import question, verdict
 from cosim.measures import chosen, headroom, standard
 from cosim.ngspice import stored
 from cosim.ngspice.child import Child, call
@@ -71,7 +72,7 @@ def run(
     Raises
     ------
     InputError
-        For a board that ngspice does not accept, or a place that cannot be written.
+        For a board that ngspice does not accept or that is unstable, or a place that cannot be written.
     SimulationError
         For everything that goes wrong while it runs.
     """
@@ -95,6 +96,9 @@ def _run(
     scene = plan.scene
     plan.stated(child)
     _check_duration(plan)
+    judged = verdict(question(plan), plan.board.path, child, scene.solver.time_limit_s)
+    if not scene.solver.allow_unstable:
+        judged.require(str(plan.board.path))
     target = Path(out) if out is not None else Path(tempfile.gettempdir()) / f"cosim-run-{uuid.uuid4().hex}"
     with Staging(target, RECORD) as stage:
         got = call(
@@ -137,6 +141,7 @@ def _run(
                 "amplifiers": headroom(amplifiers),
                 "certificate": got["circuit"].certificate if "circuit" in got else {},
                 "component_noise": got["component_noise"],
+                "stability": judged.as_dict(),
             },
             events=_events(samples),
             measures=chosen(measures, scene),

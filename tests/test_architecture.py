@@ -24,6 +24,7 @@ FLOORS = {
     "cosim.loop": 2,
     "cosim.effects": 2,
     "cosim.plan": 2,
+    "cosim.judgement": 2,
     "cosim.catalogue": 0,
     "cosim.plausibility": 2,
     "cosim.measures": 2,

@@ -142,8 +142,8 @@ class Verdict:
         if self.refused:
             raise InputError(
                 Problem(
-                    f"the board is {each}; look for positive feedback there, or declare a block that is meant "
-                    "to do so (*@ stability=bistable or oscillating); --allow-unstable runs it as it is",
+                    f"the board is {each}; look for positive feedback there, or declare a block that is "
+                    "meant to do so (*@ stability=bistable or oscillating); --allow-unstable runs it as it is",
                     file=file,
                     key=each.loop[0],
                 )

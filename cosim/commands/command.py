@@ -54,6 +54,9 @@ def scene_arguments(parser: argparse.ArgumentParser) -> None:
         "--model", metavar="NAME", help="circuit model to force instead of the effects' choice"
     )
     parser.add_argument(
+        "--allow-unstable", action="store_true", help="run a circuit that is unstable as it is, to look at it"
+    )
+    parser.add_argument(
         "--trust", action="store_true", help="let the netlists run commands and read files of their choice"
     )
 
@@ -84,6 +87,8 @@ def load_variants(args: argparse.Namespace) -> "list[tuple[Variant, Scene]]":
     forced = [f"solver.model={args.model}"] if args.model else []
     if getattr(args, "measure", None):
         forced.append(f"measures.names={json.dumps(list(dict.fromkeys(args.measure)))}")
+    if args.allow_unstable:
+        forced.append("solver.allow_unstable=true")
     return [
         (variant, load_scene(args.scene, [*forced, *variant.overrides]))
         for variant in variants(parse_settings(args.set))

@@ -491,6 +491,8 @@ class Solver(Table):
     Transients of capacitors whose charge stays below `charge_tolerance_c` do not shorten ngspice's step: by
     default the op-amps' internal poles (microseconds) are stepped over by the L-stable method. 1e-14 is
     ngspice's own default and resolves them, at about a fifth more points with the shipped parts.
+
+    An unstable circuit is refused, in every model; with `allow_unstable` it runs as it is, with a warning.
     """
 
     model: Annotated[CircuitModelName, _Word] = CircuitModelName.AUTO
@@ -502,6 +504,7 @@ class Solver(Table):
     reduction_tolerance: float = Field(default=1e-6, gt=0, le=0.1)
     charge_tolerance_c: Annotated[float, Field(gt=0, le=1e-3), Unit("C")] = 1e-9
     time_limit_s: Annotated[float, Field(gt=0, le=1e6), Unit("s")] = 600.0
+    allow_unstable: bool = False
 
 
 class Record(Table):
