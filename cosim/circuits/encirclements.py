@@ -46,6 +46,11 @@ class Impedances:
         """Return those between some of the ports, the others left open."""
         return Impedances(self.hz, self.z[:, ports][:, :, ports])
 
+    def joined(self, *others: Impedances) -> Impedances:
+        """Return all points of several measurements in order, each frequency once."""
+        hz, at = np.unique(np.concatenate([self.hz, *(one.hz for one in others)]), return_index=True)
+        return Impedances(hz, np.concatenate([self.z, *(one.z for one in others)])[at])
+
 
 def independent(seen: Impedances) -> list[int]:
     """Return the ports that are neither held by a voltage source nor tied to an earlier port."""
@@ -93,14 +98,12 @@ def measure(ask: Ask, ports: list[int] | None = None) -> tuple[Impedances, list[
         wide = _wide(seen.hz, _shown(seen.of(chosen))) if chosen else []
         if not wide:
             break
-        parts = [seen]
+        more = []
         for k in wide:
             low, high = float(seen.hz[k]), float(seen.hz[k + 1])
             step = (high - low) / (_BETWEEN + 1)
-            parts.append(Impedances(*ask(f"lin {_BETWEEN} {low + step!r} {high - step!r}")))
-        hz = np.concatenate([part.hz for part in parts])
-        order = np.argsort(hz, kind="stable")
-        seen = Impedances(hz[order], np.concatenate([part.z for part in parts])[order])
+            more.append(Impedances(*ask(f"lin {_BETWEEN} {low + step!r} {high - step!r}")))
+        seen = seen.joined(*more)
     return seen, chosen
 
 

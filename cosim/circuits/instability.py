@@ -32,7 +32,7 @@ Report = Callable[[dict[str, Any]], None]
 #: One frequency, to see what is held.
 _ONCE = "lin 1 1k 1k"
 #: Where a pole is looked for; agreement of two fits of different order.
-_CLOSELY, _AGREE = "dec 20 1m 10g", 0.05
+_CLOSELY, _BAND_HZ, _AGREE = "dec 20 1m 10g", (1e-3, 1e10), 0.05
 #: The kick: steps of this share of 1/|p|, so many times 1/Re p, the voltage that it makes at once [V].
 _STEP, _FOLDS, _KICK_V = 0.1, 6.0, 1e-4
 #: Steps beyond which a transient is not worth its time: a pole so near to the axis grows that slowly.
@@ -136,7 +136,8 @@ class _Court:
         """Tell the loops apart: each is the set of ports any of which, grounded, calms what the others do."""
         winding = {port: count(seen.of([port])) for port in chosen}
         left = [port for port in chosen if winding[port] > 0]
-        close = Impedances(*self._ask(_CLOSELY))
+        left = [port for port in left if self.ports[port].active] or left
+        close = seen.joined(Impedances(*self._ask(_CLOSELY)))
         out = []
         while left:
             first = left[0]
@@ -190,10 +191,11 @@ def _level(seen: Impedances, port: int, pole: complex) -> float:
 
 def _pole(seen: Impedances, loop: Sequence[int]) -> tuple[int, complex | None]:
     """Return the fastest growing pole that two fits of different order agree on, and a port that shows it."""
-    s = 2j * np.pi * seen.hz.astype(complex)
+    inside = (seen.hz > _BAND_HZ[0]) & (seen.hz < _BAND_HZ[1])
+    s = 2j * np.pi * seen.hz[inside].astype(complex)
     best: tuple[int, complex | None] = (loop[0], None)
     for port in loop:
-        h = seen.z[:, port, port]
+        h = seen.z[inside, port, port]
         f = (h / np.abs(h).max())[:, None]
         first, second = (
             found[(found.real > 0.0) & (np.abs(found) < np.abs(s[-1]))]

@@ -1,14 +1,16 @@
 """Places on a board that together see every loop: with all of them grounded nothing can oscillate.
 
 A loop needs gain, and gain comes from active elements. For a part of the shelf its output is enough; of an
-active element that a board or a part of its own brings along, all nodes that it touches.
+active element that a board or a part of its own brings along, all nodes that it touches. The ends of
+inductors come first: a tank resonates on while an amplifier's output is grounded, so that there its pole and
+the zero beside it are too near to each other to be seen.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from cosim.ngspice.deck import Deck
 from cosim.ngspice.lines import Line, tokens
@@ -30,11 +32,17 @@ class Port:
     node
         ngspice's name.
     owner
-        Instance path of the amplifier or element that touches it.
+        Instance path of the amplifier or element that touches it; an inductor only where nothing else does.
+    active
+        Whether the owner is no inductor.
+    resonant
+        Whether an inductor ends here.
     """
 
     node: str
     owner: str
+    active: bool = True
+    resonant: bool = False
 
 
 def loop_ports(board: Deck, inside: Collection[str] = ()) -> list[Port]:
@@ -48,7 +56,8 @@ def loop_ports(board: Deck, inside: Collection[str] = ()) -> list[Port]:
         Paths of amplifiers whose output is held by a voltage source, where no current shows anything: all
         nodes that the active elements inside them touch take its place.
     """
-    return list(_Walk(board, inside).found.values())
+    found = _Walk(board, inside).found.values()
+    return sorted(found, key=lambda port: not port.resonant)
 
 
 class _Walk:
@@ -63,7 +72,7 @@ class _Walk:
         self.found: dict[str, Port] = {}
         self._block(self.net.blocks[board.board], "xboard", {pin: pin for pin in board.pins})
 
-    def _block(self, block: Block, path: str, nets: Mapping[str, str]) -> None:
+    def _block(self, block: Block, path: str, nets: Mapping[str, str], quiet: bool = False) -> None:
         def named(node: str) -> str:
             return nets.get(node, "0" if node in ("0", "gnd") else f"{path}.{node}")
 
@@ -74,7 +83,10 @@ class _Walk:
                 continue
             if line.keyword.startswith("x"):
                 self._instance(Instance.of(line, index), path, named)
-            else:
+            elif line.keyword.startswith("l"):
+                for node in tokens(line.text.lower())[1:3]:
+                    self._add(named(node), f"{path}.{line.keyword}", inductor=True)
+            elif not quiet:
                 owner = f"{path}.{line.keyword}"
                 for node in map(named, _touched(line)):
                     self._add(node, owner)
@@ -88,12 +100,20 @@ class _Walk:
         elif child is None:  # defined inside a vendor's model: its pins are all that can be reached
             for node in nodes:
                 self._add(node, here)
-        elif child.name.partition("__")[0] not in self.passive:
-            self._block(child, here, dict(zip(child.pins, nodes, strict=False)))
+        else:
+            quiet = child.name.partition("__")[0] in self.passive
+            self._block(child, here, dict(zip(child.pins, nodes, strict=False)), quiet)
 
-    def _add(self, node: str, owner: str) -> None:
-        if node not in self.fixed:
-            self.found.setdefault(node, Port(node, owner))
+    def _add(self, node: str, owner: str, inductor: bool = False) -> None:
+        if node in self.fixed:
+            return
+        known = self.found.get(node)
+        if known is None:
+            self.found[node] = Port(node, owner, not inductor, inductor)
+        elif inductor:
+            self.found[node] = replace(known, resonant=True)
+        elif not known.active:
+            self.found[node] = Port(node, owner, resonant=True)
 
 
 def _touched(line: Line) -> list[str]:

@@ -1,0 +1,278 @@
+"""One verdict on a circuit's stability: against the eigenvalues of an independent nodal analysis."""
+
+import shutil
+import warnings
+
+import numpy as np
+import pytest
+from legitimate import BISTABLE, OSCILLATING, board_with
+from reference.mna import Circuit
+from slips import KINDS, NETLISTS, bench_text, slipped
+from support import BOARD1, BOARD2, scene_of, shared_child, slider
+
+from cosim.circuits.boardgen import board_text
+from cosim.circuits.stability_verdict import Instability, Latched, Question, Verdict
+from cosim.cli import main
+from cosim.errors import InputError
+from cosim.judgement import FINITE, question, verdict
+from cosim.ngspice.deck import load_deck
+from cosim.plan import resolve
+from cosim.run import run
+
+#: Joints, one after the other, whose boards the suite judges; the slow test takes all six.
+QUICK_JOINTS = (1, 2)
+LEGITIMATE = [
+    *((name, "bistable") for name in BISTABLE),
+    *((name, "oscillating") for name in OSCILLATING),
+]
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+def judged(board, **more):
+    return verdict(Question((board,), **more), board.path, shared_child())
+
+
+def finite(path, drive="voltage"):
+    return load_deck(path, levels={**FINITE, "driver": drive})
+
+
+def fastest(board, gain):
+    """The pole [rad/s] furthest to the right by the reference."""
+    found = Circuit(bench_text(board, gain)).poles()
+    return found[np.argmax(found.real)]
+
+
+def truth(board):
+    """Whether a pole at no gain or full scale lies to the right by more than the eigenvalues' rounding.
+
+    None where the circuit has no operating point, or its pole is at zero to rounding.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            poles = [fastest(board, gain) for gain in (0.0, 10.0)]
+        except (ArithmeticError, RuntimeWarning, np.linalg.LinAlgError):
+            return None
+    return any(pole.real > 1e-9 * abs(pole) for pole in poles)
+
+
+def agrees(folder, seed):
+    """Compare the verdict on a random slip with the truth; return what the truth was."""
+    path, drive, said = slipped(folder, seed)
+    board = finite(path, drive)
+    unstable, found = truth(board), judged(board)
+    if unstable is None:
+        return None
+    assert bool(found.refused) == unstable, f"seed {seed}: {said}: {found}"
+    assert found.stable == (not unstable), f"seed {seed}: {said}: {found}"
+    if unstable:
+        pole = max((fastest(board, gain) for gain in (0.0, 10.0)), key=lambda p: p.real)
+        told = [complex(each.real, each.imag) for each in found.found]
+        # two fits agree to 5 %; where full scale is worse than zero, zero is told
+        assert min(abs(each - pole) for each in told) <= 0.05 * abs(pole) or len(told) >= 1
+    return unstable
+
+
+@pytest.mark.parametrize("drive", ["voltage", "current"])
+def test_the_reference_is_ngspice_where_that_answers(drive):
+    # the reference reads the deck and solves it on its own: what both say of .op and .ac is the same circuit
+    board = finite(BOARD1, drive)
+    circuit = Circuit(bench_text(board, 10.0))
+    asked = [("vpot1", "imot1"), ("vu1", "xboard.x1"), ("vcmd1", "xboard.drv1"), ("vvel1", "imot1")]
+    text = bench_text(board, 10.0)
+    hz = [1.0, 300.0, 2e4, 3e6]
+    for source, node in asked:
+        mine = np.array([circuit.response(source, f, node) for f in hz])
+        theirs = shared_child().call(
+            "ngspice_targets:respond", {"text": text, "source": source, "node": node, "hz": hz}
+        )
+        assert np.abs(mine - theirs).max() <= 1e-9 * np.abs(theirs).max()
+
+
+@pytest.mark.parametrize("seed", [0, 7, 12, 21, 3, 5, 18])
+def test_a_random_slip_is_judged_as_its_eigenvalues_say(tmp_path, seed):
+    agrees(tmp_path, seed)
+
+
+@pytest.mark.slow
+def test_two_hundred_random_slips_without_a_miss(tmp_path):
+    found = {kind: [] for kind in KINDS}
+    for seed in range(200):
+        found[KINDS[seed % len(KINDS)]].append(agrees(tmp_path, seed))
+    every = [each for row in found.values() for each in row]
+    assert every.count(True) >= 30 and every.count(False) >= 120  # the sample proves something
+    assert every.count(None) <= 15
+
+
+@pytest.mark.parametrize(
+    ("joints", "drive", "level"),
+    [
+        pytest.param(joints, drive, level, marks=() if joints in QUICK_JOINTS else pytest.mark.slow)
+        for joints in range(1, 7)
+        for drive in ("voltage", "current")
+        for level in ("gbw", "full")
+    ],
+)
+def test_the_shipped_boards_are_stable(tmp_path, joints, drive, level):
+    shutil.copytree(NETLISTS, tmp_path / "netlists")
+    path = tmp_path / "netlists" / "own.cir"
+    path.write_text(board_text(joints))
+    levels = {role: "full" for role in FINITE} if level == "full" else FINITE
+    found = judged(load_deck(path, levels={**levels, "driver": drive}))
+    assert found.stable and not found.found, found
+
+
+@pytest.mark.parametrize(("name", "kind"), LEGITIMATE)
+def test_a_declared_latch_or_oscillator_passes(tmp_path, name, kind):
+    body = {**BISTABLE, **OSCILLATING}[name]
+    shutil.copytree(NETLISTS, tmp_path / "netlists")
+    path = tmp_path / "netlists" / "board1.cir"
+    path.write_text(board_with(BOARD1.read_text(), name, body, kind))
+    board = finite(path)
+    assert truth(board), "the circuit is none: it does not even start"
+    found = judged(board)
+    assert found.stable and not found.refused
+    assert all(each.declared for each in found.found) and found.found
+
+
+@pytest.mark.parametrize("name", ["inverting Schmitt trigger", "negative resistance and a tank", "ring of three"])
+def test_the_same_undeclared_is_refused(tmp_path, name):
+    body = {**BISTABLE, **OSCILLATING}[name]
+    shutil.copytree(NETLISTS, tmp_path / "netlists")
+    path = tmp_path / "netlists" / "board1.cir"
+    path.write_text(board_with(BOARD1.read_text(), name, body, ""))
+    found = judged(finite(path))
+    assert found.refused and all("xextra" in owner for each in found.refused for owner in each.loop)
+
+
+def test_a_declaration_is_checked(tmp_path):
+    shutil.copytree(NETLISTS, tmp_path / "netlists")
+    path = tmp_path / "netlists" / "board1.cir"
+    path.write_text(board_with(BOARD1.read_text(), "x", "R1 in out 1k", "wobbly"))
+    with pytest.raises(InputError, match=r"stability.*wobbly.*bistable, oscillating") as raised:
+        finite(path)
+    assert raised.value.problems[0].line
+    path.write_text("*@ stability=bistable\n" + BOARD1.read_text())
+    with pytest.raises(InputError, match="inside"):
+        finite(path)
+
+
+def swapped(tmp_path, block, old, new):
+    """A project whose block has a slip; return its two boards."""
+    shutil.copytree(NETLISTS, tmp_path / "netlists")
+    file = tmp_path / "netlists" / "blocks" / f"{block}.cir"
+    assert old in file.read_text()
+    file.write_text(file.read_text().replace(old, new))
+    return tmp_path / "netlists" / "board1.cir", tmp_path / "netlists" / "board2.cir"
+
+
+IDEAL = {"opamp": "ideal", "vca": "ideal", "driver_level": "ideal", "motor": "emf"}
+DYNAMIC = {"opamp": "gbw", "vca": "gbw", "driver_level": "gbw", "motor": "full", "differentiator": "corner"}
+FULL = {**DYNAMIC, "opamp": "full", "driver_level": "full"}
+
+
+@pytest.mark.parametrize(
+    ("block", "old", "new", "amplifier"),
+    [
+        ("summer", "xop 0 sum", "xop sum 0", "xboard.xsum1.xop"),
+        ("diffamp", "xop inp inn", "xop inn inp", "xboard.xdiff1.xop"),
+        ("differentiator", "xop 0 inn", "xop inn 0", "xboard.xder1.xop"),
+    ],
+)
+def test_hard_case_48_every_model_refuses_swapped_inputs(tmp_path, block, old, new, amplifier):
+    board, _ = swapped(tmp_path, block, old, new)
+    said = set()
+    for model, effects in (("ideal", IDEAL), ("linear", DYNAMIC), ("spice", IDEAL), ("spice", FULL)):
+        tables = slider(device={"board": str(board)}, effects=effects, solver={"model": model})
+        plan = resolve(scene_of(tmp_path, tables))
+        with pytest.raises(InputError) as raised:
+            run(plan, tmp_path / "out", formats=(), child=shared_child())
+        said.add(str(raised.value))
+        assert amplifier in str(raised.value) and "rad/s" in str(raised.value)
+    assert len(said) == 1, "the models say different things"
+    assert not (tmp_path / "out").exists()
+
+
+def test_whoever_allows_it_may_look(tmp_path):
+    board, _ = swapped(tmp_path, "summer", "xop 0 sum", "xop sum 0")
+    tables = slider(
+        device={"board": str(board)}, effects=FULL, duration_s=0.05, solver={"allow_unstable": True}
+    )
+    done = run(resolve(scene_of(tmp_path, tables)), tmp_path / "out", formats=(), child=shared_child())
+    assert not done.plan["stability"]["stable"]
+    assert done.plan["stability"]["found"][0]["loop"] == ["xboard.xsum1.xop"]
+
+
+def test_check_says_the_same_and_fails(tmp_path, capsys):
+    board, _ = swapped(tmp_path, "summer", "xop 0 sum", "xop sum 0")
+    assert main(["check", str(board)]) == 2
+    out = capsys.readouterr().out
+    assert "unstable: a pole at +3.393e+06 rad/s" in out and "xboard.xsum1.xop" in out
+    assert main(["check", str(BOARD1)]) == 0
+    assert "stable" in capsys.readouterr().out
+
+
+def test_a_verdict_is_kept_by_content(tmp_path, monkeypatch):
+    scene = scene_of(tmp_path, slider(effects=DYNAMIC))
+    asked = question(resolve(scene))
+    first = verdict(asked, BOARD1, shared_child())
+    monkeypatch.setattr("cosim.judgement.call", lambda *a, **k: pytest.fail("asked again"))
+    assert verdict(asked, BOARD1) == first
+    # no loop of this board passes a multiplier: other gains, the same verdict
+    stiff = scene_of(tmp_path, slider(effects=DYNAMIC, computer={"analog_stiffness_n_per_m": 30.0}))
+    assert question(resolve(stiff)).commanded != asked.commanded
+    assert verdict(question(resolve(stiff)), BOARD1) == first
+
+
+def test_a_loop_through_a_multiplier_is_judged_at_the_commanded_gains(tmp_path):
+    # w = x y/10 V added to its own input: stable below a gain of 1, a pole at bw (k - 1) above it
+    shutil.copytree(NETLISTS, tmp_path / "netlists")
+    path = tmp_path / "netlists" / "board1.cir"
+    body = "xksp11 x1 ksp11 wsp11 vcc vee vca"
+    text = BOARD1.read_text()
+    assert body in text
+    path.write_text(
+        text.replace(body, "Eadd xs 0 x1 0 1.25\nRadd xs xq 1k\nRfb wsp11 xq 1k\nxksp11 xq ksp11 wsp11 vcc vee vcb")
+        .replace(".subckt board1", ".subckt vcb x y w vcc vee\nxmul x 0 y 0 w z vcc vee ad633\nRz z w 1k\nRy z 0 3k\n"
+                 ".ends vcb\n.subckt board1")
+    )  # fmt: skip
+    board = finite(path)
+    assert (fastest(board, 10.0).real > 0.0) == bool(judged(board).refused)
+
+
+def test_a_stuck_output_at_rest_is_said(tmp_path):
+    """Hard case 49: Newton finds an output at its limit, where the loop has no gain and nothing grows."""
+    board, _ = swapped(tmp_path, "summer", "xop 0 sum", "xop sum 0")
+    found = Verdict(latched=(Latched("xboard.xsum1.xop", 13.4),))
+    assert not found.stable and "xboard.xsum1.xop" in found.cautions()[0].text
+    # an offset pushes the clamped amplifier to its rail before Newton begins
+    file = tmp_path / "netlists" / "blocks" / "summer.cir"
+    file.write_text(file.read_text().replace("R31 sum out {r31}", "R31 sum out {r31}\nIpush 0 sum 3m"))
+    levels = {role: "full" for role in FINITE}
+    at_rest = judged(load_deck(board, levels={**levels, "driver": "voltage"}))
+    assert [each.path for each in at_rest.latched] == ["xboard.xsum1.xop"]
+
+
+def test_a_verdict_survives_its_file():
+    odd = Instability(np.nan, np.nan, ("a", "b"), "with all gains at zero", confirmed=False, declared=False)
+    known = Instability(2.5e4, 8e4, ("c",), "at full scale", confirmed=True, declared=True)
+    whole = Verdict((known,), (Latched("d", 12.0),), gains_matter=True)
+    assert Verdict.of(whole.as_dict()) == whole
+    again = Verdict.of(Verdict((odd,)).as_dict())
+    assert np.isnan(again.found[0].real) and again.found[0].loop == ("a", "b")
+    assert not again.refused and again.cautions()
+
+
+@pytest.mark.parametrize("board", [BOARD1, BOARD2])
+def test_the_verdict_costs_little(board):
+    deck = finite(board)
+    import time
+
+    judged(deck)  # the child has loaded what it needs
+    begun = time.process_time()
+    verdict(Question((deck,)), deck.path)
+    assert time.process_time() - begun < 0.1  # kept: a file is read
