@@ -9,7 +9,7 @@ import numpy as np
 
 from cosim import effects
 from cosim.circuits.port import DesignConstants
-from cosim.circuits.stability_verdict import Question, Verdict, known
+from cosim.circuits.stability_verdict import Question, Verdict, keep, known
 from cosim.loop.setup import mechanism, start
 from cosim.ngspice.child import Child, call
 from cosim.ngspice.deck import Deck, load_deck
@@ -98,4 +98,5 @@ def verdict(asked: Question, path: Path, child: Child | None = None, time_limit_
             deck=str(path),
             child=child,
         )
+        keep(asked, found)
     return found

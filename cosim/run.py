@@ -99,6 +99,7 @@ def _run(
     judged = verdict(question(plan), plan.board.path, child, scene.solver.time_limit_s)
     if not scene.solver.allow_unstable:
         judged.require(str(plan.board.path))
+    warn(*judged.cautions())
     target = Path(out) if out is not None else Path(tempfile.gettempdir()) / f"cosim-run-{uuid.uuid4().hex}"
     with Staging(target, RECORD) as stage:
         got = call(

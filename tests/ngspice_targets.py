@@ -89,3 +89,20 @@ def doubts(payload: Any, report: Any) -> Any:
     """Doubt, and answer all the same."""
     warn(Caution("doubt", f"number {payload['number']}", "count again"))
     return payload["number"]
+
+
+def respond(payload: dict[str, Any], report: Any) -> Any:
+    """Run `.ac` of a deck in text: what a source makes of a node at some frequencies [Hz]."""
+    import numpy as np
+
+    from cosim.ngspice.simulator import Simulator
+
+    simulator = Simulator()
+    simulator.load("\n".join([payload["text"], ".end"]) + "\n")
+    simulator.command(f"alter @{payload['source']}[acmag] = 1")
+    found = []
+    for hz in payload["hz"]:
+        simulator.command(f"ac lin 1 {hz!r} {hz!r}")
+        found.append(complex(simulator.vector(payload["node"])[0]))
+        simulator.command("destroy all")
+    return np.array(found)

@@ -9,7 +9,9 @@ from cosim.caution import warn
 from cosim.check.coupling import Coupling, step_bound
 from cosim.check.measure import Measured
 from cosim.check.subject import Subject
-from cosim.check.verdict import Finding, Severity, findings, missed
+from cosim.check.verdict import Finding, Severity, findings, missed, of_stability
+from cosim.circuits.stability_verdict import Verdict
+from cosim.judgement import verdict
 from cosim.ngspice.child import Child, call
 
 TIME_LIMIT_S = 300.0
@@ -23,6 +25,7 @@ class Check:
     subject: Subject
     measured: Measured
     coupling: Coupling | None
+    stability: Verdict
     findings: tuple[Finding, ...]
 
     def count(self, severity: Severity) -> int:
@@ -48,6 +51,7 @@ class Check:
             "notes": list(board.notes),
             "deck_digest": board.digest,
             **measured,
+            "stability": self.stability.as_dict(),
             "coupling": asdict(self.coupling) if self.coupling else None,
             "findings": [asdict(finding) for finding in self.findings],
             "problems": self.count(Severity.PROBLEM),
@@ -80,4 +84,7 @@ def check(subject: Subject, *, child: Child | None = None) -> Check:
     if subject.scene is not None:
         coupling = step_bound(subject.scene, measured.admittance_a_s, measured.stated)
     warn(*missed(measured))
-    return Check(subject, measured, coupling, tuple(findings(measured, coupling)))
+    judged = verdict(subject.stability, subject.board.path, child, TIME_LIMIT_S)
+    warn(*judged.cautions())
+    told = (*of_stability(judged), *findings(measured, coupling))
+    return Check(subject, measured, coupling, judged, told)

@@ -6,7 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from cosim.circuits.stability_verdict import Question
 from cosim.errors import InputError, Problem
+from cosim.judgement import FINITE, question
 from cosim.ngspice.deck import Deck, load_deck
 from cosim.plan import resolve
 from cosim.scene import Potentiometer, Scene, load_scene
@@ -15,7 +17,7 @@ from cosim.settings import Variant
 _PARTS = ("opamp", "vca", "driver_level")
 LEVELS: Mapping[str, Mapping[str, str]] = {
     "ideal": dict.fromkeys((*_PARTS, "motor", "potentiometer"), "ideal"),
-    "gbw": {**dict.fromkeys(_PARTS, "gbw"), "motor": "full", "potentiometer": "ideal"},
+    "gbw": FINITE,
     "full": dict.fromkeys((*_PARTS, "motor", "potentiometer"), "full"),
 }
 """Level of every role by one word; a winding's inductance and a wiper's resistance know no gbw."""
@@ -31,6 +33,7 @@ class Subject:
     board, ideal : its deck at the levels in force, and with ideal parts
     driver : kind of drive
     scene : the scene, if one was given
+    stability : the question whether it is stable, which is the same for every level and model
     label : the values of ``--set`` in words
     """
 
@@ -38,6 +41,7 @@ class Subject:
     ideal: Deck
     driver: str
     scene: Scene | None
+    stability: Question
     label: str = ""
 
     @property
@@ -79,13 +83,12 @@ def load_subject(
             ]
         )
     kind = driver or "voltage"
-    board, ideal = (
-        load_deck(
-            target, levels={**LEVELS[name], "driver": kind}, overrides=dict(variant.values), trust=trust
-        )
-        for name in (level or "full", "ideal")
+    board, ideal, finite = (
+        load_deck(target, levels={**levels, "driver": kind}, overrides=dict(variant.values), trust=trust)
+        for levels in (LEVELS[level or "full"], LEVELS["ideal"], FINITE)
     )
-    return Subject(board, ideal, kind, None, variant.label)
+    judged = Question((finite, board) if (level or "full") == "full" else (finite,))
+    return Subject(board, ideal, kind, None, judged, variant.label)
 
 
 def _of_scene(target: str, variant: Variant, level: str | None, driver: str | None, trust: bool) -> Subject:
@@ -94,8 +97,9 @@ def _of_scene(target: str, variant: Variant, level: str | None, driver: str | No
     plain = load_scene(target, [*variant.overrides, *_effects("ideal"), *kind])
     # a vendor's model has no ideal level: the board's own share is told with the part it replaces
     plain = plain.model_copy(update={"device": plain.device.model_copy(update={"parts": {}})})
-    board, ideal = (resolve(each, trust=trust).board for each in (scene, plain))
-    return Subject(board, ideal, scene.effects.driver.value, scene, variant.label)
+    plan, ideal = (resolve(each, trust=trust) for each in (scene, plain))
+    kind_of_drive = scene.effects.driver.value
+    return Subject(plan.board, ideal.board, kind_of_drive, scene, question(plan), variant.label)
 
 
 def _effects(level: str | None) -> list[str]:

@@ -23,7 +23,18 @@ _PREFIX = {-12: "p", -9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M"}
 
 def describe(check: Check) -> str:
     """Return the whole check in words."""
-    sections = [_ports, _constants, _rest, _headroom, _loops, _paths, _noise, _components, _coupling]
+    sections = [
+        _ports,
+        _stability,
+        _constants,
+        _rest,
+        _headroom,
+        _loops,
+        _paths,
+        _noise,
+        _components,
+        _coupling,
+    ]
     lines = [line for section in sections for line in [*section(check), ""]]
     lines += [f"{finding.severity}: {finding.message}" for finding in check.findings]
     problems, warnings = check.count(Severity.PROBLEM), check.count(Severity.WARNING)
@@ -44,6 +55,16 @@ def _ports(check: Check) -> list[str]:
         *_table(("part", "role", "level"), parts, left=(0, 1, 2)),
         *(f"  note: {note}" for note in board.notes),
     ]
+
+
+def _stability(check: Check) -> list[str]:
+    judged = check.stability
+    if judged.unjudged:
+        return ["stability: nobody knows"]
+    declared = [f"  as declared, {each}" for each in judged.found if each.declared]
+    if judged.stable:
+        return ["stability: stable, with all gains at zero, at full scale and as commanded", *declared]
+    return ["stability: NOT STABLE", *(f"  {each}" for each in (*judged.found, *judged.latched))]
 
 
 def _constants(check: Check) -> list[str]:

@@ -10,6 +10,7 @@ from cosim.caution import Caution
 from cosim.check.constants import Constant
 from cosim.check.coupling import Coupling
 from cosim.check.measure import Measured
+from cosim.circuits.stability_verdict import Verdict
 from cosim.plausibility import DEVIATION, constant_missed
 
 DEVIATION_PERCENT = 0.1
@@ -63,6 +64,18 @@ def missed(measured: Measured) -> list[Caution]:
         if c.measured is not None and size > 100.0 * DEVIATION and size > worst.get(c.name, (0.0,))[0]:
             worst[c.name] = size, constant_missed(c.name, c.stated, c.measured, c.where)
     return [caution for _, caution in worst.values()]
+
+
+def of_stability(judged: Verdict) -> Iterable[Finding]:
+    """Tell the verdict on the circuit's stability, the same that a run waits for."""
+    if judged.unjudged:
+        yield _warning("stability", f"not judged: {judged.unjudged}")
+    for each in judged.found:
+        if each.declared:
+            continue
+        yield _problem("stability", str(each)) if each.confirmed else _warning("stability", str(each))
+    for stuck in judged.latched:
+        yield _problem("stability", str(stuck))
 
 
 def _problem(section: str, message: str) -> Finding:

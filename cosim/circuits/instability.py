@@ -19,7 +19,7 @@ from cosim.circuits.encirclements import HELD_OHM, Impedances, alike, count, mea
 from cosim.circuits.loop_ports import Port, loop_ports
 from cosim.circuits.session import Bench
 from cosim.circuits.spice import SUPPLY_V
-from cosim.circuits.stability_verdict import Instability, Latched, Question, Verdict, keep, known
+from cosim.circuits.stability_verdict import Instability, Latched, Question, Verdict
 from cosim.errors import CosimError
 from cosim.ngspice.deck import Deck
 
@@ -44,22 +44,19 @@ _LATCHED = 0.6
 
 
 def judge(payload: Mapping[str, Any], report: Report) -> Verdict:
-    """Reach a verdict in ngspice's child process, or take it from the cache; payload: 'question'."""
+    """Reach a verdict in ngspice's child process; payload: 'question'."""
     question: Question = payload["question"]
-    verdict = known(question)
-    if verdict is None:
-        verdict = Verdict()
-        try:
-            for board in question.boards:
-                verdict = _Court(board, report).verdict(question.commanded)
-                if not verdict.stable:
-                    break
-            if verdict.latched and not verdict.found and question.plain is not None:
-                plain = _Court(question.plain, report).verdict(question.commanded)
-                verdict = replace(plain, latched=verdict.latched)
-        except CosimError as reason:  # whoever runs the board meets the reason again and names it fully
-            return replace(verdict, unjudged=str(reason).splitlines()[0])
-        keep(question, verdict)
+    verdict = Verdict()
+    try:
+        for board in question.boards:
+            verdict = _Court(board, report).verdict(question.commanded)
+            if not verdict.stable:
+                break
+        if verdict.latched and not verdict.found and question.plain is not None:
+            plain = _Court(question.plain, report).verdict(question.commanded)
+            verdict = replace(plain, latched=verdict.latched)
+    except CosimError as reason:  # whoever runs the board meets the reason again and names it fully
+        return replace(verdict, unjudged=str(reason).splitlines()[0])
     return verdict
 
 

@@ -108,6 +108,7 @@ class Verdict:
         ]
         return {
             "stable": self.stable,
+            "refused": bool(self.refused),
             "found": rows,
             "latched": [asdict(each) for each in self.latched],
             "gains_matter": self.gains_matter,
@@ -143,7 +144,7 @@ class Verdict:
             raise InputError(
                 Problem(
                     f"the board is {each}; look for positive feedback there, or declare a block that is "
-                    "meant to do so (*@ stability=bistable or oscillating); --allow-unstable runs it as it is",
+                    "meant to do so (*@ stability=bistable or oscillating); --allow-unstable runs it anyway",
                     file=file,
                     key=each.loop[0],
                 )
@@ -215,5 +216,7 @@ def _stored(question: Question) -> Verdict | None:
 
 def keep(question: Question, verdict: Verdict) -> None:
     """Keep a verdict; one that does not depend on the commanded gains for all of them."""
+    if verdict.unjudged:
+        return
     kept = question if verdict.gains_matter else replace(question, commanded={})
     store_arrays(kept.digest, verdict.as_dict(), {})

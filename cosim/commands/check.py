@@ -56,6 +56,8 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
 
 def _exit_code(args: argparse.Namespace, result: dict[str, Any]) -> int:
+    if any(done["stability"]["refused"] for done in result["checks"]):
+        return 2  # nobody needs to ask for that: such a board does not run
     return 2 if args.strict and any(done["problems"] for done in result["checks"]) else 0
 
 

@@ -12,6 +12,7 @@ from cosim.caution import collected, warn
 from cosim.check.check import Check, check
 from cosim.check.subject import Subject, load_subject
 from cosim.circuits.linear import LinearCircuit
+from cosim.circuits.stability_verdict import Question
 from cosim.errors import InputError, fail
 from cosim.measures import Tolerance, tolerances
 from cosim.ngspice import stored
@@ -209,7 +210,8 @@ def _prepared(scene_file: str | Path, asked: Asked, trust: bool) -> tuple[Plan, 
         board = stored.load(asked.stored, trust=trust)
         plan = resolve(result.scene, trust=trust, board=board)
         # its parts at other levels are gone with the netlists, so the share of ideal parts is not told
-        return plan, Subject(board, board, result.scene.effects.driver.value, result.scene), result
+        kind = result.scene.effects.driver.value
+        return plan, Subject(board, board, kind, result.scene, Question((board,))), result
     plan = resolve(load_scene(scene_file, asked.overrides), trust=trust)
     variant = Variant((), asked.overrides, asked.label)
     return plan, load_subject(str(scene_file), variant, None, None, trust=trust), None

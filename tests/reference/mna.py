@@ -300,10 +300,11 @@ class Circuit:
         each decade of magnitude is read with a shift of its own.
         """
         g, c, _ = self.matrices(self.operating_point())
+        held = np.flatnonzero(c.any(axis=0))  # the other columns of (G + s0 C)^-1 C are zero
         found = []
         for decade in range(-4, 13):
             shift = 10.0**decade
-            mu = scipy.linalg.eigvals(_solve(g + shift * c, c))
+            mu = scipy.linalg.eigvals(_solve(g + shift * c, c[:, held])[held])
             mu = mu[np.abs(mu) > 1e-13 * np.abs(mu).max(initial=0.0)]
             s = shift - 1.0 / mu
             low, high = 10.0 ** (decade - 0.5), 10.0 ** (decade + 0.5)
