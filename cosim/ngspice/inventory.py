@@ -89,7 +89,9 @@ def declared(net: Netlist, board: Block) -> list[str]:
     def walk(block: Block, path: str) -> list[str]:
         if block.stability:
             return [path]
-        return [found for name, child in inside(block) if holds(child) for found in walk(child, f"{path}.{name}")]
+        return [
+            found for name, child in inside(block) if holds(child) for found in walk(child, f"{path}.{name}")
+        ]
 
     return walk(board, "xboard")
 
