@@ -13,6 +13,7 @@ FLOORS = {
     "cosim.errors": 0,
     "cosim.caution": 0,
     "cosim.assets": 0,
+    "cosim.codecache": 0,
     "cosim.compiled": 0,
     "cosim.seal": 0,
     "cosim.staging": 0,

@@ -105,9 +105,9 @@ def _keep_apart(base: Path, *, series: bool) -> None:
 
 def _announce_compilation() -> None:
     """Say that the first run of an installation compiles, which looks like a hang otherwise."""
-    from cosim.compiled import cache_folder
+    from cosim.compiled import is_warm
 
-    if not Path(cache_folder()).exists():
+    if not is_warm():
         print("compiling for the first run on this machine (about 15 s, once)", file=sys.stderr, flush=True)
 
 

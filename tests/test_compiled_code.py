@@ -1,0 +1,101 @@
+"""Compiled code on disk: never stale, never damaged, and the same for a moved installation."""
+
+import math
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cosim import compiled
+
+ROOT = Path(__file__).resolve().parents[1]
+#: A small function with a known value; prints it, and how often numba compiled it.
+CALL = """
+import cosim
+from cosim.loop.divided import expm1
+print(expm1(1.0 + 0.0j).real, sum(expm1.stats.cache_misses.values()))
+"""
+
+
+def call(place: Path, cache: Path) -> tuple[float, int]:
+    """Call it from the sources in `place`, in a process of its own."""
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(place)}
+    done = subprocess.run(
+        [sys.executable, "-c", CALL], cwd=cache, env=env, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    value, misses = done.stdout.split()
+    return float(value), int(misses)
+
+
+@pytest.fixture(scope="module")
+def warm(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cache that holds the function."""
+    cache = tmp_path_factory.mktemp("code")
+    assert call(ROOT, cache) == (pytest.approx(math.expm1(1.0), rel=1e-15), 1)
+    assert call(ROOT, cache)[1] == 0
+    return cache
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda whole: b"",
+        lambda whole: whole[: len(whole) // 2],
+        lambda whole: whole[:-1],
+        lambda whole: whole[:400] + bytes([whole[400] ^ 8]) + whole[401:],
+        lambda whole: b"\0" * len(whole),
+        lambda whole: whole + b"x",
+    ],
+)
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+def test_damaged_code_is_compiled_anew(warm: Path, tmp_path: Path, ending: str, damage: Any) -> None:
+    cache = tmp_path / "code"
+    shutil.copytree(warm, cache)
+    files = list(cache.rglob(f"*expm1*.{ending}"))
+    assert len(files) == 1
+    whole = files[0].read_bytes()
+    files[0].write_bytes(damage(whole))
+    assert call(ROOT, cache) == (pytest.approx(math.expm1(1.0), rel=1e-15), 1)
+    assert call(ROOT, cache)[1] == 0
+
+
+def test_a_moved_installation_keeps_its_code(warm: Path, tmp_path: Path) -> None:
+    place = tmp_path / "moved here"
+    for folder in ("cosim", "mech"):
+        shutil.copytree(ROOT / folder, place / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    cache = tmp_path / "code"
+    shutil.copytree(warm, cache)
+    assert call(place, cache)[1] == 0
+    with (place / "cosim" / "loop" / "divided.py").open("a") as stream:
+        stream.write("# changed\n")
+    assert call(place, cache)[1] == 1
+
+
+def test_a_module_is_compiled_anew_when_what_it_imports_changes(tmp_path, monkeypatch):
+    """The folder changes with every source in the closure, and with no other."""
+    before = {name: compiled.code_folder(name).name for name in compiled._sources()}
+    sources = dict(compiled._sources())
+    sources["mech.kinematics"] += b"\n"
+    monkeypatch.setattr(compiled, "_sources", lambda: sources)
+    changed = {name for name, folder in before.items() if compiled.code_folder(name).name != folder}
+    assert changed == {name for name in sources if "mech.kinematics" in compiled._closure(name)}
+    assert "mech.kinematics" in changed
+    assert "cosim.loop.lockstep" in changed
+    assert "cosim.loop.phi" not in changed
+
+
+def test_imports_are_found_in_every_form(monkeypatch):
+    text = b"import mech.a, mech.b as b\nfrom mech.c import (\n    d,\n    e,  # word\n)\n"
+    text += b"if x:\n    from mech import f, g as h\n"
+    names = ("x", *(f"mech.{c}" for c in "abcfg"), "mech.c.d", "mech.c.e", "mech")
+    monkeypatch.setattr(compiled, "_sources", lambda: {name: text if name == "x" else b"" for name in names})
+    compiled._imports.cache_clear()
+    try:
+        assert compiled._closure("x") == set(names)
+    finally:
+        compiled._imports.cache_clear()
