@@ -326,6 +326,29 @@ def test_a_vendors_model_is_checked_and_what_cannot_be_known_is_said(checked, tm
 # --- errors and the command ------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        ("eo y 0 x 0 1\nro y n 126\nrn n 5 -26", "negative"),
+        ("j$a 3 y sp nj\nrs sp 5 100\nro y x 0.1\n.model nj njf(vto=-1 beta=1e-3)\n.param z=0", ""),
+    ],
+    ids=["negative-resistor", "dollar"],
+)
+def test_noise_that_one_element_does_not_tell_costs_no_check(checked, tmp_path, made, said):
+    (tmp_path / "op.lib").write_text(
+        f".subckt myop 1 2 3 4 5\nga 0 x 1 2 1m\nra x 0 200meg\nca x 0 53p\n{made}\nrp 3 4 10k\n.ends\n"
+    )
+    swap = {"file": "op.lib", "subckt": "MYOP", "pins": "1 2 3 4 5", "dialect": "pspice"}
+    scene_of(tmp_path, slider(device={"parts": {"opamp": swap}}))
+    result = checked(tmp_path / "scene.toml")
+    told = [f.message for f in result.findings if f.section == "noise"]
+    assert all(said in message for message in told)
+    assert bool(said) == bool(told)
+    assert result.measured.components.rest_n > 0.0
+    # the multipliers' resistors among others
+    assert all(n.current_a > 0.0 and n.complete for n in result.measured.noise)
+
+
 def project(folder, *edits):
     """Copy of the shipped netlists with a text of board2 replaced."""
     import shutil

@@ -252,6 +252,15 @@ def test_shot_noise_of_a_diode_heard_or_not(tmp_path: Path, reader: str) -> None
     np.testing.assert_allclose(x, expected, rtol=1e-4)
 
 
+def test_a_negative_resistor_is_left_out_with_a_note_and_all_others_are_heard(tmp_path: Path) -> None:
+    # 1 kOhm beside -3 kOhm are 1.5 kOhm; ngspice takes the root of 4 k T / R
+    noise = measured(board(tmp_path, spring="Rk u1 k 1k\nRn k 0 -3k\nEx x 0 k pot1 1"))
+    assert "rn" not in noise.devices
+    assert any("rn" in note and "negative" in note for note in noise.notes)
+    x = np.abs(noise.x[:, noise.devices.index("rk"), 0])
+    np.testing.assert_allclose(x, math.sqrt(KT4 / 1e3) * 1.5e3, rtol=1e-6)
+
+
 # ---- in time
 
 

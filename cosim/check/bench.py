@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.check.probes import Probe, insert_probes
+from cosim.circuits.noise_analysis import by_element, silence
 from cosim.circuits.port import DesignConstants
 from cosim.circuits.spice import Drive, testbench
 from cosim.errors import InputError
@@ -18,6 +21,23 @@ Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 HIGHEST_HZ = 1e8
 """Sweeps end here: above every pole of a part of this trade."""
+
+
+@dataclass(frozen=True)
+class Heard:
+    """Noise of an output over a band.
+
+    Attributes
+    ----------
+    total : rms of all
+    elements : rms of every element that makes any, by its instance path: ``xboard.xsum1.r31``
+    gain : from the input at the lowest frequency, as `.noise` sees it: not the true one if a device does not
+        take part in this analysis; ``None`` where it has no number
+    """
+
+    total: float
+    elements: dict[str, float]
+    gain: float | None
 
 
 class Bench:
@@ -45,6 +65,8 @@ class Bench:
         rows.append(".end")
         simulator.load("\n".join(rows) + "\n", lines=lines, name=str(board.path))
         self._held: dict[str, float] = {}
+        #: Elements of whose noise ngspice has no number, as far as `noise` has met them.
+        self.mute: set[str] = set()
 
     def constants(self) -> DesignConstants:
         """Return what the board states; `InputError` names what is missing."""
@@ -100,29 +122,27 @@ class Bench:
         share = i2 - v1 + 2.0 * (v1 * i2 - i1 * v2)  # (Yaa + Ybb)/(Yaa + Yab + Yba + Ybb)
         return np.real(by_volt["frequency"]), 1.0 / share - 1.0
 
-    def noise(self, output: str, pin: str, sweep: str) -> tuple[float, dict[str, float], float]:
-        """Return the rms noise of an output over a band, in all and of every element that makes any.
+    def noise(self, output: str, pin: str, sweep: str) -> Heard:
+        """Return the rms noise of an output over a band.
 
-        Elements are named by their instance path: ``xboard.xsum1.r31``. A pin must be named as the input that
-        ngspice refers the noise to; it makes none. The last item is the gain from there at the lowest
-        frequency, as `.noise` sees it: not the true one if a device does not take part in this analysis.
+        A pin must be named as the input that ngspice refers the noise to; it makes none.
         """
-        self._run(f"noise v({output}) {self._source[pin]} {sweep} 1")
-        out, referred = (
-            float(self.simulator.vector(f"noise1.{name}_spectrum")[0]) for name in ("onoise", "inoise")
-        )
-        total = float(self.simulator.vector("onoise_total")[0])
-        prefix = "onoise_total_"
-        found = {
-            name.removeprefix(prefix) for name in self.simulator.vector_names() if name.startswith(prefix)
-        }
-        # an element's parts (r1_thermal, q1_ic) are listed beside their sum (r1)
-        elements = [n for n in found if not any(n[:k] in found for k, c in enumerate(n) if c == "_")]
-        return (
-            total,
-            {n.partition(".")[2] or n: float(self.simulator.vector(prefix + n)[0]) for n in sorted(elements)},
-            out / referred if referred > 0.0 else 0.0,
-        )
+        analysis = f"noise v({output}) {self._source[pin]} {sweep} 1"
+        self._run(analysis)
+        found, none = by_element(self.simulator, "onoise_total_")
+        if none:  # again without them: no sum has a number with them
+            self.mute |= set(none)
+            silence(self.simulator, none)
+            self._run(analysis)
+            found, none = by_element(self.simulator, "onoise_total_")
+        gain = None
+        if not none:
+            out, referred = (
+                float(self.simulator.vector(f"noise1.{name}_spectrum")[0]) for name in ("onoise", "inoise")
+            )
+            gain = out / referred if referred > 0.0 else 0.0
+        elements = {name.partition(".")[2] or name: float(rms[0]) for name, rms in found.items()}
+        return Heard(math.sqrt(sum(rms**2 for rms in elements.values())), elements, gain)
 
     def _excited(self, source: str, sweep: str, names: tuple[str, ...]) -> dict[str, Complex]:
         self.simulator.command(f"alter @{source}[acmag] = 1")

@@ -49,6 +49,10 @@ class ComponentBudget:
     notes: tuple[str, ...]
 
 
+NO_BUDGET = ComponentBudget((), 0.0, 0.0, 0.0, 0.0, ())
+"""Of a board whose components' noise is not known."""
+
+
 def component_budget(noise: ComponentNoise, constants: DesignConstants) -> ComponentBudget:
     """Sum a board's noise by device."""
     to_force = constants.kt * constants.gear / constants.r_tip

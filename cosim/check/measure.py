@@ -4,23 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from cosim.check.bench import Bench
-from cosim.check.components import ComponentBudget, component_budget
+from cosim.check.components import NO_BUDGET, ComponentBudget, component_budget
 from cosim.check.constants import Constant, Rest, measure_constants, measure_rest, table
 from cosim.check.headroom import Headroom, measure_headroom
 from cosim.check.loops import Loop, measure_loops
 from cosim.check.noise import Noise, PotNoise, measure_noise, measure_pot_noise
 from cosim.check.paths import Brake, Path, Step, brakes, measure_admittance, measure_paths, measure_steps
 from cosim.circuits.noise import component_noise
+from cosim.circuits.noise_analysis import left_out
 from cosim.circuits.port import DesignConstants
+from cosim.errors import CosimError
 from cosim.ngspice.simulator import Simulator
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class Measured:
-    """All that ngspice was asked about a board; the fields are explained where their types are."""
+    """All that ngspice was asked about a board; the fields are explained where their types are.
+
+    `notes` say what ngspice could not tell.
+    """
 
     stated: DesignConstants
     constants: tuple[Constant, ...]
@@ -34,6 +41,7 @@ class Measured:
     noise: tuple[Noise, ...]
     pot_noise: tuple[PotNoise, ...]
     components: ComponentBudget
+    notes: tuple[str, ...]
 
 
 def measure(payload: dict[str, Any], report: Callable[[dict[str, Any]], None]) -> Measured:
@@ -64,6 +72,10 @@ def measure(payload: dict[str, Any], report: Callable[[dict[str, Any]], None]) -
     admittance = measure_admittance(bench)
     k_fs = {j: c.measured or 0.0 for c in constants for j in range(1, bench.joints + 1)
             if c.name == "k_fs" and c.where == f"{j}{j}"}  # fmt: skip
+    notes: list[str] = []
+    noise = _told(lambda: tuple(measure_noise(bench, stated)), (), "the circuit's noise", notes)
+    if bench.mute:
+        notes.append(left_out(sorted(bench.mute)))
     return Measured(
         stated=stated,
         constants=tuple(constants),
@@ -74,10 +86,23 @@ def measure(payload: dict[str, Any], report: Callable[[dict[str, Any]], None]) -
         steps=tuple(measure_steps(bench, stated, paths)),
         brakes=tuple(brakes(paths, admittance, stated, k_fs)),
         admittance_a_s=tuple(map(tuple, admittance)),
-        noise=tuple(measure_noise(bench, stated)),
+        noise=noise,
         pot_noise=tuple(
             measure_pot_noise(bench, stated, payload["noise_rad"], payload["noise_bandwidth_hz"])
         ),
         # last: it loads a deck of its own
-        components=component_budget(component_noise({"board": payload["board"]}, report), stated),
-    )
+        components=_told(
+            lambda: component_budget(component_noise({"board": payload["board"]}, report), stated),
+            NO_BUDGET, "the noise of the components", notes,
+        ),
+        notes=tuple(notes),
+    )  # fmt: skip
+
+
+def _told(measured: Callable[[], T], nothing: T, what: str, notes: list[str]) -> T:
+    """Return what is measured; where ngspice fails at it, nothing with a note, as the rest stands without."""
+    try:
+        return measured()
+    except CosimError as reason:
+        notes.append(f"{what} is not told: {reason}")
+        return nothing

@@ -82,10 +82,11 @@ def measure_noise(bench: Bench, constants: DesignConstants) -> list[Noise]:
         bench.hold(held)
         for i in range(1, bench.joints + 1):
             low, high = BAND_HZ
-            total, parts, gain = bench.noise(f"imot{i}", f"pot{i}", f"dec 10 {low:g} {high:g}")
+            heard = bench.noise(f"imot{i}", f"pot{i}", f"dec 10 {low:g} {high:g}")
+            total, gain = heard.total, heard.gain
             true = abs(bench.response(f"pot{i}", f"lin 1 {low!r} {low!r}")[f"imot{i}"][0])
-            torque, top = total * per_ampere, _top(bench, parts, total)
-            complete = bool(true < _NO_GAIN or abs(gain / true - 1.0) < _SAME_GAIN)
+            torque, top = total * per_ampere, _top(bench, heard.elements, total)
+            complete = bool(true < _NO_GAIN or (gain is not None and abs(gain / true - 1.0) < _SAME_GAIN))
             found.append(Noise(i, gains, total, torque, torque / constants.r_tip, top, complete))
     return found
 

@@ -193,6 +193,8 @@ def _delay(measured: Measured) -> Iterable[Finding]:
 
 
 def _noise(measured: Measured) -> Iterable[Finding]:
+    for note in dict.fromkeys((*measured.notes, *measured.components.notes)):
+        yield _warning("noise", note)
     if not all(noise.complete for noise in measured.noise):
         yield _warning(
             "noise",

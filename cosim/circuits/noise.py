@@ -25,6 +25,8 @@ from scipy.constants import Boltzmann, elementary_charge
 from cosim.circuits.cache import VERSION, load_arrays, store_arrays
 from cosim.circuits.linear import channel_names
 from cosim.circuits.measure import Session
+from cosim.circuits.noise_analysis import left_out
+from cosim.errors import CosimError
 from cosim.ngspice.deck import Deck
 from cosim.ngspice.noisy import ROOM_C, SOURCE, Element, elements, noisy
 
@@ -166,7 +168,7 @@ def component_noise(payload: dict[str, Any], report: Report) -> ComponentNoise:
         called as the measurement goes on
     """
     board: Deck = payload["board"]
-    name = hashlib.sha256(f"noise 2 {VERSION} {_POINTS} {BAND_HZ}\n{noisy(board).text}".encode()).hexdigest()
+    name = hashlib.sha256(f"noise 3 {VERSION} {_POINTS} {BAND_HZ}\n{noisy(board).text}".encode()).hexdigest()
     known = load_arrays(name)
     if known is not None:
         about, arrays = known
@@ -201,17 +203,24 @@ def extract_noise(board: Deck, report: Report | None = None) -> ComponentNoise:
     if not inside:  # what waits before the multipliers is heard through them only
         session.hold(dict.fromkeys(session.channels, session.v_fs))
     heard = {node: session.noise(node, sweep) for node in nodes}
-    total = {node: np.sqrt(sum(d**2 for d in found.values())) for node, found in heard.items()}
+    silent = np.zeros(len(hz))
+    total = {node: np.sqrt(sum((d**2 for d in found.values()), silent)) for node, found in heard.items()}
     sizes: list[Array] = []
     kept: list[tuple[int, Element, Array]] = []
     responses: list[Complex] = []
     notes: list[str] = []
     lost: list[str] = []
     for k, maker in enumerate(makers):
+        if maker.name in session.mute:
+            continue
         response = session.respond(f"inoise{k}", sweep, nodes)
         if report is not None:
             report({"stage": "noise"})
-        size, unheard = _density(session, maker, response, [heard[node] for node in nodes])
+        try:
+            size, unheard = _density(session, maker, response, [heard[node] for node in nodes])
+        except CosimError:  # ngspice does not tell its operating point
+            session.mute.add(maker.name)
+            continue
         if unheard:
             lost.append(maker.device)
         share = max(
@@ -229,6 +238,8 @@ def extract_noise(board: Deck, report: Report | None = None) -> ComponentNoise:
             "their operating point, thermal and shot noise only"
         )
     notes += _left_out(makers, heard, total)
+    if session.mute:
+        notes.append(left_out(sorted(session.mute)))
     at = {node: i for i, node in enumerate(nodes)}
     scaled = [response * size[:, None] for response, size in zip(responses, sizes, strict=True)]
     table: Complex = np.stack(scaled, axis=1) if scaled else np.zeros((len(hz), 0, len(nodes)), complex)
@@ -268,7 +279,12 @@ def _density(
     audible = np.maximum(expected, found).max(axis=0) > 0.0
     if reach.max() == 0.0:
         return size, False
-    least = _at_operating_point(session, maker)
+    try:
+        least = _at_operating_point(session, maker)
+    except CosimError:  # ngspice does not tell it; what is heard everywhere alike is believed
+        if (worst & audible).any():
+            raise
+        return size, False
     # what passes in part would look right at the only output that hears it
     loud = reach > _FAINT * reach.max()
     short = (loud & (found < (1.0 - _SAME) * least * reach)).any()

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from cosim.circuits.linear import channel_names
 from cosim.circuits.multipliers import Multiplier, find_multipliers
+from cosim.circuits.noise_analysis import by_element
 from cosim.circuits.probes import find_probes
 from cosim.circuits.spice import Drive, testbench
 from cosim.ngspice.deck import Deck
@@ -41,6 +42,8 @@ class Bench:
         Full scale of the gain pins [V].
     multipliers
         In the order of `channel_names`; empty where a gain pin has no multiplier with probes.
+    mute
+        Elements of whose noise ngspice has no number, as far as `noise` has met them.
     """
 
     def __init__(self, board: Deck, extra: Sequence[str] = (), *, multipliers: bool = True) -> None:
@@ -65,6 +68,7 @@ class Bench:
                 ".end",
             ]
         )
+        self.mute: set[str] = set()
         self._saved: tuple[str, ...] = ()
         self._held: dict[str, float] = {}
         self._hz: dict[str, Array] = {}
@@ -154,17 +158,10 @@ class Bench:
         run("destroy all")
         run(f"noise v({node}) {self._source[self.signals[0]]} {sweep} 1")
         run("setplot noise1")
-        prefix = "onoise_"
-        found = {name.removeprefix(prefix) for name in self.simulator.vector_names() if prefix in name}
-        # an element's parts (r1_thermal, q1_ic) are listed beside their sum (r1)
-        whole = [n for n in found if not any(n[:k] in found for k, c in enumerate(n) if c == "_")]
-        out = {
-            name: np.asarray(self.simulator.vector(prefix + name), float)
-            for name in sorted(whole)
-            if name != "spectrum"
-        }
+        found, none = by_element(self.simulator, "onoise_")
+        self.mute |= set(none)
         run("destroy all")
-        return out
+        return found
 
     def reading(self, element: str, what: str) -> float:
         """Return what ngspice tells of an element at its operating point, such as ``resistance``."""
