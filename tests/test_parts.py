@@ -6,6 +6,13 @@ from pathlib import Path
 
 import pytest
 from netlist_decks import NETLISTS, measures, parameters, run_program
+from support import BOARD1, ROOT, scene_of, slider
+
+from cosim.circuits.port import DesignConstants
+from cosim.circuits.stated import of_deck
+from cosim.errors import InputError
+from cosim.ngspice.deck import load_deck
+from cosim.plan import resolve
 
 
 @pytest.mark.parametrize("part", ["tl072", "ua741", "opa2134", "ad633", "opa548", "motor", "potentiometer"])
@@ -163,3 +170,50 @@ def test_potentiometer_levels(tmp_path: Path) -> None:
                 assert found[f"o{k}"] == pytest.approx(v_rad * angle, rel=1e-6)
                 # 1e-6: six digits printed
                 assert found[f"l{k}"] == pytest.approx(v_rad * angle / (1 + ohms / load), rel=2e-6)
+
+
+# ---- what the files state
+
+
+def stated(part: str) -> set[str]:
+    """Quantities that a part's file hands to the program, without the part's name."""
+    text = (ROOT / "netlists" / "parts" / f"{part}.lib").read_text()
+    return set(re.findall(rf"^\.csparam {part}_(\w+)=", text, re.MULTILINE))
+
+
+@pytest.mark.parametrize("part", ["tl072", "ua741", "opa2134", "opa548"])
+def test_every_amplifier_states_the_same_list(part: str) -> None:
+    own = {"ilim"} if part == "opa548" else set()  # a power op-amp's current limit
+    assert stated(part) == {"swing", "gbw", "aol", "sr", "vos", "ib", "en"} | own
+
+
+def test_a_part_states_every_number_that_the_program_asks_of_its_role() -> None:
+    asked: dict[str, set[str]] = {}
+    for file in (ROOT / "cosim").rglob("*.py"):
+        for role, quantity in re.findall(r'constants\.of\("(\w+)", "(\w+)"\)', file.read_text()):
+            asked.setdefault(role, set()).add(quantity)
+    assert asked["opamp"] >= {"gbw", "aol"}
+    for file in (ROOT / "netlists" / "parts").glob("*.lib"):
+        role = re.search(r"role=(\w+)", file.read_text())
+        assert role is not None
+        assert stated(file.stem) >= asked.get(role[1], set()), file.stem
+
+
+@pytest.mark.parametrize("part", ["ua741", "opa2134"])
+def test_a_plan_with_any_op_amp_has_every_size(tmp_path: Path, part: str) -> None:
+    scene = scene_of(tmp_path, slider(device={"parts": {"opamp": part}}))
+    plan = resolve(scene).as_dict()
+    words = [row["size"]["words"] for row in (*plan["effects"], *plan["left_out"])]
+    assert not [text for text in words if "states no" in text]
+
+
+@pytest.mark.parametrize("value", ["0", "1e-320", "-1", "1e300"])
+@pytest.mark.parametrize("name", ["tl072_gbw", "opa548_aol", "ad633_bw", "motor_r", "tl072_sr"])
+def test_part_data_at_the_edge_is_refused_by_name(tmp_path: Path, name: str, value: str) -> None:
+    """Hard case 57; levels are ideal, so that the netlist itself does not divide by them."""
+    numbers = {**dict.fromkeys(DesignConstants.names(), 1.0), name: float(value)}
+    board = load_deck(BOARD1)
+    with pytest.raises(InputError, match=rf"{name} = .*allowed: 1e-30 to 1e\+30"):
+        of_deck(board, numbers)
+    with pytest.raises(InputError, match=r"i_limit = .*allowed"):
+        of_deck(board, dict.fromkeys(DesignConstants.names(), 1.0) | {"i_limit": float(value)})

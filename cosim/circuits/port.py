@@ -8,6 +8,10 @@ from math import isfinite
 
 from cosim.errors import InputError, Problem
 
+#: Numbers beyond are none of any board's: what is computed from them would leave the range of a double.
+LEAST, MOST = 1e-30, 1e30
+_RANGE = f"{LEAST:g} to {MOST:g}"
+
 
 @dataclass(frozen=True)
 class DesignConstants:
@@ -68,10 +72,10 @@ class DesignConstants:
                         f"the board states no design constant '{name}' (.csparam {name} = ...)", file=file
                     )
                 )
-            elif not (isfinite(value) and value > 0.0):
+            elif not LEAST <= value <= MOST:
                 problems.append(
                     Problem(
-                        "a design constant must be positive", file=file, key=name, value=value, allowed="> 0"
+                        "a design constant must be positive", file=file, key=name, value=value, allowed=_RANGE
                     )
                 )
             else:
@@ -80,6 +84,15 @@ class DesignConstants:
             raise InputError(problems)
         own = values.get("motor_k")
         return cls(**good, motor_k=own if own is not None and isfinite(own) else 0.0)
+
+
+#: Data of a part, by its role, that no part has without being a positive number.
+_POSITIVE = {
+    "opamp": ("gbw", "aol", "sr", "swing"),
+    "driver": ("gbw", "aol", "sr", "swing", "ilim"),
+    "vca": ("bw", "sr", "swing"),
+    "motor": ("r", "k"),
+}
 
 
 @dataclass(frozen=True)
@@ -100,6 +113,21 @@ class Stated(DesignConstants):
     def design(self) -> dict[str, float]:
         """Return the design constants alone, JSON-ready."""
         return {name: getattr(self, name) for name in self.names()}
+
+    def check(self, file: str) -> None:
+        """Refuse data of parts by which nothing can be divided, naming each; `InputError`."""
+        problems = [
+            Problem(
+                f"data of a {role} must be positive", file=file, key=f"{part}_{quantity}",
+                value=self.numbers[f"{part}_{quantity}"], allowed=_RANGE,
+            )
+            for role, quantities in _POSITIVE.items()
+            for part in self.parts.get(role, ())
+            for quantity in quantities
+            if not LEAST <= self.numbers.get(f"{part}_{quantity}", 1.0) <= MOST
+        ]  # fmt: skip
+        if problems:
+            raise InputError(problems)
 
     def of(self, role: str, quantity: str) -> tuple[float, ...]:
         """Return what the parts of a role state as '<part>_<quantity>'; empty where none does.

@@ -27,7 +27,7 @@ def of_deck(board: Deck, numbers: Mapping[str, float]) -> Stated:
     Raises
     ------
     InputError
-        Naming every design constant that is missing or not positive.
+        Naming every design constant that is missing, and what is out of range of them and of the parts' data.
     """
     design = DesignConstants.read(numbers, str(board.path))
     parts: dict[str, tuple[str, ...]] = {}
@@ -38,7 +38,9 @@ def of_deck(board: Deck, numbers: Mapping[str, float]) -> Stated:
     for amplifier in board.amplifiers:
         if amplifier.role is not None:
             count[amplifier.role] = count.get(amplifier.role, 0) + 1
-    return Stated(**vars(design), numbers=dict(numbers), parts=parts, count=count)
+    stated = Stated(**vars(design), numbers=dict(numbers), parts=parts, count=count)
+    stated.check(str(board.path))
+    return stated
 
 
 def read(payload: dict[str, Any], report: Report) -> Stated:
