@@ -1,11 +1,13 @@
 """From netlist to model: against whole boards in ngspice, textbook circuits, boards to be refused."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from extraction_boards import DAMPER, SUM, board, extract, in_child, shipped
 
+from cosim.circuits.certificate import cautions
 from cosim.circuits.linear import channel_names
 from cosim.errors import InputError
 from cosim.ngspice.deck import PartSwap, load_deck
@@ -413,3 +415,21 @@ def test_joints_that_reach_each_other(tmp_path, joined):
 def test_hard_case_41_no_operating_point_names_the_node(tmp_path, stage, words, model):
     with pytest.raises(InputError, match=words):
         extract(board(tmp_path, spring=stage), model)
+
+
+@pytest.mark.parametrize("model", ["ideal", "linear"])
+@pytest.mark.parametrize(
+    "dead",
+    [{"damper": "Ey y 0 0 0 1"}, {"output": "Bi imot1 0 V=v(ws)+v(cmd1)-0.01*v(vel1)"}],
+    ids=["nothing reaches it", "it reaches nothing"],
+)
+def test_a_path_that_leads_nowhere_is_named(tmp_path, model, dead):
+    circuit = extract(board(tmp_path, **dead), model)
+    assert circuit.certificate["dead"] == ["ksd11"]
+    (caution,) = cautions(circuit.certificate)
+    assert caution.code == "dead-gain"
+    assert "ksd11" in caution.text
+    json.dumps(circuit.certificate, allow_nan=False)
+    # the spring is what it was: 1 A/V
+    assert circuit.response(0.0, np.array([10.0, 10.0]))[0, 0].real[:2] == pytest.approx([-1.0, 1.0])
+    assert cautions(extract(board(tmp_path), model).certificate) == []

@@ -105,17 +105,27 @@ def linear_certificate(circuit: LinearCircuit, full: int, bounds: tuple[Bound, B
 
 
 def cautions(told: Mapping[str, Any]) -> list[Caution]:
-    """Return what a certificate gives reason to doubt: a fit that leaves more than the scene's tolerance."""
+    """Return what a certificate gives reason to doubt: a rough fit, and gains that do nothing."""
+    found = []
+    if told.get("dead"):
+        found.append(
+            Caution(
+                "dead-gain",
+                f"nothing comes through to a motor at any gain of {', '.join(told['dead'])}",
+                "look for an open connection, a resistor without an end or a value of zero in that path",
+            )
+        )
     error, tolerance = float(told.get("fit_error", 0.0)), float(told.get("tolerance", 0.0))
     if not error > max(tolerance, GOOD):
-        return []
+        return found
     return [
+        *found,
         Caution(
             "rough-fit",
             f"the linear model differs from the board by up to {error:.1e} of a path's maximum, over the "
             f"tolerance of {max(tolerance, GOOD):.1e}",
             "raise solver.reduction_tolerance to say that this is enough, or run the model spice beside it",
-        )
+        ),
     ]
 
 
@@ -136,12 +146,14 @@ def statics(paths: Paths, control: ControlPath, limit: Array) -> dict[str, Any]:
     channels = channel_names(limit.shape[0])
     through = paths.post[:, :, :m] @ ((paths.gain * paths.v_fs)[:, None] * paths.x) @ paths.driven
     size = np.abs(paths.total).max()
+    alive = (np.abs(paths.x).max(axis=(0, 2)) > 0.0) & (np.abs(paths.post[:, :, :m]).max(axis=(0, 1)) > 0.0)
     found: dict[str, Any] = {
         "control_nonlinearity": float(control.nonlinearity.max()),
         "control_nonlinearity_worst": channels[int(np.argmax(control.nonlinearity))],
         "not_through_multipliers": float(np.abs(through - paths.total).max() / size) if size else 0.0,
         "current_limited": bool(np.isfinite(limit).any()),
         "probes": not paths.lumped,
+        "dead": [pin for pin, one in zip(channels, alive, strict=True) if not one],
     }
     if control.delay_s is not None and control.error is not None:
         found["control_delay_s"] = float(np.abs(control.delay_s).max())

@@ -178,6 +178,8 @@ class Session(Bench):
             found = self.respond(drive, once, [*self._outputs, *nodes])[0]
             for c, at_z in zip(ends, found[self.joints :], strict=True):
                 strongest = int(np.argmax(np.abs(share[:, c])))
+                if found[strongest] == 0.0:  # nothing comes through to a motor: any gain does
+                    continue
                 out[c] = np.real(share[strongest, c] * at_z / (found[strongest] * self.v_fs))
         return out
 

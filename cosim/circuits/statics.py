@@ -140,7 +140,9 @@ def control_path(session: Session, band_hz: float) -> ControlPath:
         gains.append(np.real(_through(session, once)[0]))
     session.hold(dict.fromkeys(session.channels, 0.0))
     table = np.array(gains)
-    nonlinearity = np.abs(table / table[-1] - np.array(SHARES)[:, None]).max(axis=0)
+    alive = table[-1] != 0.0  # a channel that reaches no motor bends nothing
+    share = np.divide(table, table[-1], out=np.zeros(table.shape), where=alive)
+    nonlinearity = np.where(alive, np.abs(share - np.array(SHARES)[:, None]).max(axis=0), 0.0)
     delay, error = _dynamics(session, band_hz)
     return ControlPath(nonlinearity, delay, error)
 
@@ -181,6 +183,9 @@ def _lumped_nonlinearity(session: Session) -> Array:
         session.hold({pin: 0.0})
         table = np.array(found) - found[SHARES.index(0.0)]
         strongest = int(np.argmax(np.abs(table[-1])))
+        if table[-1, strongest] == 0.0:  # it reaches no motor
+            worst.append(0.0)
+            continue
         ratio = table[:, strongest] / table[-1, strongest]
         worst.append(np.abs(ratio - np.array(SHARES)).max())
     assert len(worst) == 2 * n * n
@@ -200,6 +205,8 @@ def _dynamics(session: Session, band_hz: float) -> tuple[Array, float]:
         session.hold(dict.fromkeys(pins, 0.0))
         omega = 2.0 * np.pi * session.hz
         for c in group:
+            if by_control[c][0].real == 0.0 or by_x[c][0] == 0.0:
+                continue
             ratio = by_control[c] / by_x[c]
             ratio = ratio / ratio[0].real
             delays[c] = -float(ratio[0].imag) / omega[0]
