@@ -73,7 +73,8 @@ def measure(payload: dict[str, Any], report: Callable[[dict[str, Any]], None]) -
     k_fs = {j: c.measured or 0.0 for c in constants for j in range(1, bench.joints + 1)
             if c.name == "k_fs" and c.where == f"{j}{j}"}  # fmt: skip
     notes: list[str] = []
-    noise = _told(lambda: tuple(measure_noise(bench, stated)), (), "the circuit's noise", notes)
+    silent: tuple[Noise, ...] = ()
+    noise = _told(lambda: tuple(measure_noise(bench, stated)), silent, "the circuit's noise", notes)
     if bench.mute:
         notes.append(left_out(sorted(bench.mute)))
     return Measured(

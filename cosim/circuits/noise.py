@@ -302,7 +302,7 @@ def _at_operating_point(session: Session, maker: Element) -> float:
     element, letter = maker.name, maker.name[0]
     if letter == "r":
         kelvin = _kelvin(ROOM_C if maker.from_data_sheet else session.reading(element, "temp"))
-        return math.sqrt(4.0 * Boltzmann * kelvin / session.reading(element, "resistance"))
+        return math.sqrt(4.0 * Boltzmann * kelvin / abs(session.reading(element, "resistance")))
     if letter in "jm":  # a channel in saturation
         return math.sqrt(4.0 * Boltzmann * _kelvin(ROOM_C) * abs(session.reading(element, "gm")) * 2.0 / 3.0)
     return math.sqrt(2.0 * elementary_charge * abs(session.reading(element, _CURRENT[letter])))
