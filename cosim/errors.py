@@ -167,6 +167,14 @@ class SimulationError(CosimError):
         }
 
 
+class NoOperatingPoint(InputError):
+    """ngspice found no DC operating point although the circuit's structure has one."""
+
+
+class StepTooSmall(SimulationError):
+    """ngspice's steps became endlessly short."""
+
+
 def _rebuild(message: str, deck: str | None, time_s: float | None, last_words: str | None) -> SimulationError:
     return SimulationError(message, deck=deck, time_s=time_s, last_words=last_words)
 

@@ -7,6 +7,7 @@ no external source behind).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cosim.ngspice.deck import Deck, board_pins
@@ -94,8 +95,14 @@ def testbench(board: Deck, drive: Drive, sources: dict[str, str]) -> list[str]:
     return lines
 
 
-def lockstep_deck(board: Deck, drive: Drive, tolerances: Tolerances, nodes: tuple[str, ...]) -> str:
-    """Return the deck of a lockstep run: every driven pin is EXTERNAL."""
+def lockstep_deck(
+    board: Deck,
+    drive: Drive,
+    tolerances: Tolerances,
+    nodes: tuple[str, ...],
+    extra: Sequence[str] = (),
+) -> str:
+    """Return the deck of a lockstep run: every driven pin is EXTERNAL; `extra` are further lines."""
     # the speeds also take an `.ac` excitation; `ac` must come before `external` (ngspice 39)
     external = {pin: "ac 0 external" if pin.startswith("vel") else "external" for pin in drive.sources()}
     lines = [
@@ -103,6 +110,7 @@ def lockstep_deck(board: Deck, drive: Drive, tolerances: Tolerances, nodes: tupl
         *board.text.splitlines()[1:],
         *testbench(board, drive, external),
         tolerances.line(),
+        *extra,
         ".save " + " ".join(f"v({name})" for name in saved(drive, nodes)),
         ".end",
     ]

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from cosim.circuits.port import DesignConstants
 from cosim.circuits.probes import external_probes
 from cosim.circuits.spice import Drive, Tolerances, lockstep_deck, saved
-from cosim.errors import CosimError, InputError, Problem, SimulationError, nearest
+from cosim.errors import CosimError, InputError, Problem, SimulationError, StepTooSmall, nearest
 from cosim.loop import lockstep
 from cosim.loop.component_noise import ComponentGrid, component_grid
+from cosim.loop.convergence import Aid, aided, plain_start
 from cosim.loop.driven import drive
 from cosim.loop.setup import Memory, columns, pack, sample_columns
 from cosim.loop.signals import Layout, write_signals
@@ -97,7 +98,8 @@ class Recorder:
             except BaseException as error:
                 raise in_users_words(self.person, error, float(s["t"])) from error
             if s["fault"]:
-                raise SimulationError(_FAULTS[int(s["fault"])], deck=self.deck, time_s=float(s["t"]))
+                kind = StepTooSmall if s["fault"] == Fault.STEP_COLLAPSED else SimulationError
+                raise kind(_FAULTS[int(s["fault"])], deck=self.deck, time_s=float(s["t"]))
             self.report({"time_s": float(s["t"]), "points": int(s["points"])})
         except BaseException as error:
             self.fail(error)
@@ -158,7 +160,7 @@ def back_emf_viscosity(simulator: Simulator, circuit: Drive, state: np.void) -> 
 
 
 def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
-    """Run one scene on the `spice` model.
+    """Run one scene on the `spice` model, with what `convergence` does where ngspice comes to no end.
 
     Parameters
     ----------
@@ -175,9 +177,13 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         long it was at its limit), 'swings' (output limits by parameter), 'ngspice' (version),
         'component_noise' (as `ComponentGrid.about`); signals.raw and samples.f64 are in the folder
     """
+    asked: Tolerances = payload["tolerances"]
+    return aided(asked, lambda aid: _simulate(payload, report, aid))
+
+
+def _simulate(payload: dict[str, Any], report: Report, aid: Aid) -> dict[str, Any]:
     scene: Scene = payload["scene"]
     board: Deck = payload["board"]
-    tolerances: Tolerances = payload["tolerances"]
     recorded, watched = tuple(payload["recorded"]), tuple(payload["watched"])
     nodes = recorded + tuple(node for node in watched if node not in recorded)
     # ngspice itself tells the time when no point is accepted for long: steps cut endlessly are no progress
@@ -191,7 +197,7 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         board = external_probes(board, _with_probes(component, board))
     simulator = Simulator(on_time=beat)
     circuit = drive(scene)
-    text = lockstep_deck(board, circuit, tolerances, nodes)
+    text = lockstep_deck(board, circuit, aid.tolerances, nodes, aid.lines)
     simulator.load(text, lines=board.lines, name=str(board.path))
     constants = read_constants(simulator, str(board.path))
     memory = pack(scene, constants, circuit, recorded, nodes[len(recorded) :], component=component)
@@ -230,6 +236,11 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         raise recorder.failure
     lockstep.fill(state, 0.0)
     n = circuit.joints
+    if aid.plain:
+        held = {f"v{k:02d}": float(state["out"][k]) for k in range(len(circuit.sources()))}
+        start = plain_start(simulator, board, circuit, held, aid)
+        text = lockstep_deck(board, circuit, aid.tolerances, nodes, [*aid.lines, *start])
+        simulator.load(text, lines=board.lines, name=str(board.path))
     state["b_emf"][:n, :n] = back_emf_viscosity(simulator, circuit, state)
     from cosim.loop import callbacks  # compiled on import: not for our own loop's sake
 

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.errors import CosimError, InputError, Problem, SimulationError, nearest
+from cosim.errors import CosimError, InputError, Problem, SimulationError, StepTooSmall, nearest
+from cosim.ngspice.dcpath import has_dc_path
 from cosim.ngspice.library import OLDEST_VERSION, STOP_COMMAND, Init, Library, Source, Sync
 from cosim.ngspice.lines import Line, number
 from cosim.ngspice.words import is_error, load_problems, operating_point_problem, step_problem
@@ -59,6 +60,7 @@ class Simulator:
         self._library.on_time = on_time
         self._commands = 0
         self._deck: str | None = None
+        self._rows: list[str] = []
         self._constants: list[str] = []
         self.notes: deque[str] = deque(maxlen=1000)
         self._run("set nomoremode")
@@ -101,6 +103,7 @@ class Simulator:
         rows = text.rstrip("\n").split("\n")
         if not any(row.strip().lower() == ".end" for row in rows):
             rows.append(".end")
+        self._rows = rows
         kept = [ffi.new("char[]", row.encode()) for row in rows]
         library.lines.clear()
         status = library.api.ngSpice_Circ(ffi.new("char *[]", [*kept, ffi.NULL]))
@@ -331,14 +334,20 @@ class Simulator:
         if not (library.lines or status or library.exited):
             return []
         said = self._said()
-        problem = operating_point_problem(said, settles=command.split()[0].lower() == "tran")
-        if problem:
-            raise InputError(Problem(problem, file=self._deck))
+        settles = command.split()[0].lower() == "tran"
+        problem = operating_point_problem(
+            said, lambda node: has_dc_path(self._rows, node), settles=settles, file=self._deck
+        )
+        if problem is not None:
+            raise problem
         if library.exited or status or any(is_error(line) for line in library.lines):
             words = "\n".join(library.recent)
             self._forget_stops()
-            what, time_s = step_problem(said) or (f"ngspice could not carry out '{command}'", None)
-            raise SimulationError(what, deck=self._deck, time_s=time_s, last_words=words)
+            short = step_problem(said)
+            if short is not None:
+                raise StepTooSmall(short[0], deck=self._deck, time_s=short[1], last_words=words)
+            what = f"ngspice could not carry out '{command}'"
+            raise SimulationError(what, deck=self._deck, last_words=words)
         rows = list(library.lines)
         self.notes.extend(row.partition(" ")[2] for row in rows if row.startswith("stderr"))
         return [row.partition(" ")[2] for row in rows if not row.startswith("stderr")]

@@ -5,9 +5,9 @@ patterns here were collected by running broken decks through the shared librarie
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
-from cosim.errors import Problem
+from cosim.errors import InputError, NoOperatingPoint, Problem
 from cosim.ngspice.lines import Line
 
 __all__ = ["is_error", "load_problems", "operating_point_problem", "step_problem", "worth_quoting"]
@@ -60,14 +60,21 @@ def worth_quoting(line: str) -> bool:
     return _CHATTER.search(line) is None
 
 
-def operating_point_problem(said: Sequence[str], *, settles: bool = False) -> str | None:
+def operating_point_problem(
+    said: Sequence[str],
+    tied: Callable[[str], bool],
+    *,
+    settles: bool = False,
+    file: str | None = None,
+) -> InputError | None:
     """Return what is wrong with the DC operating point, or ``None``.
 
     ngspice warns of a singular matrix, tries gmin and source stepping, and at last a transient from zero
     whose state after some time it takes for the operating point, settled or not. After a singular matrix that
-    last resort is taken for what it is: a node without a DC path, or a loop of voltage sources. Otherwise it
-    is accepted only where a transient analysis goes on from there (`settles`): as an operating point it was
-    seen to be wrong by a factor of three.
+    last resort is taken for what it is: a node without a DC path (which `tied` tells), a loop of voltage
+    sources, or a model in which Newton's method got lost. Without one, and within a model, it is accepted
+    only where a transient analysis goes on from there (`settles`): as an operating point it was seen to be
+    wrong by a factor of three.
     """
     nodes = list(dict.fromkeys(match[1] for line in said if (match := _SINGULAR.search(line))))
     desperate = any("Transient op started" in line for line in said)
@@ -76,11 +83,18 @@ def operating_point_problem(said: Sequence[str], *, settles: bool = False) -> st
         branches = [node for node in nodes if node.endswith("#branch")]
         if branches:
             shown = ", ".join(node.removesuffix("#branch") for node in branches)
-            return f"no DC operating point: loop of voltage sources or inductors through {shown}"
-        return f"floating node: {', '.join(nodes)} has no DC path to ground"
+            words = f"no DC operating point: loop of voltage sources or inductors through {shown}"
+            return InputError(Problem(words, file=file))
+        floating = [node for node in nodes if not all(map(tied, node.split(" and ")))]
+        if floating:
+            words = f"floating node: {', '.join(floating)} has no DC path to ground"
+            return InputError(Problem(words, file=file))
+        failed = failed or not settles
     if failed or (desperate and not settles):
         reason = next((line.strip() for line in said if line.lstrip().lower().startswith("error:")), None)
-        return "no DC operating point: " + "; ".join(part for part in (reason, _last_nodes(said)) if part)
+        lost = f"the matrix became singular at {', '.join(nodes[:3])}" if nodes else None
+        parts = [part for part in (reason, lost, _last_nodes(said)) if part]
+        return NoOperatingPoint(Problem("no DC operating point: " + "; ".join(parts), file=file))
     return None
 
 
