@@ -63,8 +63,8 @@ def test_other_errors_are_no_reason_to_try_again(error: Exception) -> None:
     assert count == 1
 
 
-#: An indicator beside the amplifier jumps by 8 uV at each iteration of Newton's method, always away from where
-#: it is: that is at rest at rtol 1e-3 (vntol 10 uV), and not at 1e-4 (1 uV) at voltages below 70 mV.
+#: An indicator beside the amplifier jumps by 8 uV at each iteration of Newton's method, always away from
+#: where it is: that is at rest at rtol 1e-3 (vntol 10 uV), and not at 1e-4 (1 uV) at voltages below 70 mV.
 JUMPY = """\
 .subckt jumpy 1 2 3 4 5
 ga 0 x 1 2 1m
