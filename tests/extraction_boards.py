@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.circuits.linear import LinearCircuit
+from cosim.circuits.linear import LinearCircuit, channel_names
 from cosim.ngspice.child import Child, call, start_early
 from cosim.ngspice.deck import Deck, load_deck
 from cosim.ngspice.simulator import Simulator
@@ -157,3 +157,21 @@ def networks_and_truth(payload: dict[str, Any], report: Any) -> list[Any]:
         session = Session(deck)
         found.append((networks(session.measure(SWEEP), str(deck.path)), session.measure("dec 31 0.1 100meg")))
     return found
+
+
+#: Stated for the unreduced model: 1e-9 of the path's maximum from 0.1 Hz to 100 MHz.
+STATED = 1e-9
+
+
+def differences(deck, circuit, volts):
+    """Largest error of each driven pin's path to each motor against one `.ac` of the whole board."""
+    n = deck.joints
+    pins = [f"{kind}{j + 1}" for kind in ("pot", "u", "cmd", "vel") for j in range(n)]
+    held = dict(zip(channel_names(n), volts.tolist(), strict=True))
+    worst = []
+    for k, pin in enumerate(pins):
+        hz, truth = in_child("extraction_boards:whole_board", {"board": deck, "volts": held, "driven": pin})
+        mine = circuit.response(2j * np.pi * hz, volts)[:, :, k]
+        peak = np.abs(truth).max(axis=0)
+        worst.append(float((np.abs(mine - truth).max(axis=0) / np.where(peak > 1e-12, peak, 1.0)).max()))
+    return np.array(worst)

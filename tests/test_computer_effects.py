@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from asked_computer import ARM, K_DP, KP, V_FS, ask, poses, record
+from linear_runs import CONSTANTS, ideal
 from support import BOARD1, BOARD2, GEAR, Array, merge, quick, scene_of, slider
-from test_computer import ARM, K_DP, KP, V_FS, ask, poses, record
-from test_propagation import CONSTANTS, ideal
 
 from cosim.errors import InputError, SimulationError
 from cosim.loop.computer import Method

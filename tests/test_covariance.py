@@ -5,10 +5,11 @@ import warnings
 
 import numpy as np
 import pytest
+from held_scenes import HELD, LATE, RADIUS, SLOW, circuit_of_kind
+from linear_runs import CONSTANTS, ideal, lagging, propagate, rows, samples
 from scipy.linalg import solve_continuous_lyapunov
 from scipy.stats import chi2
 from support import COMMAND_TRUE, SCENES, SPRING_TRUE, V_NM, at_times, merge, quick, scene_of, slider
-from test_propagation import CONSTANTS, ideal, lagging, propagate, rows, samples
 
 from cosim.errors import InputError
 from cosim.loop.computer import COMPUTER, SAMPLE, law, to_volts
@@ -23,48 +24,12 @@ from cosim.studies.lifted import lift
 from cosim.studies.linearise import linearise
 from cosim.studies.model import circuit_of
 
-RADIUS = 0.1333
-HELD = {
-    "seed": 3,
-    "computer": {
-        "period_s": 0.01, "method": "combined", "analog_stiffness_n_per_m": 100.0,
-        "discrete_stiffness_n_per_m": 80.0, "analog_damping_n_s_per_m": 1.0,
-    },
-    "device": {
-        "slider": {"mass_kg": 0.1, "viscous_n_m_s": 5e-4},
-        "start": {"q_rad": [-0.05]},
-        "potentiometer": {"noise_rad": 0.003, "noise_bandwidth_hz": 150.0},
-    },
-    "operator": {
-        "type": "hand", "mass_kg": 0.3, "damping_n_s_per_m": 6.0, "stiffness_n_per_m": 100.0,
-        "waypoints_s_m": [[0.0, 0.0, -0.02]],
-    },
-    "effects": {"viscous": True, "motor": "emf", "pot_noise": "white", "operator_dynamics": True},
-    "solver": {"model": "ideal"},
-}  # fmt: skip
-LATE = {
-    "effects": {"delay": True, "dac_settling": True, "dac_skew": True},
-    "computer": {
-        "discrete_damping_n_s_per_m": 0.5, "delay_periods": 1, "delay_fraction": 0.3,
-        "dac": {"bits": 32, "settling_s": 1e-3, "skew_s": 5e-4},
-    },
-}  # fmt: skip
-SLOW = {
-    "effects": {"delay": True, "dac_settling": True, "dac_skew": True},
-    "computer": {"delay_fraction": 0.8, "dac": {"bits": 32, "settling_s": 13e-3, "skew_s": 5e-3}},
-    "device": {"potentiometer": {"noise_bandwidth_hz": 20.0}},
-}
-
 
 def held(folder, *more):
     tables = slider(**HELD)
     for each in more:
         tables = merge(tables, each)
     return scene_of(folder, tables)
-
-
-def circuit_of_kind(kind):
-    return ideal(1) if kind == "ideal" else lagging(ideal(1), 2e3, 3e3)
 
 
 # ---- building blocks

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from chains import random_chain
+from linear_runs import ideal, propagate, rows, samples
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
+from slope import RADIUS
 from support import BOARD2, GEAR, merge, scene_of, slider
-from test_mech_dynamics import random_chain
-from test_propagation import ideal, propagate, rows, samples
-from test_references import RADIUS
 
 from cosim.errors import InputError
 from cosim.loop.propagate_run import Propagation

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from linear_runs import CONSTANTS, ideal, lagging, propagate, rows
 from scipy.linalg import expm
 from support import scene_of, slider
-from test_propagation import CONSTANTS, ideal, lagging, propagate, rows
 
 from cosim.circuits.linear import LinearCircuit
 from cosim.loop.exact import system, transition

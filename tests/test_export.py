@@ -1,12 +1,12 @@
 """Exported decks run in the ngspice program, and agree with the lockstep."""
 
 import re
-import subprocess
 from dataclasses import replace
 from shutil import copytree
 
 import numpy as np
 import pytest
+from plain_ngspice import ngspice
 from scipy.interpolate import PchipInterpolator
 from support import SCENES, merge, shared_child, simulate, slider, toml
 
@@ -16,23 +16,11 @@ from cosim.errors import InputError
 from cosim.export import export
 from cosim.export.waveform import RISE_S, channel, source, straightened
 from cosim.plan import resolve
-from cosim.rawfile import read_raw
 from cosim.run import run as run_plan
 from cosim.scene import load_scene
 
 #: Both sides converge to each other within these (issue: 1 micrometre, 1e-4 of the peak force).
 POSITION_M, FORCE_SHARE = 1e-6, 1e-4
-
-
-def ngspice(deck, *, raw=True):
-    """Run the program in a folder that is not the deck's; return its output, or the raw file's signals."""
-    folder = deck.parent / "elsewhere"
-    folder.mkdir(exist_ok=True)
-    file = folder / "out.raw"
-    command = ["ngspice", "-b", str(deck), *(["-r", str(file)] if raw else [])]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return read_raw(file) if raw else done.stdout
 
 
 def tight(file, overrides, rtol, step):

@@ -5,30 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from extraction_boards import DAMPER, SUM, board, extract, in_child, shipped
+from extraction_boards import DAMPER, STATED, SUM, board, differences, extract, in_child, shipped
 
 from cosim.circuits.certificate import cautions
-from cosim.circuits.linear import channel_names
 from cosim.errors import InputError
 from cosim.ngspice.deck import PartSwap, load_deck
 
 VENDOR = Path(__file__).parent / "data" / "ngspice" / "vendor"
-#: Stated for the unreduced model: 1e-9 of the path's maximum from 0.1 Hz to 100 MHz.
-STATED = 1e-9
-
-
-def differences(deck, circuit, volts):
-    """Largest error of each driven pin's path to each motor against one `.ac` of the whole board."""
-    n = deck.joints
-    pins = [f"{kind}{j + 1}" for kind in ("pot", "u", "cmd", "vel") for j in range(n)]
-    held = dict(zip(channel_names(n), volts.tolist(), strict=True))
-    worst = []
-    for k, pin in enumerate(pins):
-        hz, truth = in_child("extraction_boards:whole_board", {"board": deck, "volts": held, "driven": pin})
-        mine = circuit.response(2j * np.pi * hz, volts)[:, :, k]
-        peak = np.abs(truth).max(axis=0)
-        worst.append(float((np.abs(mine - truth).max(axis=0) / np.where(peak > 1e-12, peak, 1.0)).max()))
-    return np.array(worst)
 
 
 @pytest.mark.parametrize("driver", ["voltage", "current"])

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from linear_runs import CONSTANTS, ideal, lagging
 from support import COMMAND_TRUE, SCENES, SPRING_TRUE, V_NM, merge, scene_of, slider
-from test_propagation import CONSTANTS, ideal, lagging
 
 from cosim.loop.setup import sample_columns
 from cosim.scene import load_scene

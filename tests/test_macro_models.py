@@ -1,8 +1,7 @@
 """Boards with op-amps made up at random in the vendors' manner: transistors, diodes, B sources inside."""
 
 import numpy as np
-from extraction_boards import extract, shipped
-from test_extraction import STATED, differences
+from extraction_boards import STATED, differences, extract, shipped
 
 from cosim.circuits.fit import GOOD
 from cosim.ngspice.deck import PartSwap

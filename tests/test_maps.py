@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
+from held_scenes import RADIUS
+from linear_runs import CONSTANTS, ideal, lagging
 from support import COMMAND_TRUE, EMF_TRUE, KT, SCENES, SPRING_TRUE, V_NM, merge, scene_of, slider
-from test_covariance import RADIUS
-from test_propagation import CONSTANTS, ideal, lagging
 
 from cosim.cli import main
 from cosim.studies import rules

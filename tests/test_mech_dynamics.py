@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from chains import random_chain
 from numba import njit
 from numba.core.runtime import _nrt_python, rtsys
 
@@ -11,20 +12,6 @@ from mech import Chain, Hand, NoOperator, ParameterError, PointMass, Slider, Use
 from mech.records import new_work
 
 mujoco = pytest.importorskip("mujoco")
-
-
-def random_chain(rng, n, **more):
-    """A chain whose inertias a rigid body can have, in any gravity."""
-    fields = {
-        "lengths_m": rng.uniform(0.05, 0.3, n),
-        "masses_kg": rng.uniform(0.05, 0.5, n),
-        "coms_m": rng.uniform(0.0, 0.2, n),
-        "inertias_kg_m2": rng.uniform(1e-4, 2e-3, n),
-        "rotor_inertia_kg_m2": rng.uniform(1e-7, 4e-6, n),
-        "gear": rng.uniform(1.0, 20.0, n),
-        "gravity_m_per_s2": rng.uniform(-9.81, 9.81, 2),
-    }
-    return Chain(**{**fields, **more})
 
 
 def mujoco_model(linkage, tip_mass=0.0):

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from held_scenes import RADIUS, carriage
+from linear_runs import CONSTANTS, ideal, lagging
 from support import EMF_TRUE, merge, quick, slider
-from test_propagation import CONSTANTS, ideal, lagging
-from test_stability import RADIUS, carriage
 
 from cosim.studies.energy import delivered, device_of, law_of
 from cosim.studies.passivity import Device, Law, _used, least_damping, needed_damping, share_used, wall

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from held_scenes import RADIUS
+from linear_runs import ideal, propagate, samples
 from support import COMMAND_TRUE, V_NM, scene_of, slider
-from test_covariance import RADIUS
-from test_propagation import ideal, propagate, samples
 
 from cosim.studies import rules
 

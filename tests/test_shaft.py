@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from linear_runs import CONSTANTS
 from numpy.typing import NDArray
+from plain_ngspice import ngspice
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from support import (
@@ -30,8 +32,6 @@ from support import (
     scene_of,
     slider,
 )
-from test_export import ngspice
-from test_propagation import CONSTANTS
 
 from cosim.errors import InputError
 from cosim.export import export

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from held_scenes import HELD, LATE, RADIUS, SLOW, carriage, circuit_of_kind
+from linear_runs import CONSTANTS, ideal, lagging, propagate, rows, samples
 from scipy.linalg import expm
 from support import COMMAND_TRUE, EMF_TRUE, SCENES, SPRING_TRUE, V_NM, Arm, merge, scene_of, slider
-from test_covariance import HELD, LATE, RADIUS, SLOW, circuit_of_kind
-from test_propagation import CONSTANTS, ideal, lagging, propagate, rows, samples
 
 from cosim.cli import main
 from cosim.errors import InputError
@@ -23,19 +23,6 @@ from cosim.studies.stability import border, held, stability, touching, with_comp
 #: What the hand-made board renders of what the computer asks: 5e-7 off one.
 COMMAND = COMMAND_TRUE * V_NM
 SPRING = SPRING_TRUE / CONSTANTS.k_fs
-
-
-def carriage(folder, period, mass, viscous, **computer):
-    """A carriage against a wall, all damping in its bearings."""
-    tables = slider(
-        computer={
-            "period_s": period, "method": "discrete", "analog_stiffness_n_per_m": 0.0,
-            "discrete_stiffness_n_per_m": 1.0, **computer,
-        },
-        device={"slider": {"mass_kg": mass, "viscous_n_m_s": viscous * RADIUS**2}},
-        effects={"viscous": viscous > 0.0, "delay": True},
-    )  # fmt: skip
-    return scene_of(folder, tables)
 
 
 def k_max(scene, circuit=None, key="discrete_stiffness_n_per_m", low=1e-1, high=1e6):
