@@ -126,3 +126,10 @@ def test_no_import_cycles():
 
     for name in graph:
         visit(name)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "tests").glob("*.py")), ids=lambda path: path.stem)
+def test_no_test_module_is_imported(path):
+    """What tests share lies in modules without tests: each can be run alone, and in any order."""
+    taken = {name for name in imports(path.stem, path) if name.rpartition(".")[2].startswith("test_")}
+    assert not {name for name in taken if (ROOT / "tests" / f"{name.split('.')[0]}.py").exists()}
