@@ -53,7 +53,12 @@ def _lay_out(folder: Path, name: str, joints: int) -> None:
     board, scenes = folder / "netlists" / f"board{joints}.cir", folder / "scenes"
     for part in ("blocks", "parts"):
         shutil.copytree(netlists_folder() / part, board.parent / part)
+    shutil.copyfile(netlists_folder() / "README.md", board.parent / "README.md")
     board.write_text(board_text(joints), encoding="utf-8")
+    for bench in sorted((netlists_folder() / "tb").glob("*.cir")):
+        if f"'../{board.name}'" in bench.read_text(encoding="utf-8"):
+            (board.parent / "tb").mkdir(exist_ok=True)
+            shutil.copyfile(bench, board.parent / "tb" / bench.name)
     scenes.mkdir()
     copied = _scenes_for(board.name)
     for source in copied:
@@ -184,6 +189,7 @@ _README = """\
 | folder | what it holds |
 |---|---|
 | `netlists/{board}` | the board; its pins are the interface, its `.csparam`s are what the computer believes |
+| `netlists/README.md` | the board for who edits it: signals, pins, design values and their reasons |
 | `netlists/blocks/` | amplifiers, multiplier, driver: component values are named `.param` lines to edit |
 | `netlists/parts/` | op-amps, multiplier, motor, potentiometer, each in levels `ideal`, `gbw`, `full` |
 | `scenes/` | what is simulated: device, computer, wall, operator, effects |

@@ -7,7 +7,7 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -146,10 +146,10 @@ def picture(name: str, title: str, drawn: "Drawn") -> Picture:
 
 
 def _data(figure: "Figure") -> str:
-    """Return what the figure's curves and bars show, one row a point: panel, series, x, y."""
+    """Return what the figure shows, one row a point: panel, series, x, y and, of a map, value."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(("panel", "series", "x", "y", "x_axis", "y_axis"))
+    rows.writerow(("panel", "series", "x", "y", "x_axis", "y_axis", "value"))
     for number, axes in enumerate(figure.axes):
         panel = axes.get_title(loc="left") or f"panel {number + 1}"
         axis = (axes.get_xlabel() or figure.axes[-1].get_xlabel(), axes.get_ylabel())
@@ -159,14 +159,45 @@ def _data(figure: "Figure") -> str:
                 label = axes.get_ylabel() or panel
             x, y = (np.asarray(part, dtype=np.float64) for part in line.get_data(orig=True))
             rows.writerows(
-                (panel, label, f"{a:.9g}", f"{b:.9g}", *axis)
+                (panel, label, f"{a:.9g}", f"{b:.9g}", *axis, "")
                 for a, b in zip(x.tolist(), y.tolist(), strict=True)
             )
         names = [tick.get_text() for tick in axes.get_yticklabels()]
         for bar, label in zip(axes.patches, names, strict=False):
             if hasattr(bar, "get_width") and axes.containers:
-                rows.writerow((panel, label, f"{bar.get_width():.9g}", "", *axis))
+                rows.writerow((panel, label, f"{bar.get_width():.9g}", "", *axis, ""))
+        for drawn in axes.collections:
+            label = str(drawn.get_label())
+            if label.startswith("_"):
+                label = axes.get_ylabel() or panel
+            rows.writerows(
+                (panel, label, f"{x:.9g}", f"{y:.9g}", *axis, "" if v is None else f"{v:.9g}")
+                for x, y, v in _points(drawn)
+            )
     return text.getvalue()
+
+
+def _points(drawn: Any) -> Iterator[tuple[float, float, float | None]]:
+    """Yield (x, y, value) of what is no line: middles of a map's cells, dots, contours at their levels."""
+    values = drawn.get_array()
+    flat = None if values is None else np.ma.filled(np.ma.asarray(values, dtype=np.float64), np.nan).ravel()
+    if hasattr(drawn, "get_coordinates"):  # a mesh: middles of its cells, or points
+        at = np.asarray(drawn.get_coordinates(), dtype=np.float64)
+        if flat is not None and at.shape[0] * at.shape[1] != len(flat):
+            at = (at[1:, 1:] + at[1:, :-1] + at[:-1, 1:] + at[:-1, :-1]) / 4.0
+        at = at.reshape(-1, 2)
+    elif hasattr(drawn, "levels"):
+        for level, path in zip(drawn.levels, drawn.get_paths(), strict=False):
+            yield from ((float(x), float(y), float(level)) for x, y in path.vertices)
+        return
+    elif len(offsets := np.asarray(drawn.get_offsets(), dtype=np.float64).reshape(-1, 2)) > 1:
+        at = offsets
+    else:
+        for path in drawn.get_paths():
+            yield from ((float(x), float(y), None) for x, y in path.vertices)
+        return
+    for number, (x, y) in enumerate(at.tolist()):
+        yield x, y, float(flat[number]) if flat is not None and number < len(flat) else None
 
 
 def _scene_text(run: RunLike) -> str:

@@ -132,8 +132,9 @@ def _wall(view: View) -> str:
     )
     if feel.drag is not None:
         words += (
-            f" Along the wall it feels {share(feel.drag)} of that (mean |F_t| over mean F_n), damping and "
-            "inertia of the device included."
+            f" Along the wall it feels {share(feel.drag)} of that (mean |F_t| over mean F_n of the whole "
+            "contact, damping and inertia of the device included; the measure tangential_ratio is that of "
+            "the means in the last fifth of the run, where drags of both signs cancel)."
         )
     return words
 
@@ -218,7 +219,7 @@ def tiles(view: View) -> list[Tile]:
             Tile("normal force", quantity(feel.mean_n, "N"), f"mean; peak {quantity(feel.peak_n, 'N')}")
         )
         if feel.drag is not None:
-            found.append(Tile("tangential drag", share(feel.drag), "of the normal force"))
+            found.append(Tile("tangential drag", share(feel.drag), "of the normal force, whole contact"))
     if view.amplifiers:
         first = view.amplifiers[0]
         left = first.swing_v - first.peak_v

@@ -4,14 +4,15 @@ import math
 
 import numpy as np
 import pytest
-from support import SCENES
+from support import COMMAND_TRUE, K_FS, SCENES, SPRING_TRUE, V_NM
 
 from cosim.effects import without_dynamics
 from cosim.loop.propagate_run import prepare
 from cosim.loop.setup import shift_samples
 from cosim.plan import resolve
 from cosim.scene import load_scene
-from cosim.studies.drop import Job, Rest, scan, slope
+from cosim.studies.drop import Falls, Job, Rest, displayed, jobs, scan
+from cosim.studies.drop_curves import Family, slope, verdicts
 from cosim.studies.limits import limits
 from cosim.studies.model import circuit_of
 from cosim.studies.study import load_study, run_study
@@ -73,12 +74,90 @@ def test_the_slope_of_a_power_law():
     assert slope({t: 7.0 * t**-0.9 for t in periods}) == pytest.approx(-0.9, rel=1e-12)
 
 
-def test_a_study_of_two_curves(tmp_path):
+def test_rest_is_what_the_paper_file_says_and_lasts_its_time():
+    """Below 1 mm/s for 1 s within 30 s, 32 phases: stated, handed on, and what ends a drop."""
+    spec = load_study(SCENES / "paper" / "1_fig13.toml")
+    given = spec.parameters
+    assert (given.rest_speed_m_per_s, given.rest_time_s, given.window_s, given.phases) == (
+        1e-3,
+        1.0,
+        30.0,
+        32,
+    )
+    assert (given.rest_share, given.families[0].kind) == (0.95, "curve")
+    job = jobs(spec, given.families[0])[given.periods_s[0]]
+    rest = job.rest
+    assert (rest.speed_m_per_s, rest.time_s, rest.window_s, rest.phases) == (1e-3, 1.0, 30.0, 32)
+
+
+@pytest.mark.parametrize(("speed", "time"), [(1e-3, 1.0), (1e-3, 0.1), (1e-2, 1.0)])
+def test_a_drop_ends_as_soon_as_it_has_rested(speed, time):
+    """Read off the samples: the first at which the tip was slower than `speed` for `time`."""
+    period = 0.01
+    scene, circuit, constants = ideal_drop(f"computer.period_s={period}", "duration_s=30")
+    falls = Falls(Job(scene, constants, circuit, Rest(30.0, speed, time, 0.95, 3, 0.8, 1.05)))
+    stiffness = 0.5 * limits(scene, constants, circuit).border.value
+    ring_s = 2 * math.pi * math.sqrt(0.2 / stiffness)  # some 25 samples long: differences err by 1 %
+    for rested, samples in falls.each(stiffness):
+        assert rested
+        at, height = samples[:, 1], samples[:, 7]
+        last = at[np.abs(np.gradient(height, at)) > speed].max()
+        assert time - 3 * period < at[-1] - last < time + ring_s
+
+
+def test_verdicts_of_a_damper_and_a_spring():
+    """F14 by the drops and by 2c/T, F13c by what is displayed: each says no on its own."""
+    base, c, spring = 1000.0, 0.11, 100.0
+    periods = (0.003, 0.005, 0.01)
+    gain = 2 * c / periods[0]
+    families = [Family(name="plain"), Family(name="damped"), Family(name="sprung")]
+    scene = load_scene(SCENES / "drop.toml")
+
+    def computer(**changes):
+        return scene.model_copy(update={"computer": scene.computer.model_copy(update=changes)})
+
+    none = {"analog_stiffness_n_per_m": 0.0, "analog_damping_n_s_per_m": 0.0}
+    scenes = {
+        "plain": computer(**none),
+        "damped": computer(**{**none, "analog_damping_n_s_per_m": c}),
+        "sprung": computer(**{**none, "analog_stiffness_n_per_m": spring}),
+    }
+
+    def judged(ideal=gain, exact=gain, dropped=gain, shown=0.0):
+        found = {}
+        for k, period in enumerate(periods):
+            limit = base * periods[0] / period
+            for name, more, first in (("plain", 0, 0), ("damped", exact, dropped), ("sprung", 0, 0)):
+                more, first = (more, first) if k == 0 else (0, 0)
+                found[name, period] = {"exact_n_per_m": limit + more, "first_n_per_m": 0.97 * limit + first}
+        display = {"sprung": {p: found["sprung", p]["first_n_per_m"] + spring + shown for p in periods}}
+        return {v.id: v.holds for v in verdicts(found, families, scenes, {"damped": ideal}, display, 1.05)}
+
+    assert judged() == {"F13a": True, "F14": True, "F13b": True, "F13c": True}
+    assert judged(ideal=gain / 2)["F14"] is False  # c/T
+    assert judged(dropped=0.5 * gain)["F14"] is False  # the exact limit alone does not count
+    assert judged(dropped=-gain)["F14"] is False
+    assert judged(dropped=1.05 * gain)["F14"] is True
+    assert judged(shown=-spring)["F13c"] is False
+    assert judged(shown=0.002 * base)["F13c"] is True
+
+
+def test_what_is_displayed_is_the_sum_of_both_parts():
+    scene, circuit, constants = ideal_drop(
+        "computer.method=combined", "computer.analog_stiffness_n_per_m=100"
+    )
+    job = Job(scene, constants, circuit, Rest(30.0, 1e-3, 1.0, 0.95, 4, 0.8, 1.05))
+    # gains of the ideal board from its resistors
+    expected = 250.0 * COMMAND_TRUE * V_NM + 100.0 * SPRING_TRUE / K_FS
+    assert displayed(job, 250.0) == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_study_of_three_curves(tmp_path):
     file = tmp_path / "drop.toml"
     file.write_text(
         f"""
 study = "drop"
-title = "Two curves"
+title = "Three curves"
 scene = "{SCENES / "drop.toml"}"
 set = ["solver.model=auto", {", ".join(f'"{text}"' for text in QUIET)}]
 [parameters]
@@ -91,14 +170,20 @@ name = "plain"
 [[parameters.families]]
 name = "sprung"
 set = ["computer.method=combined", "computer.analog_stiffness_n_per_m=100"]
+[[parameters.families]]
+name = "damped"
+set = ["computer.method=combined", "computer.analog_damping_n_s_per_m=0.11"]
 """,
         encoding="utf-8",
     )
     result = run_study(load_study(file), tmp_path / "out")
     limits_found = result.table("limits").columns
-    assert limits_found["curve"] == ["plain"] * 3 + ["sprung"] * 3
-    assert {verdict.id: verdict.holds for verdict in result.verdicts}["F13a"]
-    assert {verdict.id for verdict in result.verdicts} == {"F13a", "F13b", "F13c"}
+    assert limits_found["curve"] == ["plain"] * 3 + ["sprung"] * 3 + ["damped"] * 3
+    held = {verdict.id: verdict.holds for verdict in result.verdicts}
+    assert held["F13a"]
+    assert held["F13c"]
+    assert held["F14"]
+    assert set(held) == {"F13a", "F13b", "F13c", "F14"}
     passive = result.table("passive").columns["stiffness [N/m]"]
     exact = limits_found["exact, contact held [N/m]"][:3]
     assert all(p < k for p, k in zip(passive, exact, strict=True))  # passive is stricter than stable

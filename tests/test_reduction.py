@@ -8,7 +8,7 @@ from cosim.circuits.blocks import derivatives
 from cosim.circuits.certificate import cautions
 from cosim.circuits.fit import FitError, Modes, fit
 from cosim.circuits.linear import rational
-from cosim.circuits.reduce import error_bound, path_scale, reduce
+from cosim.circuits.reduce import TERMS, error_bound, path_scale, reduce, rest
 
 SWEEP = 2j * np.pi * np.geomspace(1e-3, 1e9, 241)
 BETWEEN = 2j * np.pi * np.geomspace(0.1, 1e8, 997)
@@ -167,6 +167,34 @@ def test_bound_sees_a_peak_between_coarse_points():
     bound = error_bound(peak, network([], [], [], 0, []), 5e3, np.ones((1, 1)))
     height = 1e-4 / (2 * 0.005)
     assert height * (1 - 1e-6) <= bound.worst <= 1.03 * height
+
+
+@pytest.mark.parametrize("reach", [0.05, 0.3, 0.6, 0.85])
+def test_the_rest_of_a_series_is_bounded_where_it_is_largest(reach):
+    """1/(s - a) on half a band of `reach` times the distance to its pole: a geometric series."""
+    norm, half = 2.0, reach / 2.0
+    # worst case of the scalar resolvent: r (r h)^TERMS / (1 - r h), of which the terms kept are the head
+    exact = 1.0 / (1.0 / norm - half) - sum(norm ** (k + 1) * half**k for k in range(TERMS))
+    bound = float(rest(np.array([[norm]]), np.array([half]))[0, 0])
+    assert exact * (1 - 1e-9) <= bound <= 1.01 * exact  # the head cancels most of it
+    assert (
+        rest(np.array([[norm]]), np.array([0.95 / norm]))[0, 0] > 1e200
+    )  # too long an interval says nothing
+
+
+def test_a_bound_holds_where_the_rest_of_the_series_decides():
+    """A resonance just beside a wide interval: what the series leaves out is most of the error there."""
+    found = []
+    for width in np.geomspace(0.02, 0.6, 25):
+        # the first interval reaches 1e-6 of the band: put the peak at its far side
+        p = -1e-3 + 1j * width
+        peak = network([[p.real, p.imag], [-p.imag, p.real]], [1, 0], [1, 0], 0, [p])
+        bound = error_bound(peak, network([], [], [], 0, []), 1.0, np.ones((1, 1)))
+        w = 1j * np.concatenate([np.linspace(0, 1, 20001), width + np.linspace(-0.01, 0.01, 2001)])
+        w = w[np.abs(w) <= 1.0]
+        found.append(bound.worst / np.abs(rational(w, peak.a, peak.b, peak.c, peak.d)).max())
+    assert min(found) >= 1.0 - 1e-9
+    assert max(found) <= 1.03
 
 
 def test_tighter_tolerance_never_lowers_the_order():

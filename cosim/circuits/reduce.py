@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from cosim.circuits.fit import Modes
 from cosim.circuits.linear import rational
 
-__all__ = ["Bound", "error_bound", "in_band", "path_scale", "reduce"]
+__all__ = ["TERMS", "Bound", "error_bound", "in_band", "path_scale", "reduce", "rest"]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 #: Terms of the Taylor series in each interval of the bound.
-_TERMS = 4
+TERMS = 4
 #: A bound within this share of the value found at some point is good enough.
 _TIGHT = 0.02
 #: What a bound may be too large by besides, as a share of the worst path's error.
@@ -206,20 +206,20 @@ def error_bound(full: Modes, small: Modes, omega: float, scale: Array, slope: Ar
     upper, best = np.zeros(d.shape), np.zeros(d.shape)
     for _ in range(_ROUNDS):
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
-        terms = np.zeros((_TERMS, len(low), len(d)), complex)
+        terms = np.zeros((TERMS, len(low), len(d)), complex)
         terms[0] = d - 1j * middle[:, None] * linear
         terms[1] -= linear
         bound = np.zeros((len(low), len(d)))
         for a, weight, gain in groups:
             resolvent = _inverse(1j * middle[:, None, None, None] * np.eye(a.shape[1]) - a)
             power = resolvent
-            for k in range(_TERMS):
+            for k in range(TERMS):
                 terms[k] += (-1) ** k * (power.reshape(len(low), -1) @ weight)
-                if k < _TERMS - 1:
+                if k < TERMS - 1:
                     power = power * resolvent if a.shape[1] == 1 else power @ resolvent
-            bound += _rest(np.linalg.norm(resolvent, axis=(2, 3)), half) @ gain
+            bound += rest(np.linalg.norm(resolvent, axis=(2, 3)), half) @ gain
         best = np.maximum(best, (np.abs(terms[0]) / unit).max(axis=0))
-        for k in range(_TERMS):
+        for k in range(TERMS):
             bound += np.abs(terms[k]) * half[:, None] ** k
         bound /= unit
         good = bound <= (1.0 + _TIGHT) * best + _LOOSE * best.max() + _ROUNDING
@@ -275,13 +275,13 @@ def _inverse(matrices: Complex) -> Complex:
     return out
 
 
-def _rest(norm: Array, half: Array) -> Array:
+def rest(norm: Array, half: Array) -> Array:
     """Bound what the Taylor series of a resolvent of this norm leaves out; huge where it is too long.
 
     `norm` [intervals, blocks] is Frobenius', never below the one that counts.
     """
     reach = half[:, None] * norm
     tail: Array = np.where(
-        reach < 0.9, norm * np.minimum(reach, 1.0) ** _TERMS / np.maximum(1.0 - reach, 0.1), _HUGE
+        reach < 0.9, norm * np.minimum(reach, 1.0) ** TERMS / np.maximum(1.0 - reach, 0.1), _HUGE
     )
     return tail

@@ -34,6 +34,8 @@ Array = NDArray[np.float64]
 NOTICED, NOTICED_SOURCE = 0.23, "Jones and Hunter 1990: 23 % for the arm"
 #: Share of the shift that may be left in runs: force changes are finite, gains good to 1e-4.
 _LEFT = 0.1
+#: What pressing by 10 uN may be off: differences err by the square of that change, most near full stretch.
+_PRESSED = 1e-6
 #: Nearer to full stretch or fold than this angle [rad] the Jacobian's inverse says nothing of use.
 _MARGIN_RAD = 0.15
 
@@ -67,7 +69,7 @@ def apparent(chain: Chain, q: Array, stiffness: Array, force: Array, *, compensa
 
 
 def pressed(
-    chain: Chain, q: Array, stiffness: Array, force: Array, *, compensated: bool, step: float = 1e-4
+    chain: Chain, q: Array, stiffness: Array, force: Array, *, compensated: bool, step: float = 1e-5
 ) -> Array:
     """Return the same by pressing: the pose is solved for forces changed by `step` [N] in each direction.
 
@@ -199,22 +201,23 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     for bend in np.linspace(_MARGIN_RAD, np.pi - _MARGIN_RAD, given.points):
         for turn in np.linspace(-np.pi, np.pi, given.points):
             q = np.array([turn, bend])
-            plain, held = (apparent(chain, q, commanded, force, compensated=c) for c in (False, True))
+            plain = apparent(chain, q, commanded, force, compensated=False)
+            # by the formula the law's K_g would cancel against itself: the arm is pressed instead
+            held = pressed(chain, q, commanded, force, compensated=True)
             off, rest = (100.0 * (k / given.stiffness_n_per_m - np.eye(2)) for k in (plain, held))
             r = chain.forward(q)
             values = (r[0], r[1], normal @ off @ normal, np.abs(np.linalg.eigvalsh(off)).max(),
-                      np.abs(np.linalg.eigvalsh(rest)).max())  # fmt: skip
+                      np.linalg.norm(rest, 2))  # fmt: skip
             for column, value in zip(columns.values(), values, strict=True):
                 column.append(float(value))
-    # an independent look at a few poses: press, solve the pose, measure how far it went
+    # the formula against the same: press, solve the pose, measure how far it went
     rng = np.random.default_rng(0)
     for _ in range(8):
         q = np.array([rng.uniform(-np.pi, np.pi), rng.uniform(0.4, 2.7)])
-        for compensated in (False, True):
-            difference = apparent(chain, q, commanded, force, compensated=compensated) - pressed(
-                chain, q, commanded, force, compensated=compensated
-            )
-            worst_check = max(worst_check, float(np.abs(difference).max() / given.stiffness_n_per_m))
+        difference = apparent(chain, q, commanded, force, compensated=False) - pressed(
+            chain, q, commanded, force, compensated=False
+        )
+        worst_check = max(worst_check, float(np.abs(difference).max() / given.stiffness_n_per_m))
     worst = np.array(columns["shift, worst direction [%]"])
     left = float(np.max(columns["compensated, worst direction [%]"]))
     noticed = 100.0 * float(np.mean(worst > 100.0 * NOTICED))
@@ -224,11 +227,14 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         f"({NOTICED_SOURCE}) in {noticed:.2g} % of the poses"
     )
     shift = "footnote 2: a preload shifts the stiffness at the tip"
-    restored = f"at most {left:.1g} %; pressing and solving the pose agrees within {worst_check:.1g}"
+    restored = (
+        f"at most {left:.1g} % where the arm is pressed and its pose solved, in {len(worst)} poses; the "
+        f"formula without it agrees with pressing within {100 * worst_check:.1g} %"
+    )
     verdicts = [
         Verdict("N3", shift, "K_theta = J^T K J + K_g(F)", found, None),
         Verdict("N3", "adding K_g(F) to the joints' gains restores it", "shift 0", restored,
-                left < 1e-6 and worst_check < 1e-6),
+                left < 100 * _PRESSED and worst_check < _PRESSED),
     ]  # fmt: skip
     tables = [Table("workspace", "Apparent against commanded stiffness over the workspace", columns)]
     if (sweep := _sweep(spec, chain, normal, points)) is not None:

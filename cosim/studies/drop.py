@@ -10,10 +10,10 @@ may give up a little below it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,33 +30,25 @@ from cosim.scene import Scene
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.schema import Period
 from cosim.studies.border_map import pencil
+from cosim.studies.drop_curves import REFINED, Family, Found, curve, verdicts
+from cosim.studies.impedance import impedance
 from cosim.studies.limits import limits as limits_of
 from cosim.studies.model import circuit_of
 from cosim.studies.points import Points
-from cosim.studies.stability import touching
-from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
+from cosim.studies.stability import touching, with_computer
+from cosim.studies.study import Study, StudyFile, StudyResult, Table
 
 __all__ = ["STUDY", "Dropped", "Falls", "Job", "Rest", "drop", "limit", "scan"]
 
 Array = NDArray[np.float64]
 
-#: Bisections of the last step of the scan.
-_REFINED = 6
+#: The displayed stiffness is that of so slow a motion: masses then push with some 1e-5 N/m.
+_SLOW_HZ = 1e-3
 #: A scan ends after so many stiffnesses in a row at which no phase rests.
 _HOPELESS = 2
 #: ... and at so many times the exact limit in any case; where few rest at its begin it looks down to a
 #: share of it.
 _FAR, _NEAR = 4.0, 0.02
-
-
-class Family(Parameters):
-    """One curve: its name and what it changes in the scene."""
-
-    name: str
-    kind: Literal["curve", "sensitivity"] = "curve"
-    set: tuple[str, ...] = ()
-    periods_s: tuple[Period, ...] = ()
-    phases: int | None = Field(default=None, ge=1, le=1024)
 
 
 class DropParameters(Parameters):
@@ -208,7 +200,7 @@ def scan(job: Job) -> Dropped:
         below = math.nan
     if math.isfinite(below):
         low, high = tried[tried.index(below) - 1], below
-        for _ in range(_REFINED):
+        for _ in range(REFINED):
             middle = math.sqrt(low * high)
             found[middle] = falls.share(middle)
             low, high = (low, middle) if found[middle] < rest.share else (middle, high)
@@ -265,7 +257,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     for family in given.families:
         for period, job in jobs(spec, family).items():
             scenes[family.name] = job.scene
-            asked[f"{family.name} at {1e3 * period:.4g} ms"] = job
+            asked[_point(family.name, period)] = job
             names.append((family.name, period))
     found = dict(zip(names, points.map(drop, asked), strict=True))
     kinds = {family.name: family.kind for family in given.families}
@@ -273,7 +265,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     passive = points.map(
         passive_limit,
         {
-            f"passivity at {1e3 * period:.4g} ms": asked[f"{name} at {1e3 * period:.4g} ms"]
+            f"passivity at {1e3 * period:.4g} ms": asked[_point(name, period)]
             for name, period in names
             if name == first
         },
@@ -322,7 +314,27 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         for family in given.families
         if family.kind == "curve" and scenes[family.name].computer.analog_damping_n_s_per_m
     }
-    return spec.result(limits, shares, line, verdicts=verdicts(found, given.families, scenes, ideal))
+    shown = {
+        name: {period: displayed(asked[_point(name, period)], k) for period, k in curve(found, name).items()}
+        for name, scene in scenes.items()
+        if kinds[name] == "curve" and scene.computer.analog_stiffness_n_per_m
+    }
+    judged = verdicts(found, given.families, scenes, ideal, shown, given.ratio)
+    return spec.result(limits, shares, line, verdicts=judged)
+
+
+def _point(name: str, period: float) -> str:
+    return f"{name} at {1e3 * period:.4g} ms"
+
+
+def displayed(job: Job, stiffness: float) -> float:
+    """Return the stiffness [N/m] that computer and circuit together show at rest, the discrete one given.
+
+    From the law and the circuit's response to a slow motion of the tip, nothing added up here.
+    """
+    scene = with_computer(job.scene, discrete_stiffness_n_per_m=stiffness)
+    force_over_speed = impedance(scene, job.constants, job.circuit, np.array([_SLOW_HZ]))[0]
+    return float((2j * np.pi * _SLOW_HZ * force_over_speed).real)
 
 
 def _ideal_gain(spec: StudyFile, family: Family, found: Found) -> float:
@@ -336,74 +348,6 @@ def _ideal_gain(spec: StudyFile, family: Family, found: Found) -> float:
         circuit, constants = circuit_of(plan)
         ends.append(limit(plan.scene, constants, circuit))
     return ends[0] - ends[1]
-
-
-Found = Mapping[tuple[str, float], Mapping[str, Any]]
-
-
-def curve(found: Found, name: str, key: str = "first_n_per_m") -> dict[float, float]:
-    """Return a curve: limit by period, where there is one."""
-    return {period: row[key] for (other, period), row in found.items() if other == name and row[key]}
-
-
-def slope(values: Mapping[float, float]) -> float:
-    """Log-log slope of a limit over the period."""
-    return float(np.polyfit(np.log(list(values)), np.log(list(values.values())), 1)[0])
-
-
-def verdicts(
-    found: Found, families: Sequence[Family], scenes: Mapping[str, Scene], ideal: Mapping[str, float]
-) -> list[Verdict]:
-    """Judge F13a on every curve, F13b, F13c and F14 on those that add a spring or damper to the first."""
-    out = []
-    first = families[0].name
-    base = curve(found, first)
-    for family in families:
-        values = curve(found, family.name)
-        exact = {period: curve(found, family.name, "exact_n_per_m")[period] for period in values}
-        if family.kind != "curve" or len(values) < 3:
-            continue
-        computer = scenes[family.name].computer
-        spring, damper = computer.analog_stiffness_n_per_m, computer.analog_damping_n_s_per_m
-        shared = sorted(base.keys() & values.keys())
-        if not spring and not damper:
-            seen, theory = slope(values), slope(exact)
-            steep = family.name != first or abs(seen + 1.0) <= 0.15
-            out.append(
-                Verdict(
-                    "F13a", f"k_max ~ 1/T: {family.name}",
-                    "log-log slope -1.0 +- 0.15, and of the exact limit +- 0.05" if family.name == first
-                    else "log-log slope of the exact limit +- 0.05",
-                    f"slope {seen:.3f}; of the exact limit {theory:.3f}",
-                    steep and abs(seen - theory) <= 0.05,
-                )
-            )  # fmt: skip
-        if spring and shared:
-            drift = {period: values[period] / base[period] - 1.0 for period in shared}
-            short = [abs(drift[period]) for period in shared if period <= 0.0101]
-            told = ", ".join(f"{100 * drift[p]:+.1f} % at {1e3 * p:.3g} ms" for p in shared)
-            out.append(
-                Verdict("F13b", f"the discrete limit is 'almost identical': {family.name}",
-                        "<= 3 % for T <= 10 ms", told, max(short) <= 0.03 if short else None)
-            )  # fmt: skip
-            told = ", ".join(f"{values[p] + spring:.4g} at {1e3 * p:.3g} ms" for p in shared)
-            out.append(
-                Verdict("F13c", f"displayed is the limit + {spring:g} N/m", "identity", f"{told} N/m", None)
-            )  # fmt: skip
-        if damper and shared:
-            period = shared[0]
-            gain, theory = values[period] - base[period], 2.0 * damper / period
-            sharp = found[family.name, period]["exact_n_per_m"] - found[first, period]["exact_n_per_m"]
-            out.append(
-                Verdict(
-                    "F14", f"analog damping raises the limit: {family.name}",
-                    f"by 2c/T = {theory:.4g} N/m at {1e3 * period:.3g} ms",
-                    f"{ideal[family.name]:+.4g} N/m with an ideal circuit; with its own differentiator "
-                    f"{sharp:+.4g} exact, {gain:+.4g} dropped ({100 * gain / base[period]:+.3g} %)",
-                    abs(ideal[family.name] / theory - 1.0) <= 0.1,
-                )
-            )  # fmt: skip
-    return out
 
 
 STUDY = Study(

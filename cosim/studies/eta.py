@@ -31,6 +31,13 @@ __all__ = ["STUDY", "EtaParameters", "active_from", "block_delays", "unstable_fr
 Array = NDArray[np.float64]
 
 
+#: What the cases of this study hold, for its page.
+HOLDS = (
+    "Every case holds what its scene states (parts with finite bandwidth, the winding's inductance; no "
+    "offset, slew, noise or friction of the joints), changed as its name says."
+)
+
+
 class EtaParameters(Parameters):
     """``[parameters]`` of the headline; the first case is drawn block by block."""
 
@@ -126,7 +133,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     return spec.result(
         Table("blocks", "Delay block by block", columns,
               "From the netlist by ngspice at low frequency; the slowest path of every block."),
-        Table("limits", "Case by case", limits),
+        Table("limits", "Case by case", limits, HOLDS),
         Table("viscosity", "The device's viscosity along the normal over its poses",
               {**band, "practical limit [N/m]": limit}),
         Table("workspace", "The device's viscosity over the workspace", spread),

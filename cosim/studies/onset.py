@@ -27,7 +27,8 @@ from cosim.scene import Method, Scene
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.schema import Period
 from cosim.studies.contact import external_force
-from cosim.studies.drop import Falls, Family, Job, Rest
+from cosim.studies.drop import Falls, Job, Rest
+from cosim.studies.drop_curves import Family
 from cosim.studies.energy import device_of
 from cosim.studies.model import circuit_of
 from cosim.studies.points import Points

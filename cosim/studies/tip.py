@@ -136,6 +136,8 @@ class Tip:
 def tip_of(scene: Scene, child: Child | None = None) -> Tip:
     """Return the scene with its `linear` circuit at the pose that touches its wall.
 
+    Of a scene for `spice` it is the small-signal circuit of the same parts, slew and clipping left out.
+
     Raises
     ------
     InputError
@@ -146,8 +148,10 @@ def tip_of(scene: Scene, child: Child | None = None) -> Tip:
             Problem("what is rendered is looked at along a wall's normal",
                     file=str(scene.file) if scene.file else None, key="wall")
         )  # fmt: skip
-    solver = scene.solver.model_copy(update={"model": CircuitModelName.LINEAR})
-    linear = scene.model_copy(update={"solver": solver})
+    linear = scene
+    if scene.solver.model is not CircuitModelName.SPICE:
+        solver = scene.solver.model_copy(update={"model": CircuitModelName.LINEAR})
+        linear = scene.model_copy(update={"solver": solver})
     circuit, constants = circuit_of(resolve(linear), child=child)
     return Tip(linear, constants, circuit, touching(linear, constants))
 

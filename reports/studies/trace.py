@@ -20,8 +20,13 @@ def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
     about = result.table("runs").columns
     pairs = [(a, b) for a, b in zip(about["run"], about["circuit ideal, of"], strict=True) if b]
     apart = {name for pair in pairs[1:] for name in pair} | {ideal for ideal, _ in pairs}
-    shown = {name: run for name, run in runs.items() if name not in apart}
+    beside = {a: b for a, b in zip(about["run"], about["more effects, of"], strict=True) if b}
+    shown = {name: run for name, run in runs.items() if name not in apart and name not in beside}
     pictures = [("runs", "Normal and tangential force, depth", _runs(shown))]
+    if beside:
+        names = dict.fromkeys((*beside.values(), *beside))
+        drawn = _runs({name: runs[name] for name in names})
+        pictures.append(("more", "The same with all that the plain runs leave out", drawn))
     for number, (ideal, name) in enumerate(pairs, start=1):
         drawn = _difference(name, runs[name], runs[ideal])
         pictures.append((f"footnote1_{number}", f"What an ideal circuit changes: {name}", drawn))

@@ -1,0 +1,125 @@
+"""Curves of the drop test, and what they say of Figs 13 and 14."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+from cosim.scene import Scene
+from cosim.scene.parameters import Field, Parameters
+from cosim.scene.schema import Period
+from cosim.studies.study import Verdict
+
+__all__ = ["REFINED", "Family", "Found", "curve", "slope", "verdicts"]
+
+#: Bisections of the last step of the scan.
+REFINED = 6
+#: What 2c/T leaves out for small b T/m, and a drop that gives up early, as a share of what a damper adds.
+_SMALL = 0.1
+
+
+class Family(Parameters):
+    """One curve: its name and what it changes in the scene."""
+
+    name: str
+    kind: Literal["curve", "sensitivity"] = "curve"
+    set: tuple[str, ...] = ()
+    periods_s: tuple[Period, ...] = ()
+    phases: int | None = Field(default=None, ge=1, le=1024)
+
+
+Found = Mapping[tuple[str, float], Mapping[str, Any]]
+
+
+def curve(found: Found, name: str, key: str = "first_n_per_m") -> dict[float, float]:
+    """Return a curve: limit by period, where there is one."""
+    return {period: row[key] for (other, period), row in found.items() if other == name and row[key]}
+
+
+def slope(values: Mapping[float, float]) -> float:
+    """Log-log slope of a limit over the period."""
+    return float(np.polyfit(np.log(list(values)), np.log(list(values.values())), 1)[0])
+
+
+def verdicts(
+    found: Found, families: Sequence[Family], scenes: Mapping[str, Scene], ideal: Mapping[str, float],
+    shown: Mapping[str, Mapping[float, float]], ratio: float,
+) -> list[Verdict]:  # fmt: skip
+    """Judge F13a on every curve, F13b, F13c and F14 on those that add a spring or damper to the first.
+
+    Parameters
+    ----------
+    found, families, scenes
+        What every curve gave.
+    ideal
+        What a damper adds to the exact limit with an ideal circuit [N/m], by curve.
+    shown
+        Stiffness that is displayed at the limit [N/m], by curve and period.
+    ratio
+        Step of the scan; its last bisection leaves the limit open by this to the power 2^-6.
+    """
+    out = []
+    first = families[0].name
+    base = curve(found, first)
+    for family in families:
+        values = curve(found, family.name)
+        exact = {period: curve(found, family.name, "exact_n_per_m")[period] for period in values}
+        if family.kind != "curve" or len(values) < 3:
+            continue
+        computer = scenes[family.name].computer
+        spring, damper = computer.analog_stiffness_n_per_m, computer.analog_damping_n_s_per_m
+        shared = sorted(base.keys() & values.keys())
+        if not spring and not damper:
+            seen, theory = slope(values), slope(exact)
+            steep = family.name != first or abs(seen + 1.0) <= 0.15
+            out.append(
+                Verdict(
+                    "F13a", f"k_max ~ 1/T: {family.name}",
+                    "log-log slope -1.0 +- 0.15, and of the exact limit +- 0.05" if family.name == first
+                    else "log-log slope of the exact limit +- 0.05",
+                    f"slope {seen:.3f}; of the exact limit {theory:.3f}",
+                    steep and abs(seen - theory) <= 0.05,
+                )
+            )  # fmt: skip
+        if spring and shared:
+            drift = {period: values[period] / base[period] - 1.0 for period in shared}
+            short = [abs(drift[period]) for period in shared if period <= 0.0101]
+            told = ", ".join(f"{100 * drift[p]:+.1f} % at {1e3 * p:.3g} ms" for p in shared)
+            out.append(
+                Verdict("F13b", f"the discrete limit is 'almost identical': {family.name}",
+                        "<= 3 % for T <= 10 ms", told, max(short) <= 0.03 if short else None)
+            )  # fmt: skip
+            out.append(_adds_up(family.name, spring, {p: (values[p], shown[family.name][p]) for p in shared}))
+        if damper and shared:
+            period = shared[0]
+            exact_gain, gain = (
+                found[family.name, period][key] - found[first, period][key]
+                for key in ("exact_n_per_m", "first_n_per_m")
+            )
+            open_by = (ratio ** (0.5**REFINED) - 1.0) * (values[period] + base[period])
+            wanted = 2.0 * damper / period
+            out.append(
+                Verdict(
+                    "F14", f"analog damping raises the limit: {family.name}",
+                    f"by 2c/T = {wanted:.4g} N/m at {1e3 * period:.3g} ms with an ideal circuit; dropped as "
+                    "the exact limit with its own differentiator",
+                    f"{ideal[family.name]:+.4g} N/m with an ideal circuit; with its own differentiator "
+                    f"{exact_gain:+.4g} exact, {gain:+.4g} +- {open_by:.2g} dropped "
+                    f"({100 * gain / base[period]:+.3g} %)",
+                    abs(ideal[family.name] / wanted - 1.0) <= _SMALL
+                    and abs(gain - exact_gain) <= _SMALL * abs(exact_gain) + open_by,
+                )
+            )  # fmt: skip
+    return out
+
+
+def _adds_up(name: str, spring: float, found: Mapping[float, tuple[float, float]]) -> Verdict:
+    """Judge F13c: what is shown at the limit against the limit and the spring, by period."""
+    off = max(abs(shown / (limit + spring) - 1.0) for limit, shown in found.values())
+    told = ", ".join(f"{shown:.4g} at {1e3 * p:.3g} ms" for p, (_, shown) in found.items())
+    return Verdict(
+        "F13c", f"displayed is the limit + {spring:g} N/m: {name}", "within 1 %, by law and circuit together",
+        f"{told} N/m, {100 * off:.2g} % off at most", off <= 0.01,
+    )  # fmt: skip
