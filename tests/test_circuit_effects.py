@@ -419,6 +419,23 @@ def test_driver_limit_is_a_clamp_in_every_model(
         np.testing.assert_allclose(current, np.clip(-slope * angle, -0.875, 0.875), atol=0.012 * 0.875)
 
 
+@pytest.mark.parametrize("model", ["ideal", "linear"])
+def test_the_limit_of_a_negative_current_is_the_mirror_of_a_positive_ones(tmp_path: Path, model: str) -> None:
+    """Wall and push turned round: every signal changes its sign and nothing else."""
+    turned = {
+        "wall": {"point_m": [0.0, 0.0], "normal": [0.0, -1.0]},
+        "operator": {"force_s_n": [[0.1, 0.0, 0.0], [0.5, 0.0, 5.0], [1.0, 0.0, 5.0], [1.2, 0.0, 0.0],
+                                   [1.5, 0.0, 1.0]]},
+    }  # fmt: skip
+    up, down = (quick(tmp_path, pushed(True, model, **more)) for more in ({}, turned))
+    t = np.linspace(0.0, 1.98, 397)
+    assert between(down, t, "imot1").min() == pytest.approx(-0.875, rel=0.001)
+    assert between(up, t, "imot1").max() == pytest.approx(0.875, rel=0.001)
+    # the two sides of the limit are diodes of their own, one within 0.1 % of the other
+    for name, scale in (("imot1", 0.875), ("y", 0.02), ("v1", 1.0), ("fmy", 2.1)):
+        np.testing.assert_allclose(between(up, t, name), -between(down, t, name), atol=1e-3 * scale)
+
+
 def test_limit_is_absent_when_off(tmp_path: Path) -> None:
     for level in ("ideal", "gbw"):
         model = "ideal" if level == "ideal" else "linear"

@@ -61,9 +61,20 @@ def test_every_size_and_cost_is_a_finite_number_with_its_source(name: str) -> No
         assert 0.0 <= found["force_n"] < math.inf, row["name"]
         assert found["source"]
         assert found["words"]
-        assert row["cost"]["events_per_s"] >= 0.0
-        assert row["cost"]["states"] >= 0
         assert row["cost"]["text"]
+    found = {row["name"]: row["cost"] for row in facts["effects"] + facts["left_out"]}
+    assert len(found) == len(NAMES)  # each once, in force or not
+    # noise is drawn at twice its bandwidth: 100 Hz of the potentiometers and 1 kHz of the components
+    assert [found[each]["events_per_s"] for each in ("pot_noise", "component_noise")] == [200.0, 2000.0]
+    # one jump more a sample where the DACs skew; a number that is merely changed costs nothing
+    assert found["dac_skew"]["events_per_s"] == pytest.approx(1.0 / plan.scene.computer.period_s)
+    for each in ("gravity", "coriolis", "viscous", "encoder", "dac", "opamp_offset", "vca_offset"):
+        assert (found[each]["events_per_s"], found[each]["states"]) == (0.0, 0), each
+    # a pole an op-amp and a multiplier, and two a differentiator of each joint
+    parts = [amplifier.role for amplifier in plan.board.amplifiers]
+    for each in ("opamp", "vca"):
+        assert found[each]["states"] == parts.count(each), each
+    assert found["differentiator"]["states"] == 2 * plan.scene.joints
 
 
 def test_what_is_left_out_comes_largest_first_and_what_cannot_apply_last() -> None:
