@@ -76,6 +76,7 @@ def numbers() -> st.SearchStrategy[str]:
     return st.one_of(
         st.sampled_from(NUMBERS),
         st.floats(allow_nan=False, allow_infinity=False).map(repr),
+        st.floats(1e-3, 1e5).map(lambda value: f"{value:.4g}"),
         st.integers(-(10**12), 10**12).map(str),
     )
 

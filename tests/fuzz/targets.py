@@ -32,7 +32,7 @@ from cosim.studies.points import Points
 from cosim.studies.study import load_study
 from cosim.studies.sweep import parse_range
 
-from .inputs import TOKENS, damaged, mutated, scene_keys, values
+from .inputs import TOKENS, damaged, mutated, numbers, scene_keys, values
 
 ROOT = Path(__file__).resolve().parents[2]
 #: One input may take so long [s of this process]: readers take milliseconds.
@@ -196,7 +196,8 @@ def _settings(project: Project) -> Target:
         for variant in variants(parse_settings([f"{key}={value}" for key, value in pairs]))[:2]:
             _planned(scene, variant.overrides)
 
-    pairs = st.lists(st.tuples(name, values()), min_size=1, max_size=3)
+    plausible = st.tuples(st.sampled_from([*names, *keys]), numbers())
+    pairs = st.lists(st.one_of(plausible, plausible, st.tuples(name, values())), min_size=1, max_size=2)
     return Target("settings", st.tuples(st.sampled_from(project.scenes), pairs), attempt)
 
 
