@@ -171,8 +171,9 @@ def test_delays_are_the_blocks_time_constants(checked):
     assert steps["xdiff1"] == pytest.approx(17.9 / gbw, rel=1e-3)
     assert steps["xksp11"] == pytest.approx(1 / (2 * math.pi * 1e6), rel=1e-3)
     assert steps["xsum1"] == pytest.approx(summer / gbw, rel=1e-3)
-    assert steps["potentiometer"] == pytest.approx(1 / gbw, rel=1e-3)
-    assert steps["driver and motor"] == pytest.approx(MOTOR_H / MOTOR_OHM + 3 / (2 * math.pi * 1e6), rel=1e-3)
+    assert steps["xangle1"] == pytest.approx(1 / gbw, rel=1e-3)
+    assert steps["xdrv1"] == pytest.approx(3 / (2 * math.pi * 1e6), rel=5e-3)  # aol 8e4, a load of 5 Ohm
+    assert steps["motor"] == pytest.approx(MOTOR_H / MOTOR_OHM, rel=1e-6)
 
 
 def test_back_emf_pays_for_the_delay(checked):

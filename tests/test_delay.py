@@ -1,11 +1,14 @@
 """Delay of a spring, block by block: against formulas, the fitted model, and a known network."""
 
+import shutil
+
 import numpy as np
 import pytest
-from extraction_boards import board, shipped
+from extraction_boards import NETLISTS, board, shipped
 
 from cosim.circuits.delay import spring_delays
 from cosim.ngspice.child import call
+from cosim.ngspice.deck import load_deck
 
 #: From netlists/: gain-bandwidths, multiplier's pole, winding.
 TL072, OPA548, AD633 = 3e6, 1e6, 1e6
@@ -77,3 +80,82 @@ def test_a_known_lag_is_found_on_a_board_without_amplifiers(tmp_path):
     (path,) = spring_delays(deck)
     assert [step.block for step in path.steps] == ["motor"]
     assert path.total_s == pytest.approx(1e-3, rel=1e-6)  # read at a phase below 1e-3: cube 3e-7 of it
+
+
+# --- own topologies: every delay is -H'/H at s = 0, from the values in the lines ---------------------------
+
+#: Stages between the difference amplifier and the multiplier: from `a` to `b`.
+LEAD = ".subckt lead a b vcc vee\nR1 a p 10k\nC1 a p 1u\nR2 p 0 10k\nxop p b vcc vee b tl072\n.ends lead"
+LAG = ".subckt lag a b vcc vee\nR1 a p 10k\nC1 p 0 1u\nxop p b vcc vee b tl072\n.ends lag"
+DIRECT = ".subckt direct a b vcc vee\nxop a b vcc vee b tl072\n.ends direct"
+ADD = ".subckt add a c b vcc vee\nR1 a m 10k\nR2 c m 10k\nR3 m b 10k\nxop 0 m vcc vee b tl072\n.ends add"
+SALLEN_KEY = (
+    ".subckt sk a b vcc vee\nR1 a n 10k\nR2 n p 10k\nC1 n b 1u\nC2 p 0 500n\n"
+    "xop p b vcc vee b tl072\n.ends sk"
+)
+INVERTING = ".subckt inv a b vcc vee\nR1 a m 10k\nR2 m b 20k\nC2 m b 100n\nxop 0 m vcc vee b tl072\n.ends inv"
+LOOP = (
+    ".subckt outer a o b vcc vee\nxop a o vcc vee b tl072\n.ends outer\n"
+    ".subckt inner b o vcc vee\nR1 b p 1k\nC1 p 0 100n\nxop p o vcc vee o opa2134\n.ends inner"
+)
+#: Lines of the board in place of the wire, and delay [s] by instance.
+OWN = {
+    # lead: R1 R2 C1/(R1 + R2) - R1 C1 = 5 ms - 10 ms; lag: R1 C1
+    "lead and lag": (
+        f"{LEAD}\n{LAG}", "xlead x1 l1 vcc vee lead\nxlag l1 xx vcc vee lag", {"xlead": -5e-3, "xlag": 1e-2},
+    ),
+    "lag and lead": (
+        f"{LEAD}\n{LAG}", "xlag x1 l1 vcc vee lag\nxlead l1 xx vcc vee lead", {"xlag": 1e-2, "xlead": -5e-3},
+    ),
+    # half of the signal is late by 10 ms
+    "two branches": (
+        f"{LAG}\n{DIRECT}\n{ADD}",
+        "xlag x1 l1 vcc vee lag\nxdirect x1 l2 vcc vee direct\nxadd l1 l2 xx vcc vee add",
+        {"xlag and xdirect and xadd": 5e-3},
+    ),
+    # C2 (R1 + R2)
+    "Sallen-Key": (SALLEN_KEY, "xsk x1 xx vcc vee sk", {"xsk": 1e-2}),
+    "inverting lag": (INVERTING, "xinv x1 xx vcc vee inv", {"xinv": 2e-3}),
+    # inside a loop of gain 2e5 the lag of 0.1 ms is 0.1 ms/2e5; 1/(2 pi GBW) of the outer one stands beside
+    "one loop around two amplifiers": (
+        LOOP, "xouter x1 xx l1 vcc vee outer\nxinner l1 xx vcc vee inner",
+        {"xouter and xinner": 1.0 / (2.0 * np.pi * TL072) + 1e-4 / 2e5},
+    ),
+}  # fmt: skip
+
+
+def own_board(folder, blocks, lines, driver="voltage"):
+    """The shipped board of one joint with stages of one's own between difference amplifier and multiplier."""
+    shutil.copytree(NETLISTS, folder / "netlists")
+    path = folder / "netlists" / "board1.cir"
+    text = path.read_text()
+    wire = "xksp11 x1 ksp11 wsp11 vcc vee vca"
+    assert wire in text
+    path.write_text(
+        text.replace(".subckt board1", f"{blocks}\n.subckt board1").replace(
+            wire, f"{lines}\nxksp11 xx ksp11 wsp11 vcc vee vca"
+        )
+    )
+    levels = {"opamp": "gbw", "vca": "gbw", "driver": driver, "driver_level": "gbw", "motor": "full"}
+    return load_deck(path, levels=levels)
+
+
+@pytest.mark.parametrize("driver", ["voltage", "current"])
+@pytest.mark.parametrize("name", OWN)
+def test_own_topologies_are_told_right_or_together(tmp_path, name, driver):
+    blocks, lines, expected = OWN[name]
+    plain = spring_delays(shipped(1, "gbw", driver))[0]
+    (path,) = spring_delays(own_board(tmp_path, blocks, lines, driver))
+    found = {step.instance: step.delay_s for step in path.steps}
+    own = list(expected)
+    assert [each for each in found if each in own] == own, found
+    for instance, delay in expected.items():
+        # an op-amp of noise gain 1 to 3 adds up to 0.2 us, finite gain (2e5) 2e-5 of a lag
+        assert found[instance] == pytest.approx(
+            delay, rel=1e-4, abs=2e-7 if delay > 1e-6 or delay < 0 else 1e-9
+        )
+    # what was there before is as it was; the difference amplifier drives a lighter or heavier load of 1 Ohm
+    others = {step.instance: step.delay_s for step in plain.steps}
+    assert found.keys() - set(own) == others.keys()
+    for instance, delay in others.items():
+        assert found[instance] == pytest.approx(delay, rel=1e-3, abs=1e-9)

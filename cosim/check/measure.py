@@ -12,7 +12,8 @@ from cosim.check.constants import Constant, Rest, measure_constants, measure_res
 from cosim.check.headroom import Headroom, measure_headroom
 from cosim.check.loops import Loop, measure_loops
 from cosim.check.noise import Noise, PotNoise, measure_noise, measure_pot_noise
-from cosim.check.paths import Brake, Path, Step, brakes, measure_admittance, measure_paths, measure_steps
+from cosim.check.paths import Brake, Path, Step, brakes, measure_admittance, measure_paths, steps_of
+from cosim.circuits.delay import measure as spring_delays
 from cosim.circuits.noise import component_noise
 from cosim.circuits.noise_analysis import left_out
 from cosim.circuits.port import DesignConstants
@@ -84,14 +85,17 @@ def measure(payload: dict[str, Any], report: Callable[[dict[str, Any]], None]) -
         headroom=measure_headroom(bench, stated),
         loops=tuple(measure_loops(bench)),
         paths=tuple(paths),
-        steps=tuple(measure_steps(bench, stated, paths)),
         brakes=tuple(brakes(paths, admittance, stated, k_fs)),
         admittance_a_s=tuple(map(tuple, admittance)),
         noise=noise,
         pot_noise=tuple(
             measure_pot_noise(bench, stated, payload["noise_rad"], payload["noise_bandwidth_hz"])
         ),
-        # last: it loads a deck of its own
+        # last: they load decks of their own
+        steps=_told(
+            lambda: tuple(steps_of(spring_delays({"board": payload["board"], "own": True}, report))),
+            (), "what each block adds to the delay", notes,
+        ),
         components=_told(
             lambda: component_budget(component_noise({"board": payload["board"]}, report), stated),
             NO_BUDGET, "the noise of the components", notes,

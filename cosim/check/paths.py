@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from cosim.check.bench import HIGHEST_HZ, Bench, Complex, Real
+from cosim.circuits.delay import MOTOR, SpringDelay
+from cosim.circuits.delay import Step as Part
 from cosim.circuits.port import DesignConstants
 
 LOW_HZ = 0.1
 """Where w -> 0 is read: below every corner of a haptic device; 1e-4 of a bandwidth where that is lower."""
 _SWEEP = f"dec 20 {LOW_HZ:g} {HIGHEST_HZ:g}"
 _LOW_SHARE = 1e-4
-_RESPONDS = 0.01
-"""An amplifier is in a path if it moves by this share of the one that moves most (leaks are below)."""
 NAMES = {
     "u": "spring, u to imot",
     "pot": "spring, pot to imot",
@@ -46,7 +46,7 @@ class Path:
 
 @dataclass(frozen=True)
 class Step:
-    """What one block adds to the delay of a spring path [s]."""
+    """What one block adds to the delay of a spring path [s]; several where only their sum is known."""
 
     joint: int
     block: str
@@ -143,37 +143,17 @@ def _at(bench: Bench, pin: str, f_hz: float) -> dict[str, complex]:
     return {name: complex(values[0]) for name, values in found.items()}
 
 
-def measure_steps(bench: Bench, constants: DesignConstants, paths: list[Path]) -> list[Step]:
-    """Attribute the spring's delay to the blocks between potentiometer and motor, joint by joint.
-
-    An amplifier lies in the path if it moves with u. They are told in the order of their delays, drivers
-    left out: behind them comes the motor, ahead of which a current drive's output leads.
-    """
-    found = []
-    parts = {a.out_node: a for a in bench.board.amplifiers if a.role != "driver"}
-    total = {(p.joint, p.kind): p.delay_s for p in paths}
-    for j in range(1, bench.joints + 1):
-        by_u, by_pot = total[j, "u"], total[j, "pot"]
-        if by_u is None or by_pot is None:
-            continue
-        bench.hold({f"ksp{j}{j}": constants.v_fs})
-        on = _at(bench, f"u{j}", LOW_HZ)
-        largest = max((abs(on[node]) for node in parts), default=0.0)
-        delays = {n: slope(on[n], LOW_HZ) for n in parts if abs(on[n]) > _RESPONDS * largest}
-        steps = sorted(((d, n) for n, d in delays.items() if d is not None))
-        found.append(Step(j, "potentiometer", by_pot - by_u))
-        before = 0.0
-        for delay, node in steps:
-            found.append(Step(j, _block(parts[node].path), delay - before))
-            before = delay
-        found.append(Step(j, "driver and motor", by_u - before))
-    return found
+def steps_of(delays: Iterable[SpringDelay]) -> list[Step]:
+    """Return what the blocks between a joint's potentiometer and its own motor add to its spring's delay."""
+    return [
+        Step(path.joint, step.instance if step.instance == step.block else _named(step), step.delay_s)
+        for path in delays
+        for step in path.steps
+    ]
 
 
-def _block(path: str) -> str:
-    """Return the block an amplifier stands in: ``xboard.xsum1.xop`` -> ``xsum1``."""
-    words = path.split(".")[1:]
-    return ".".join(words[:-1] or words)
+def _named(step: Part) -> str:
+    return f"{step.instance} and {MOTOR}" if step.block.endswith(f" and {MOTOR}") else step.instance
 
 
 def measure_admittance(bench: Bench) -> list[list[float]]:
