@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from cosim import plausibility
 from cosim.caution import Caution, collected, warn
+from cosim.circuits import certificate
 from cosim.circuits.port import DesignConstants
 from cosim.errors import InputError, Problem
 from cosim.judgement import question, verdict
@@ -130,6 +131,7 @@ def _run(
         warn(*plausibility.of_run(scene, constants, signals, samples, measures, amplifiers, ledger))
         if "circuit" in got:
             warn(*plausibility.of_circuit(got["circuit"], constants))
+            warn(*certificate.cautions(got["circuit"].certificate))
         stats = dict(got["stats"])
         stats["total_s"] = time.perf_counter() - begun
         result = Run(
@@ -191,7 +193,7 @@ def _amplifiers(plan: Plan, got: Mapping[str, Any]) -> list[dict[str, Any]]:
     out = []
     for amplifier in plan.board.amplifiers:
         peak = got["peaks"].get(amplifier.out_node)
-        swing = got["swings"].get(amplifier.swing_param)
+        swing = got["swings"].get(amplifier.out_node)
         if peak is None:
             continue
         out.append(

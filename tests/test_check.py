@@ -14,11 +14,14 @@ from cosim.check.loops import encirclements, gain_margins, measure_loops, phase_
 from cosim.check.subject import load_subject
 from cosim.check.text import describe
 from cosim.check.verdict import Severity
+from cosim.circuits.swing import swings
 from cosim.cli import main
 from cosim.errors import InputError
 from cosim.ngspice.child import call, start_early
 from cosim.ngspice.deck import load_deck
 from cosim.ngspice.simulator import Simulator
+from cosim.plan import resolve
+from cosim.scene import load_scene
 from cosim.settings import parse_settings, variants
 
 KT, GEAR, MOTOR_OHM, MOTOR_H, R_TIP = 0.04, 8.0, 5.0, 1.5e-3, 0.1333
@@ -314,7 +317,11 @@ def test_a_vendors_model_is_checked_and_what_cannot_be_known_is_said(checked, tm
     swap = {"file": str(vendor), "subckt": "TL072", "pins": "1 2 3 4 5", "dialect": "pspice"}
     result = checked(scene_of(tmp_path, slider(device={"parts": {"opamp": swap}})).file)
     said = " ".join(f.message for f in result.findings)
-    assert "states no output limit" in said
+    assert "states no output limit" not in said
+    limits = {s.path: s for s in result.measured.headroom.swings}
+    # its clamps: 2.2 V below either supply and one diode's 0.7 V above that
+    assert limits["xboard.xdiff1.xop"].limit_v == pytest.approx(13.5, abs=0.1)
+    assert limits["xboard.xdiff1.xop"].limit_from == "measured"
     assert ".noise does not pass" in said  # its POLY sources are XSPICE devices
     loops = {loop.path: loop for loop in result.measured.loops}
     # 3 MHz, less what 125 Ohm lose into 10 kOhm beside 1.58 kOhm (8 %) and a second pole (a few percent)
@@ -325,6 +332,41 @@ def test_a_vendors_model_is_checked_and_what_cannot_be_known_is_said(checked, tm
 
 
 # --- errors and the command ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("role", "lines", "pins", "limit", "source"),
+    [
+        ("opamp", "Bo 5 0 V=max(-9,min(9.5,1e5*v(1,2)))", "1 2 3 4 5", 9.0, "measured"),
+        ("opamp", "Eo 5 0 1 2 1e5", "1 2 3 4 5", 15.0, "supplies"),
+        ("driver", "Bo 5 0 V=max(-11,min(11,1e5*v(1,2)))", "1 2 3 4 5", 11.0, "measured"),
+        ("vca", "Bo 5 0 V=max(-8,min(8.5,v(1,2)*v(6,7)/10+v(8)))", "1 2 6 7 5 8 3 4", 8.0, "measured"),
+        ("opamp", "Eo 5 0 1 2 1e-3", "1 2 3 4 5", None, ""),
+    ],
+)
+def test_what_a_part_does_not_state_is_measured_of_it_alone(
+    checked, tmp_path, role, lines, pins, limit, source
+):
+    extra = " 6 7 8" if role == "vca" else ""
+    (tmp_path / "op.lib").write_text(
+        f".subckt myop 1 2 3 4 5{extra}\n{lines}\nrp 3 4 10k\nri 1 2 1meg\n.ends\n"
+    )
+    swap = {"file": "op.lib", "subckt": "myop", "pins": pins}
+    scene_of(tmp_path, slider(device={"parts": {role: swap}}))
+    deck = resolve(load_scene(tmp_path / "scene.toml")).board
+    found = call("test_check:swings_of", {"board": deck})
+    mine = [a.path for a in deck.amplifiers if a.part == "myop"]
+    assert mine
+    for path in mine:
+        assert (
+            (found[path].limit_v, str(found[path].source)) == (pytest.approx(limit), source)
+            if limit
+            else (path not in found)
+        )
+
+
+def swings_of(payload, report):
+    return swings(Simulator(), payload["board"])
 
 
 @pytest.mark.parametrize(

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from cosim.check.bench import Bench
 from cosim.check.paths import LOW_HZ
 from cosim.circuits.port import DesignConstants
+from cosim.circuits.swing import Swing as MeasuredSwing
+from cosim.circuits.swing import SwingFrom
 from cosim.errors import CosimError
 
 SOFT_N_PER_M = 100.0
@@ -38,7 +40,8 @@ class Swing:
     Attributes
     ----------
     path, part, node : the amplifier and its output
-    limit_v : output limit that its part states, if it does
+    limit_v : output limit that its part states, or that was measured of it; ``None`` where it is not known
+    limit_from : which of both (`SwingFrom`); empty where it is not known
     peak_v : largest magnitude
     case : in which it occurs
     """
@@ -49,6 +52,7 @@ class Swing:
     limit_v: float | None
     peak_v: float
     case: str
+    limit_from: str = ""
 
     @property
     def headroom_percent(self) -> float | None:
@@ -75,8 +79,14 @@ class Headroom:
     limits_a: tuple[float | None, ...]
 
 
-def measure_headroom(bench: Bench, constants: DesignConstants) -> Headroom:
-    """Deflect one joint at a time, both ways, through one spring at a time, to rated torque."""
+def measure_headroom(
+    bench: Bench, constants: DesignConstants, measured: Mapping[str, MeasuredSwing]
+) -> Headroom:
+    """Deflect one joint at a time, both ways, through one spring at a time, to rated torque.
+
+    `measured` are the limits of amplifiers whose parts state none, by instance path.
+    """
+    known = _known(bench, measured)
     k_soft = SOFT_N_PER_M * constants.r_tip**2
     rated = constants.i_rated * constants.kt * constants.gear
     reach = constants.dac_v / constants.v_rad
@@ -104,7 +114,12 @@ def measure_headroom(bench: Bench, constants: DesignConstants) -> Headroom:
                     peaks[node] = abs(point[node]), name
         cases.append(Case(name, rated / k, least))
     bench.hold({})
-    return Headroom(tuple(cases), _swings(bench, peaks), _speeds(bench, constants), _limits(bench, constants))
+    return Headroom(
+        tuple(cases),
+        _swings(bench, peaks, known),
+        _speeds(bench, constants, known),
+        _limits(bench, constants),
+    )
 
 
 def _ways(joints: int) -> Iterator[tuple[int, int, float]]:
@@ -112,19 +127,29 @@ def _ways(joints: int) -> Iterator[tuple[int, int, float]]:
     return ((i, j, sign) for i in each for j in each for sign in (1.0, -1.0))
 
 
-def _speeds(bench: Bench, constants: DesignConstants) -> tuple[Speed, ...]:
+def _known(bench: Bench, measured: Mapping[str, MeasuredSwing]) -> dict[str, MeasuredSwing]:
+    """Return the output limits that are known, stated ones first, by instance path."""
+    found = dict(measured)
+    for a in bench.board.amplifiers:
+        limit = bench.constant(a.swing_param) if a.swing_param else None
+        if limit is not None:
+            found[a.path] = MeasuredSwing(limit, SwingFrom.STATED)
+    return found
+
+
+def _speeds(
+    bench: Bench, constants: DesignConstants, known: Mapping[str, MeasuredSwing]
+) -> tuple[Speed, ...]:
     """Scale each amplifier's answer to a slow ramp, the quadrature part as w -> 0, up to its limit."""
     found = []
-    limits = {
-        a.path: (a.out_node, bench.constant(a.swing_param)) for a in bench.board.amplifiers if a.swing_param
-    }
+    limits = {a.path: (a.out_node, known[a.path].limit_v) for a in bench.board.amplifiers if a.path in known}
     for j in range(1, bench.joints + 1):
         bench.hold({f"ksd{j}{j}": constants.v_fs})
         answer = bench.response(f"pot{j}", f"lin 1 {LOW_HZ!r} {LOW_HZ!r}")
         reached = [
             Speed(j, limit * 2 * math.pi * LOW_HZ / abs(answer[node][0].imag), path)
             for path, (node, limit) in limits.items()
-            if limit is not None and answer[node][0].imag != 0.0
+            if answer[node][0].imag != 0.0
         ]
         if reached:
             found.append(min(reached, key=lambda speed: speed.speed_rad_per_s))
@@ -132,17 +157,14 @@ def _speeds(bench: Bench, constants: DesignConstants) -> tuple[Speed, ...]:
     return tuple(found)
 
 
-def _swings(bench: Bench, peaks: dict[str, tuple[float, str]]) -> tuple[Swing, ...]:
-    return tuple(
-        Swing(
-            a.path,
-            a.part,
-            a.out_node,
-            bench.constant(a.swing_param) if a.swing_param else None,
-            *peaks[a.out_node],
-        )
-        for a in bench.board.amplifiers
-    )
+def _swings(
+    bench: Bench, peaks: dict[str, tuple[float, str]], known: Mapping[str, MeasuredSwing]
+) -> tuple[Swing, ...]:
+    found = []
+    for a in bench.board.amplifiers:
+        limit, source = (known[a.path].limit_v, known[a.path].source) if a.path in known else (None, "")
+        found.append(Swing(a.path, a.part, a.out_node, limit, *peaks[a.out_node], str(source)))
+    return tuple(found)
 
 
 def _limits(bench: Bench, constants: DesignConstants) -> tuple[float | None, ...]:

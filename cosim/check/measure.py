@@ -17,6 +17,7 @@ from cosim.circuits.delay import measure as spring_delays
 from cosim.circuits.noise import component_noise
 from cosim.circuits.noise_analysis import left_out
 from cosim.circuits.port import DesignConstants
+from cosim.circuits.swing import swings
 from cosim.errors import CosimError
 from cosim.ngspice.simulator import Simulator
 
@@ -66,6 +67,7 @@ def measure(payload: dict[str, Any], report: Callable[[dict[str, Any]], None]) -
     bench.operating_point()
     stated = bench.constants()
     ideal = measure_constants(bench, stated, measure_paths(bench, stated))
+    limits = swings(simulator, payload["board"])  # in decks of their own
     bench = Bench(simulator, payload["board"])
     rest = measure_rest(bench, stated)
     paths = measure_paths(bench, stated)
@@ -82,7 +84,7 @@ def measure(payload: dict[str, Any], report: Callable[[dict[str, Any]], None]) -
         stated=stated,
         constants=tuple(constants),
         rest=tuple(rest),
-        headroom=measure_headroom(bench, stated),
+        headroom=measure_headroom(bench, stated, limits),
         loops=tuple(measure_loops(bench)),
         paths=tuple(paths),
         brakes=tuple(brakes(paths, admittance, stated, k_fs)),

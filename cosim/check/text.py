@@ -12,6 +12,7 @@ from cosim.check.headroom import SOFT_N_PER_M
 from cosim.check.noise import BAND_HZ, Noise, PotNoise
 from cosim.check.paths import NAMES, Brake
 from cosim.check.verdict import Severity
+from cosim.circuits.swing import SwingFrom
 
 Row = tuple[str, Sequence[str]]
 _LISTED = 4
@@ -130,6 +131,14 @@ def _headroom(check: Check) -> list[str]:
     ]
     head = ("amplifier", "part", "peak", "limit", "left", "at")
     lines += _table(head, _merged(rows), left=(0, 1, 5))
+    for source, words in (
+        (SwingFrom.MEASURED, "limit measured of the part alone, between the supplies"),
+        (SwingFrom.SUPPLIES, "its model has no limit within the supplies, which are taken for it"),
+        ("", "not watched: its limit is neither stated nor to be measured"),
+    ):
+        parts = sorted({s.part for s in found.swings if s.limit_from == source})
+        if parts:
+            lines.append(f"  {', '.join(parts)}: {words}")
     volts = [c.measured for c in check.measured.constants if c.name == "w_rated" and c.measured is not None]
     if volts:
         lines.append(f"  multiplier output at rated torque and k_fs: {min(volts):.4g} V or more")

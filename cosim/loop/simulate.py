@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from cosim.circuits.port import DesignConstants
 from cosim.circuits.probes import external_probes
 from cosim.circuits.spice import Drive, Tolerances, lockstep_deck, saved
+from cosim.circuits.swing import swings as measured_swings
 from cosim.errors import CosimError, InputError, Problem, SimulationError, StepTooSmall, nearest
 from cosim.loop import lockstep
 from cosim.loop.component_noise import ComponentGrid, component_grid
@@ -174,7 +175,7 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     -------
     dict
         'ledger', 'sample_columns', 'constants', 'stats', 'peaks' (largest |v| of each node), 'clipped_s' (how
-        long it was at its limit), 'swings' (output limits by parameter), 'ngspice' (version),
+        long it was at its limit), 'swings' (output limits by node), 'ngspice' (version),
         'component_noise' (as `ComponentGrid.about`); signals.raw and samples.f64 are in the folder
     """
     asked: Tolerances = payload["tolerances"]
@@ -196,18 +197,20 @@ def _simulate(payload: dict[str, Any], report: Report, aid: Aid) -> dict[str, An
     if component is not None:
         board = external_probes(board, _with_probes(component, board))
     simulator = Simulator(on_time=beat)
+    measured = measured_swings(simulator, board)  # in decks of their own
     circuit = drive(scene)
     text = lockstep_deck(board, circuit, aid.tolerances, nodes, aid.lines)
     simulator.load(text, lines=board.lines, name=str(board.path))
     constants = read_constants(simulator, str(board.path))
     memory = pack(scene, constants, circuit, recorded, nodes[len(recorded) :], component=component)
-    swings = {
-        a.swing_param: simulator.constant(a.swing_param)
+    swings = {a.out_node: measured[a.path].limit_v for a in board.amplifiers if a.path in measured}
+    swings |= {
+        a.out_node: simulator.constant(a.swing_param)
         for a in board.amplifiers
-        if a.swing_param is not None
+        if a.swing_param and a.path not in measured
     }
     state = memory.state[0]
-    limits = {a.out_node: AT_LIMIT * swings[a.swing_param] for a in board.amplifiers if a.swing_param}
+    limits = {node: AT_LIMIT * limit for node, limit in swings.items()}
     state["node_limit"][: len(nodes)] = [limits.get(node, math.inf) for node in nodes]
     missing: list[str] = []
     person = scene.operator.file if isinstance(scene.operator, PythonOperator) else "operator"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,7 @@ def of_run(
     signals: Signals,
     samples: Signals,
     measures: Mapping[str, Mapping[str, Any]],
-    amplifiers: Iterable[Mapping[str, Any]],
+    amplifiers: Sequence[Mapping[str, Any]],
     ledger: Mapping[str, Any],
 ) -> list[Caution]:
     """Return the cautions about a finished run; `measures` are all there are, whatever the scene asks for."""
@@ -55,7 +55,14 @@ def _asked_stiffness(scene: Scene) -> float:
     )
 
 
-def _clipped(scene: Scene, amplifiers: Iterable[Mapping[str, Any]]) -> Iterator[Caution]:
+def _clipped(scene: Scene, amplifiers: Sequence[Mapping[str, Any]]) -> Iterator[Caution]:
+    unknown = sorted({str(a["part"]) for a in amplifiers if not a["swing_v"]})
+    if unknown:
+        yield Caution(
+            "amplifier-unwatched",
+            f"the output limit of {', '.join(unknown)} is not known: nobody sees it clip",
+            "state it with swing= in the *@ line of the part's file",
+        )
     for a in amplifiers:
         if a["swing_v"] and a["peak_v"] >= AT_LIMIT * a["swing_v"]:
             long_s = a.get("clipped_s")
