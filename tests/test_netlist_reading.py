@@ -8,12 +8,14 @@ from pathlib import Path
 
 import pytest
 
+from cosim.circuits.port import DesignConstants
 from cosim.errors import InputError
 from cosim.ngspice.deck import Deck, Feature, PartSwap, load_deck
 from cosim.ngspice.dialect import Dialect
 from cosim.ngspice.expression import evaluate
 from cosim.ngspice.lines import Line, number, read_lines
 from cosim.ngspice.values import as_meant
+from cosim.scene import load_scene
 
 DATA = Path(__file__).parent / "data" / "ngspice"
 BOARD = DATA / "project" / "board.cir"
@@ -375,6 +377,22 @@ def test_files_that_are_no_files(tmp_path: Path) -> None:
     with big.open("wb") as file:
         file.truncate(1 << 40)
     quickly_refused(big, "too large")
+
+
+def test_scenes_that_are_no_files(tmp_path: Path) -> None:
+    fifo = tmp_path / "scene.toml"
+    os.mkfifo(fifo)
+    for file in (fifo, Path("/dev/zero")):
+        with pytest.raises(InputError, match="not a regular file"):
+            load_scene(file)
+
+
+@pytest.mark.parametrize("bits", [1e11, 33.0, 0.5])
+def test_a_resolution_that_no_converter_has(bits: float) -> None:
+    values: dict[str, float | None] = dict.fromkeys(DesignConstants.names(), 1.0)
+    assert DesignConstants.read(values, "board.cir").dac_bits == 1.0
+    with pytest.raises(InputError, match=r"board.cir: dac_bits = .* bits: is no resolution.*1 to 32"):
+        DesignConstants.read({**values, "dac_bits": bits}, "board.cir")
 
 
 # --- arithmetic ---------------------------------------------------------------------------------------

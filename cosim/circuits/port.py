@@ -10,6 +10,8 @@ from cosim.errors import InputError, Problem
 
 #: Numbers beyond are none of any board's: what is computed from them would leave the range of a double.
 LEAST, MOST = 1e-30, 1e30
+#: Resolution of a DAC, as a scene may state it as well.
+MOST_BITS = 32
 _RANGE = f"{LEAST:g} to {MOST:g}"
 
 
@@ -78,6 +80,11 @@ class DesignConstants:
                         "a design constant must be positive", file=file, key=name, value=value, allowed=_RANGE
                     )
                 )
+            elif name == "dac_bits" and not 1 <= value <= MOST_BITS:
+                problems.append(
+                    Problem("is no resolution of a DAC", file=file, key=name, value=value, unit="bits",
+                            allowed=f"1 to {MOST_BITS}")
+                )  # fmt: skip
             else:
                 good[name] = value
         if problems:

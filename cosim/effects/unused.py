@@ -56,8 +56,10 @@ def stated_in_vain(scene: Scene, effects: tuple[Effect, ...]) -> list[str]:
         return []  # what is off now may be chosen
     said = []
     for effect in effects:
-        if effect.is_in_force(scene) or effect.lacks(scene):
+        if effect.is_in_force(scene):
             continue
+        if effect.name == "operator_dynamics" and scene.operator.type != "hand":
+            continue  # a fixed mass is always there
         for key in ACTS_THROUGH.get(effect.name, ()):
             value = _stated(scene, key)
             if value is not None:

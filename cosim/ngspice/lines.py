@@ -1,13 +1,13 @@
 """Netlist text as logical lines that remember where they come from."""
 
 import re
-import stat
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cosim.errors import fail
 from cosim.ngspice.dialect import Dialect
+from cosim.regularfile import read_regular
 
 __all__ = ["Line", "assignments", "join", "number", "read_lines", "strange_character", "tokens"]
 
@@ -104,13 +104,7 @@ def strange_character(text: str) -> str | None:
 def _text(path: Path) -> str:
     """Return a file's text with line feeds only, without the DOS end-of-file mark."""
     try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode) and not stat.S_ISDIR(status.st_mode):
-            fail("cannot read the netlist: it is not a regular file", file=str(path))
-        if status.st_size > MOST_BYTES:
-            fail("cannot read the netlist: it is too large", file=str(path), value=status.st_size,
-                 unit="bytes", allowed=f"<= {MOST_BYTES}")  # fmt: skip
-        raw = path.read_bytes()
+        raw = read_regular(path, MOST_BYTES)
     except OSError as error:
         fail(f"cannot read the netlist: {error.strerror or error}", file=str(path))
     text = raw.decode(_encoding(raw), "replace").removeprefix("\ufeff")

@@ -14,9 +14,14 @@ from pathlib import Path
 from typing import Any
 
 from cosim.errors import InputError, Problem, fail
+from cosim.regularfile import read_regular
 from cosim.scene.schema import CHOICES
 
 Key = tuple[str | int, ...]
+
+
+MOST_BYTES = 4 << 20
+"""Size of a scene file; one with the most waypoints that are allowed has 20 kB."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +36,7 @@ class Layer:
 def read_layer(path: Path) -> Layer:
     """Read one TOML file with its own paths made absolute."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_regular(path, MOST_BYTES).decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
     except FileNotFoundError:
         fail("no such scene file", file=str(path))
     except UnicodeDecodeError as error:
