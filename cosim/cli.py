@@ -11,6 +11,7 @@ import signal
 import sys
 import threading
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, TextIO
 
 from cosim import __version__
@@ -60,6 +61,9 @@ def build_parser() -> argparse.ArgumentParser:
         description="Circuit-level co-simulation of haptic devices: ngspice in lockstep with a linkage.",
     )
     parser.add_argument("--version", action="version", version=f"cosim {__version__}")
+    parser.add_argument(
+        "--verbose", action="store_true", help="with --version: libraries, and what the sandbox can do here"
+    )
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for command in COMMANDS:
         sub = commands.add_parser(command.name, help=command.help, description=command.help)
@@ -79,7 +83,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     if threading.current_thread() is threading.main_thread():
         # a batch system's or `timeout`'s request to end is obeyed like a Ctrl-C: nothing is left half-written
         signal.signal(signal.SIGTERM, signal.default_int_handler)
-    args = build_parser().parse_args(argv)
+    words = sys.argv[1:] if argv is None else list(argv)
+    if sorted(words) == ["--verbose", "--version"]:
+        return _about()
+    args = build_parser().parse_args(words)
     if callable(signal.getsignal(signal.SIGINT)) and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.default_int_handler)  # from here on there is something to tidy up
     code, text, stream = _outcome(args)
@@ -92,12 +99,34 @@ def main(argv: Sequence[str] | None = None) -> int:
     return code
 
 
+def _about() -> int:
+    """Print versions, and what of the sandbox this system gives; return the exit code."""
+    from cosim.commands.about import about
+
+    try:
+        print(about())
+    except CosimError as error:
+        print(f"cosim --version: {error}", file=sys.stderr)
+        return error.exit_code
+    return 0
+
+
+def _granted(args: argparse.Namespace) -> AbstractContextManager[None]:
+    """Let netlists include files of the folders that ``--include`` names."""
+    if not getattr(args, "include", None):
+        return nullcontext()
+    from cosim.ngspice.flatten import including
+
+    return including(args.include)
+
+
 def _outcome(args: argparse.Namespace) -> tuple[int, str, TextIO]:
     """Run the command; return exit code, what to print and where."""
     with collected() as cautions:
         try:
             _check_folder()
-            result, text = args.run(args)
+            with _granted(args):
+                result, text = args.run(args)
         except CosimError as error:
             if args.json:
                 return error.exit_code, _json(error.as_dict() | _as_dict(cautions)), sys.stdout

@@ -21,6 +21,7 @@ from cosim.measures import check_names, tolerances
 from cosim.ngspice.child import Child, call
 from cosim.ngspice.deck import Deck, load_deck
 from cosim.ngspice.parts import PartSwap
+from cosim.ngspice.spoken import is_name
 from cosim.scene import Method, PartFile, Scene
 
 
@@ -157,6 +158,13 @@ def _recorded(scene: Scene) -> tuple[str, ...]:
     nodes = tuple(dict.fromkeys(node.lower() for node in scene.record.nodes))
     if not nodes:
         return ()
+    strange = [node for node in scene.record.nodes if not is_name(node)]
+    if strange:
+        file = str(scene.file) if scene.file else None
+        raise InputError(
+            Problem("is not the name of a node", file=file, key="record.nodes", value=node)
+            for node in strange
+        )
     from cosim.loop.setup import columns  # brings compiled code along, which a plan has no other need of
 
     known = columns(drive(scene), (), shafts=scene.effects.shaft)

@@ -21,10 +21,11 @@ from cosim.errors import InputError, Problem
 from cosim.judgement import question, verdict
 from cosim.measures import chosen, headroom, standard
 from cosim.ngspice import stored
-from cosim.ngspice.child import Child, call
+from cosim.ngspice.child import OUTBOX, Child, call
 from cosim.plan import Plan, resolve
 from cosim.rawfile import read_raw
 from cosim.results import RAW, RECORD, Run, provenance
+from cosim.scene import PythonOperator, Scene
 from cosim.staging import Staging, disk_errors
 
 __all__ = ["resolve", "run"]
@@ -114,13 +115,15 @@ def _run(
                 "recorded": plan.recorded,
                 "watched": plan.watched,
                 "tolerances": plan.tolerances,
-                "folder": stage.path,
+                "folder": OUTBOX,
             },
             time_limit_s=scene.solver.time_limit_s,
             stall_limit_s=_STALL_S,
             on_progress=on_progress,
             deck=str(plan.board.path),
             child=child,
+            reads=_python_folders(scene),
+            collect=stage.path,
         )
         constants: DesignConstants = got["constants"]
         samples = _read_samples(stage.path / "samples.f64", got["sample_columns"])
@@ -163,6 +166,14 @@ def _run(
         result.write_into(stage.path, formats)  # last: it seals what is there
         stage.publish()
     return Run.load(target)
+
+
+def _python_folders(scene: Scene) -> list[Path]:
+    """Return the folders of the user's Python files, which may import what lies beside them."""
+    base = scene.file.parent if scene.file is not None else Path()
+    named = [scene.computer.law] if scene.computer.law is not None else []
+    named += [scene.operator.file] if isinstance(scene.operator, PythonOperator) else []
+    return list(dict.fromkeys((base / each.rpartition(":")[0]).resolve().parent for each in named))
 
 
 def _check_duration(plan: Plan) -> None:

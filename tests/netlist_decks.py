@@ -14,9 +14,12 @@ NETLISTS = Path(__file__).parents[1] / "netlists"
 _MEASURE = re.compile(r"^([a-z]\w*)\s*=\s*([-+.\deE]+)(?:\s+at=.*)?$", re.MULTILINE)
 _LIBRARY = """
 import sys
+from cosim.ngspice.lines import Line
 from cosim.ngspice.simulator import Simulator
 simulator = Simulator()
-simulator.load(sys.stdin.read())
+deck = sys.stdin.read()
+# a test bench includes files and measures by itself: more than a deck of ours may
+simulator.load(deck, [Line(row, trusted=True) for row in deck.rstrip("\\n").split("\\n")])
 lines = simulator.command("run")
 print("\\n".join(lines + (simulator.command("print onoise_total") if "noise" in sys.argv else [])))
 """

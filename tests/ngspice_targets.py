@@ -7,6 +7,7 @@ from typing import Any
 
 from cosim.caution import Caution, warn
 from cosim.errors import InputError
+from cosim.ngspice.child import OUTBOX
 
 
 def echo(payload: Any, report: Any) -> Any:
@@ -54,7 +55,7 @@ def fail_on_input(payload: Any, report: Any) -> None:
 
 
 def sleep(payload: Any, report: Any) -> None:
-    with open(payload, "w") as file:
+    with open(OUTBOX / "marker", "w") as file:
         file.write(f"{os.getpid()} {os.getcwd()}")
     time.sleep(60)
 

@@ -34,7 +34,7 @@ from support import (
 )
 
 from cosim.errors import SimulationError
-from cosim.ngspice.child import call
+from cosim.ngspice.child import OUTBOX, call
 from cosim.plan import resolve
 from cosim.rawfile import read_raw
 from cosim.results import Run
@@ -371,8 +371,8 @@ def test_without_the_bound_the_same_rotor_goes_wrong(tmp_path: Path) -> None:
         payload = {
             name: getattr(plan, name) for name in ("scene", "board", "recorded", "watched", "tolerances")
         }
-        payload["folder"] = tmp_path
-        call("support:simulate_without_pole", payload)
+        payload["folder"] = OUTBOX
+        call("support:simulate_without_pole", payload, collect=tmp_path)
         return np.abs(read_raw(tmp_path / "signals.raw")["v1"]), rotor * GEAR**2 / EMF_TRUE
 
     speed, _ = unbounded(1e-7)

@@ -87,7 +87,8 @@ def test_segmentation_fault() -> None:
     with pytest.raises(SimulationError, match="SIGSEGV") as caught:
         run("segfault", deck="board.cir")
     assert caught.value.time_s == 0.125
-    assert "segfault" in (caught.value.last_words or "")
+    assert "Fatal Python error" not in (caught.value.last_words or "")  # our stack is not ngspice's words
+    assert "File " not in (caught.value.last_words or "")
 
 
 def test_ngspices_own_segmentation_fault() -> None:
@@ -222,7 +223,7 @@ sys.path.insert(0, {here!r})
 tempfile.tempdir = {folder!r}
 from cosim.ngspice.child import call
 try:
-    call("ngspice_targets:sleep", {marker!r})
+    call("ngspice_targets:sleep", None)
 except KeyboardInterrupt:
     print("interrupted")
     raise SystemExit(130)
@@ -231,9 +232,9 @@ except KeyboardInterrupt:
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL, signal.SIGTERM])
 def test_the_child_goes_with_its_parent(tmp_path: Path, how: signal.Signals) -> None:
-    marker, folder = tmp_path / "marker", tmp_path / "folders"
+    folder = tmp_path / "folders"
     folder.mkdir()
-    code = PARENT.format(here=str(HERE), folder=str(folder), marker=str(marker))
+    code = PARENT.format(here=str(HERE), folder=str(folder))
     root = str(HERE.parent)
     with subprocess.Popen(
         [sys.executable, "-c", code],
@@ -242,7 +243,7 @@ def test_the_child_goes_with_its_parent(tmp_path: Path, how: signal.Signals) -> 
         start_new_session=True,
     ) as parent:
         end = time.monotonic() + 20
-        while not (marker.exists() and " " in marker.read_text()):
+        while not (marker := next(folder.glob("*/out/marker"), None)) or " " not in marker.read_text():
             assert time.monotonic() < end
             time.sleep(0.02)
         pid, cwd = marker.read_text().split(" ", 1)

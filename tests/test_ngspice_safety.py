@@ -6,6 +6,7 @@ import pytest
 
 from cosim.errors import InputError
 from cosim.ngspice.deck import load_deck
+from cosim.ngspice.flatten import including
 from cosim.ngspice.lines import Line
 from cosim.ngspice.safety import refusal
 
@@ -134,6 +135,10 @@ def test_includes_may_not_leave_the_project(tmp_path: Path) -> None:
             load_deck(board)
         assert ".param k=1" in load_deck(board, trust=True).text
         assert ".param k=1" in load_deck(board, root=tmp_path).text
+        with including([tmp_path]):
+            assert ".param k=1" in load_deck(board).text
+        with including([tmp_path / "p" / "blocks"]), pytest.raises(InputError, match="--include"):
+            load_deck(board)
         import shutil
 
         shutil.rmtree(tmp_path / "p")

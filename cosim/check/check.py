@@ -76,7 +76,7 @@ def check(subject: Subject, *, child: Child | None = None) -> Check:
             "noise_rad": pot.noise_rad,
             "noise_bandwidth_hz": pot.noise_bandwidth_hz,
         },
-        time_limit_s=TIME_LIMIT_S,
+        time_limit_s=subject.scene.solver.time_limit_s if subject.scene is not None else TIME_LIMIT_S,
         deck=str(subject.board.path),
         child=child,
     )

@@ -76,7 +76,9 @@ class SpringDelay:
         return math.fsum(step.delay_s for step in self.steps if step.block == block)
 
 
-def spring_delays(board: Deck, child: Child | None = None) -> list[SpringDelay]:
+def spring_delays(
+    board: Deck, child: Child | None = None, *, time_limit_s: float | None = None
+) -> list[SpringDelay]:
     """Return the delays of all n * n spring paths, measured by ngspice in a child process.
 
     Raises
@@ -85,7 +87,11 @@ def spring_delays(board: Deck, child: Child | None = None) -> list[SpringDelay]:
         For a board on which nothing comes through a spring.
     """
     found: list[SpringDelay] = call(
-        "cosim.circuits.delay:measure", {"board": board}, deck=str(board.path), child=child
+        "cosim.circuits.delay:measure",
+        {"board": board},
+        time_limit_s=time_limit_s,
+        deck=str(board.path),
+        child=child,
     )
     return found
 

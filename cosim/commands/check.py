@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from cosim.caution import collected
-from cosim.commands.command import Command
+from cosim.commands.command import Command, trust_arguments
 
 _LEVELS = ("ideal", "gbw", "full")
 _DRIVERS = ("voltage", "current")
@@ -27,9 +27,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--driver", choices=_DRIVERS, help="kind of drive (default: the scene's; for a board: voltage)"
     )
-    parser.add_argument(
-        "--trust", action="store_true", help="let the netlists run commands and read files of their choice"
-    )
+    trust_arguments(parser)
 
 
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:

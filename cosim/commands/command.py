@@ -56,8 +56,22 @@ def scene_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--allow-unstable", action="store_true", help="run a circuit that is unstable as it is, to look at it"
     )
+    trust_arguments(parser)
+
+
+def trust_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what a user grants to netlists."""
     parser.add_argument(
-        "--trust", action="store_true", help="let the netlists run commands and read files of their choice"
+        "--trust",
+        action="store_true",
+        help="let the netlists hold commands and name files; the sandbox stays (SECURITY.md)",
+    )
+    parser.add_argument(
+        "--include",
+        action="append",
+        default=[],
+        metavar="DIR",
+        help="let netlists include files of this folder outside the project; repeatable",
     )
 
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.commands.command import Command, measure_argument
+from cosim.commands.command import Command, measure_argument, trust_arguments
 
 if TYPE_CHECKING:
     from cosim.ngspice.child import Child
@@ -42,15 +42,13 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     )
     measure_argument(parser, "measure to compare, and nothing else: no check, no page")
     parser.add_argument("--most", type=int, default=40, metavar="N", help="figures to show (default: 40)")
-    parser.add_argument(
-        "--trust", action="store_true", help="let the netlists run commands and read files of their choice"
-    )
+    trust_arguments(parser)
 
 
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
-    with start_early("cosim.loop.simulate", "cosim.check.measure") as child:
+    with start_early("cosim.loop.simulate", "cosim.check.measure", reads=[Path(args.scene).parent]) as child:
         from cosim.commands.progress import progress
         from cosim.settings import parse_settings, variants
         from cosim.studies.compare import changes, compare, sides_of

@@ -29,7 +29,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
-    with start_early("cosim.loop.simulate") as child:
+    with start_early("cosim.loop.simulate", reads=[Path(args.scene).parent]) as child:
         from cosim.catalogue import OF_A_RUN
         from cosim.errors import fail
         from cosim.settings import parse_settings

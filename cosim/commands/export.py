@@ -30,7 +30,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.errors import fail
-    from cosim.export import export
+    from cosim.export import command, export
     from cosim.plan import resolve
     from cosim.run import run
     from cosim.staging import scratch_folder
@@ -48,7 +48,8 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     return {
         "deck": str(deck),
         "kind": args.kind,
-    }, f"wrote {deck} ({args.kind}); run it with: ngspice -b {deck}"
+        "command": command(deck),
+    }, f"wrote {deck} ({args.kind}); run it with: {command(deck)}"
 
 
 COMMAND = Command("export", "write the scene as one deck for plain ngspice", _arguments, _run)

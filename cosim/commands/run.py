@@ -42,7 +42,9 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
-    with start_early("cosim.loop.simulate") as child:  # it imports while the scene is read
+    with start_early(
+        "cosim.loop.simulate", reads=[Path(args.scene).parent]
+    ) as child:  # it imports while the scene is read
         from cosim.commands.choice import plan_of
         from cosim.studies.measuring import check_measures, needs_a_run, run_with_measures
 

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.commands.command import Command
+from cosim.commands.command import Command, trust_arguments
 
 if TYPE_CHECKING:
     from cosim.studies.sweep import Sweep
@@ -24,9 +24,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", help="change a value for all; repeatable"
     )
-    parser.add_argument(
-        "--trust", action="store_true", help="let the netlists run commands and read files of their choice"
-    )
+    trust_arguments(parser)
     parser.add_argument(
         "-o",
         "--out",
@@ -38,7 +36,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
-    with start_early("cosim.loop.simulate") as child:
+    with start_early("cosim.loop.simulate", reads=[Path(args.scene).parent]) as child:
         from cosim.commands.progress import progress
         from cosim.errors import fail
         from cosim.settings import parse_settings

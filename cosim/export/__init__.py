@@ -1,5 +1,5 @@
 """A scene as one plain ngspice deck, to be run without this program."""
 
-from cosim.export.deck import export
+from cosim.export.deck import command, export
 
-__all__ = ["export"]
+__all__ = ["command", "export"]

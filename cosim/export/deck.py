@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ from cosim.errors import InputError, Problem, fail
 from cosim.export.mechanics import mechanics
 from cosim.export.waveform import channels, source, stopping_source
 from cosim.loop.setup import mechanism, operator, start
+from cosim.ngspice.gate import admit
+from cosim.ngspice.lines import Line
 from cosim.plan import Plan
 from cosim.results import Run
 from cosim.scene import Jitter, PotNoise, PythonOperator, Scene
@@ -146,14 +149,14 @@ def _check_clock(scene: Scene) -> None:
 
 def _deck(plan: Plan, what: str, elements: list[str], shown: list[str]) -> list[str]:
     scene, circuit = plan.scene, plan.circuit
-    title = " ".join(scene.title.split())
-    board = plan.board.text.splitlines()
+    title = " ".join("".join(c if c.isprintable() else " " for c in scene.title).split())
     currents = [f"imot{j}" for j in range(1, circuit.joints + 1)]
     saved = [*currents, *shown, *plan.recorded]
-    return [
-        f"{title}: {what}",
-        f"* {plan.board.board}, sha256 {plan.board.digest}. Run with `ngspice -b{_behaviour(board)}`.",
-        *board[1:],
+    # ngspice takes a file whose first line begins with "*ng_script" for a script
+    head = [Line(f"cosim export, {title}: {what}"), Line(f"* board, sha256 {plan.board.digest}")]
+    lines = [*head, *plan.board.lines[1:]]
+    rows = [
+        *(line.text for line in lines),
         *testbench(plan.board, circuit, {}),
         *elements,
         plan.tolerances.line(),
@@ -162,12 +165,16 @@ def _deck(plan: Plan, what: str, elements: list[str], shown: list[str]) -> list[
         *_measures(currents, shown, scene.duration_s),
         ".end",
     ]
+    admitted = admit(rows, lines, readable=True)
+    with_mode = f" -D ngbehavior={admitted.behaviour}" if admitted.behaviour else ""
+    return [head[0].text, f"* Run with: ngspice -b{with_mode}", *admitted.rows[1:]]
 
 
-def _behaviour(board: list[str]) -> str:
-    """Option that a board with a vendor's PSpice model needs."""
-    marks = [line.partition("ngbehavior=")[2].strip() for line in board if line.startswith("*@ ngbehavior=")]
-    return f" -D ngbehavior={marks[0]}" if marks else ""
+def command(deck: Path) -> str:
+    """Return the command line that runs an exported deck, quoted for a shell."""
+    with open(deck, encoding="utf-8") as file:
+        words = next(row for row in file if row.startswith("* Run with: ")).partition(": ")[2].split()
+    return shlex.join([*words, str(deck)])
 
 
 def _measures(currents: list[str], shown: list[str], end: float) -> list[str]:

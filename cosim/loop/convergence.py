@@ -124,7 +124,7 @@ def plain_start(
         If ngspice finds none so either.
     """
     sources = {pin: f"dc {volts[f'v{k:02d}']!r}" for k, pin in enumerate(circuit.sources())}
-    rows = ["cosim start", *board.text.splitlines()[1:], *testbench(board, circuit, sources)]
+    rows = ["cosim start", *(line.text for line in board.lines[1:]), *testbench(board, circuit, sources)]
     rows += [aid.tolerances.line(), *aid.lines, ".end"]
     simulator.load("\n".join(rows) + "\n", lines=board.lines, name=str(board.path))
     simulator.command("op")

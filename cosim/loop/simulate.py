@@ -6,6 +6,7 @@ import ctypes
 import math
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
@@ -202,6 +203,9 @@ def _simulate(payload: dict[str, Any], report: Report, aid: Aid) -> dict[str, An
     text = lockstep_deck(board, circuit, aid.tolerances, nodes, aid.lines)
     simulator.load(text, lines=board.lines, name=str(board.path))
     constants = read_constants(simulator, str(board.path))
+    if component is not None:  # compiled code hears of a probe by ngspice's name
+        probes = tuple((simulator.called(name), sign) for name, sign in component.probes)
+        component = replace(component, probes=probes)
     memory = pack(scene, constants, circuit, recorded, nodes[len(recorded) :], component=component)
     swings = {a.out_node: measured[a.path].limit_v for a in board.amplifiers if a.path in measured}
     swings |= {

@@ -2,9 +2,13 @@
 
 The child starts in a private folder that holds nothing but an empty ``.spiceinit``: ngspice runs the commands
 of the first such file it finds in the working folder, else in the user's home (which it takes from the
-password file, not from ``HOME``), so ours keeps it from running any other.
+password file, not from ``HOME``), so ours keeps it from running any other. Its environment is its own, and
+the kernel keeps it from all that a simulation does not need (`cosim.ngspice.sandbox`): it writes into its own
+folder and the caches, and what it sends back is taken for data (`cosim.ngspice.message`).
 """
 
+import contextlib
+import json
 import os
 import pickle
 import selectors
@@ -23,14 +27,28 @@ from typing import Any
 from cosim.caution import warn
 from cosim.compiled import cache_folder
 from cosim.errors import SimulationError
+from cosim.ngspice import message
 from cosim.ngspice.worker import HEAD
-from cosim.staging import make_scratch
+from cosim.staging import disk_errors, make_scratch
 
 __all__ = ["Child", "call", "start_early"]
 
 PREIMPORT = ("numpy", "PySpice.Spice.NgSpice.Shared", "numba")
 """What an early child imports while the parent still prepares."""
 
+OUTBOX = Path("..") / "out"
+"""Where a function in the child leaves files for its caller, from its working folder; see `call`."""
+
+_KEPT = (
+    "PATH", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "SYSTEMROOT",
+    "NGSPICE_LIBRARY_PATH", "XDG_CACHE_HOME", "PYTHONHOME", "PYTHONDONTWRITEBYTECODE", "PYTHONHASHSEED",
+    "PYTHONWARNINGS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS",
+)  # fmt: skip
+"""What a child gets of its parent's environment, besides numba's settings."""
+_CPU_SHARE, _CPU_MORE_S = 4.0, 60.0
+"""CPU time of a call: so many times its time limit, for several threads, and imports."""
+TIME_LIMIT_S = 600.0
+"""Time limit of a call that belongs to no scene: the default of a scene's own [s]."""
 _GRACE_S = 0.3
 """Time the child gets to end by itself when asked to."""
 _LAST_LINES = 15
@@ -41,11 +59,13 @@ def call(
     target: str,
     payload: object,
     *,
-    time_limit_s: float | None = None,
+    time_limit_s: float | None = TIME_LIMIT_S,
     stall_limit_s: float | None = None,
     on_progress: Callable[[Mapping[str, Any]], None] | None = None,
     deck: str | None = None,
     child: "Child | None" = None,
+    reads: Sequence[Path] = (),
+    collect: Path | None = None,
 ) -> Any:
     """Run a function in a child process and return what it returns.
 
@@ -57,7 +77,7 @@ def call(
     payload
         Anything that pickles; paths in it absolute, since the child works in a folder of its own.
     time_limit_s
-        The child is ended when the call takes longer [s].
+        The child is ended when the call takes longer [s]; what belongs to a scene has the scene's limit.
     stall_limit_s
         The child is ended when for so long [s] it reported nothing, or the same ``time_s`` again and again.
     on_progress
@@ -66,7 +86,12 @@ def call(
         Name of the deck for errors.
     child
         A child started by `start_early`; it stays alive for more calls unless this one fails. One that has
-        ended in an earlier call is replaced by a process for this call alone.
+        ended in an earlier call, or may not read what this one needs, is replaced by a process for this call
+        alone.
+    reads
+        Folders that the function reads besides Python's modules and its own: those of a user's Python files.
+    collect
+        Folder to which the files go that the function leaves in `OUTBOX`.
 
     Raises
     ------
@@ -75,29 +100,22 @@ def call(
     SimulationError
         For any other exception (with its traceback), a crash, an exit, the time limit or the stall limit.
     """
-    if child is not None and child.alive:
-        return child.call(
+    kept = child is not None and child.alive and child.reads_all(reads)
+    with contextlib.nullcontext(child) if child is not None and kept else Child(reads=reads) as chosen:
+        return chosen.call(
             target,
             payload,
             time_limit_s=time_limit_s,
             stall_limit_s=stall_limit_s,
             on_progress=on_progress,
             deck=deck,
-        )
-    with Child() as fresh:
-        return fresh.call(
-            target,
-            payload,
-            time_limit_s=time_limit_s,
-            stall_limit_s=stall_limit_s,
-            on_progress=on_progress,
-            deck=deck,
+            collect=collect,
         )
 
 
-def start_early(*modules: str) -> "Child":
+def start_early(*modules: str, reads: Sequence[Path] = ()) -> "Child":
     """Start a child now that imports `PREIMPORT` and `modules` while the parent does something else."""
-    return Child((*PREIMPORT, *modules))
+    return Child((*PREIMPORT, *modules), reads)
 
 
 class Child:
@@ -107,24 +125,29 @@ class Child:
     ----------
     modules
         Modules it imports before the first call.
+    reads
+        Folders that it may read besides Python's modules and its own.
     """
 
-    def __init__(self, modules: Sequence[str] = ()) -> None:
+    def __init__(self, modules: Sequence[str] = (), reads: Sequence[Path] = ()) -> None:
+        self._reads = tuple(folder.resolve() for folder in reads)
         folder = make_scratch("ngspice")
         receive, send = os.pipe()
         try:
             work = folder / "work"
             work.mkdir()
-            (folder / "home").mkdir()
+            for name in ("home", "tmp", "out"):
+                (folder / name).mkdir()
             (work / ".spiceinit").write_text("* empty: keeps ngspice from looking further\n")
+            env = _environment(folder)
             with open(folder / "said", "wb") as said:
                 process = subprocess.Popen(
-                    _command(send, modules),
+                    _command(send, modules, _allowed(folder, env, self._reads)),
                     stdin=subprocess.PIPE,
                     stdout=said,
                     stderr=said,
                     cwd=work,
-                    env=_environment(folder),
+                    env=env,
                     pass_fds=(send,),
                     start_new_session=True,  # a Ctrl-C at the terminal is the parent's to handle
                 )
@@ -147,15 +170,20 @@ class Child:
         stall_limit_s: float | None = None,
         on_progress: Callable[[Mapping[str, Any]], None] | None = None,
         deck: str | None = None,
+        collect: Path | None = None,
     ) -> Any:
         """Run a function in this child; see `call`."""
         if not self._close.alive:
             raise SimulationError("the child process was closed", deck=deck)
-        body = pickle.dumps((target, pickle.dumps(payload, protocol=5)), protocol=5)
+        self._empty_outbox()
+        cpu_s = None if time_limit_s is None else _CPU_SHARE * time_limit_s + _CPU_MORE_S
+        body = pickle.dumps((target, pickle.dumps(payload, protocol=5), cpu_s), protocol=5)
         watch = _Watch(time_limit_s, stall_limit_s)
         try:
             for kind, content in self._messages(HEAD.pack(len(body)) + body, watch):
                 if kind == "result":
+                    if collect is not None:
+                        self._collect(collect)
                     return content
                 if kind == "error":
                     raise _raised(*content, deck=deck, watch=watch)
@@ -178,6 +206,22 @@ class Child:
     def alive(self) -> bool:
         """Whether it takes calls: it was not closed, and no call has failed."""
         return self._close.alive
+
+    def reads_all(self, folders: Sequence[Path]) -> bool:
+        """Whether it may read all these folders."""
+        return all(any(f.resolve().is_relative_to(mine) for mine in self._reads) for f in folders)
+
+    def _empty_outbox(self) -> None:
+        for left in (self._folder / "out").iterdir():
+            left.unlink()
+
+    def _collect(self, target: Path) -> None:
+        """Move what the child has left to a folder; it may lie on another disk."""
+        for file in sorted((self._folder / "out").iterdir()):
+            if file.is_symlink() or not file.is_file():
+                raise SimulationError(f"the child process has left {file.name}, which is no file")
+            with disk_errors(target):
+                shutil.move(file, target / file.name)
 
     def close(self) -> None:
         """End the child and remove its folder."""
@@ -227,9 +271,9 @@ class Child:
             end = HEAD.size + HEAD.unpack_from(self._buffer)[0]
             if len(self._buffer) < end:
                 return
-            message = pickle.loads(memoryview(self._buffer)[HEAD.size : end])
+            body = bytes(memoryview(self._buffer)[HEAD.size : end])
             del self._buffer[:end]
-            yield message
+            yield message.read(body)
 
     def _ended(self, deck: str | None, watch: "_Watch") -> SimulationError:
         """Say how the child ended without a result."""
@@ -249,7 +293,8 @@ class Child:
             said = (self._folder / "said").read_bytes()[-8000:].decode("utf-8", "replace")
         except OSError:
             return ""
-        return "\n".join(said.splitlines()[-_LAST_LINES:])
+        words, _, _ = said.partition("Fatal Python error:")  # what follows is our stack, not ngspice's words
+        return "\n".join(words.splitlines()[-_LAST_LINES:])
 
 
 class _Watch:
@@ -292,27 +337,42 @@ class _Watch:
             raise TimeoutError(f"no progress for {self._stall:g} s; {reached}")
 
 
-def _command(descriptor: int, modules: Sequence[str]) -> list[str]:
+def _command(descriptor: int, modules: Sequence[str], allowed: Mapping[str, list[str]]) -> list[str]:
     # the signal on the parent's death comes when the starting *thread* ends: ask for it only in the main one
     main_thread = threading.current_thread() is threading.main_thread()
     # -P: nothing is imported from the child's working folder
     start = [sys.executable, "-P", "-m", "cosim.ngspice.worker", str(descriptor), str(int(main_thread))]
-    return [*start, *modules]
+    return [*start, json.dumps(allowed), *modules]
+
+
+def _allowed(folder: Path, env: Mapping[str, str], reads: Sequence[Path]) -> dict[str, list[str]]:
+    """Return the files of a child: its own folder, the caches and the user's Python files."""
+    caches = [str(Path(env["XDG_CACHE_HOME"]) / "cosim"), env["NUMBA_CACHE_DIR"]]
+    for cache in caches[:1]:  # numba's lies inside, or is the user's own choice
+        with contextlib.suppress(OSError):  # where nothing can be written, nothing is kept
+            os.makedirs(cache, exist_ok=True)
+    return {"reads": [str(each) for each in reads], "writes": [str(folder), *caches]}
 
 
 def _environment(folder: Path) -> dict[str, str]:
     """Return the child's environment: a home of its own, the parent's module path, one thread a library."""
-    env = dict(os.environ)
-    env.pop("SPICE_USERINIT_DIR", None)
-    home = Path(env.get("HOME") or Path.home())
+    env = {name: value for name, value in os.environ.items() if name in _KEPT or name.startswith("NUMBA_")}
+    home = Path(os.environ.get("HOME") or Path.home())
     env.setdefault("XDG_CACHE_HOME", str(home / ".cache"))
     env["NUMBA_CACHE_DIR"] = cache_folder()  # in the user's own home, which a new HOME must not hide
-    env["HOME"] = str(folder / "home")
-    env["PYTHONPATH"] = os.pathsep.join(os.path.abspath(entry) for entry in sys.path)
+    env["HOME"], env["TMPDIR"] = str(folder / "home"), str(folder / "tmp")
+    env["PYTHONPATH"] = os.pathsep.join(_modules())
     env["COSIM_NGSPICE_ECHO"] = "1"
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         env.setdefault(name, "1")
     return env
+
+
+def _modules() -> list[str]:
+    """Return the parent's module path; a working folder that Python put there is no place of modules."""
+    here = os.getcwd()
+    entries = [os.path.abspath(entry) for entry in sys.path if entry]
+    return [each for each in entries if each != here or os.path.isdir(os.path.join(each, "cosim"))]
 
 
 def _raised(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.errors import InputError, Problem, fail, nearest
-from cosim.ngspice import conditions
+from cosim.ngspice import conditions, gate
 from cosim.ngspice.dialect import Dialect
 from cosim.ngspice.flatten import Reader
 from cosim.ngspice.inventory import Amplifier, amplifiers, declared, global_nodes, reactances
@@ -129,8 +129,8 @@ def load_deck(
     Raises
     ------
     InputError
-        For a missing file or pin, a refused statement, an unknown part, level or override, and a node that
-        only current sources touch.
+        For a missing file or pin, a refused statement or name, an unknown part, level or override, and a
+        node that only current sources touch.
     """
     path = Path(path)
     reader = Reader(Path(root) if root is not None else path.parent, trust)
@@ -168,6 +168,7 @@ def load_deck(
     lines += net.top + warm
     for block in blocks:
         lines += block.lines
+    gate.check(lines)
     return Deck(
         tuple(lines),
         board.name,

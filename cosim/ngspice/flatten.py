@@ -1,15 +1,40 @@
 """From files that include files to one list of lines."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from cosim.errors import fail, nearest
+from cosim.errors import InputError, Problem, fail, nearest
 from cosim.ngspice.dialect import Dialect
 from cosim.ngspice.lines import Line, read_lines
 from cosim.ngspice.values import as_meant
 
-__all__ = ["Reader", "sections"]
+__all__ = ["Reader", "including", "sections"]
+
+_granted: ContextVar[tuple[Path, ...]] = ContextVar("granted", default=())
+"""Folders outside the project that netlists may include files of."""
+
+
+@contextmanager
+def including(folders: Iterable[str | Path]) -> Iterator[None]:
+    """Let netlists include files of these folders, too, inside the block; nothing else is allowed there.
+
+    Raises
+    ------
+    InputError
+        For what is not a folder.
+    """
+    paths = tuple(Path(folder) for folder in folders)
+    missing = [path for path in paths if not path.is_dir()]
+    if missing:
+        raise InputError(Problem("is not a folder", key="--include", value=str(path)) for path in missing)
+    before = _granted.set(paths)
+    try:
+        yield
+    finally:
+        _granted.reset(before)
 
 MOST_LINES = 200_000
 """Statements that a board may be made of, included files counted as often as they are included."""
@@ -125,8 +150,12 @@ class Reader:
         """Yield what an include stands for, or the line with the reason why it cannot be followed."""
         fault = line.fault or ("" if names else "names no file")
         target = path.parent / names[0] if names else path  # an absolute name stands for itself
-        if not fault and not self.trust and not target.resolve().is_relative_to(self.root.resolve()):
-            fault = f"include leaves the project's folder {self.root} (--trust allows it)"
+        allowed = (self.root, *_granted.get())
+        inside = any(target.resolve().is_relative_to(each.resolve()) for each in allowed)
+        if not fault and not self.trust and not inside:
+            fault = (
+                f"include leaves the project's folder {self.root} (--include {target.parent} allows it)"
+            )
         elif not fault and not target.is_file():
             there = [entry.name for entry in target.parent.iterdir()] if target.parent.is_dir() else []
             near = nearest(target.name, there)

@@ -71,6 +71,7 @@ class Library:
         self.exited = False
         self.loaded = False
         self.end_s = math.inf  # of the transient analysis that runs
+        self.restore: Callable[[str], str] = str
         self.on_time: Callable[[float], None] | None = None
         self.init: Init | None = None
         self.vectors: list[Any] = []
@@ -159,7 +160,7 @@ class Library:
 
         def answer(value: Any, time: float, name: Any, ident: int, user: Any) -> int:
             try:
-                value[0] = source(self.ffi.string(name).decode().lower(), time)
+                value[0] = source(self.restore(self.ffi.string(name).decode().lower()), time)
             except BaseException as error:  # cffi would print and forget it
                 self.failure = self.failure or error
                 value[0] = 0.0
@@ -218,6 +219,7 @@ class Library:
                 self.failure = self.failure or error
                 self.stop()
             return 0
+        text = self.restore(text)
         if text in self.lines[-2:]:  # a failing B-source repeats itself thousands of times
             return 0
         if len(self.lines) < _MOST_LINES:
@@ -241,14 +243,14 @@ class Library:
             self.vectors = [info.vecs[i].pdvec for i in range(info.veccount)]
             self.names = [ffi.string(info.vecs[i].vecname).decode().lower() for i in range(info.veccount)]
             if self.init is not None:
-                self.init(list(self.names))
+                self.init([self.restore(name) for name in self.names])
         except BaseException as error:
             self.failure = self.failure or error
             self.stop()
         return 0
 
     def _on_unanswered(self, value: Any, time: float, name: Any, ident: int, user: Any) -> int:
-        source = self.ffi.string(name).decode()
+        source = self.restore(self.ffi.string(name).decode())
         self.failure = self.failure or SimulationError(f"nothing answers the external source {source}")
         value[0] = 0.0
         return 0

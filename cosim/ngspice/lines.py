@@ -50,6 +50,8 @@ class Line:
         Why the statement cannot be used, told only if it is needed.
     note
         What was read otherwise than it stands there, in words.
+    trusted
+        Whether it holds what is refused elsewhere, let through because the user trusts the file.
     """
 
     text: str
@@ -58,6 +60,7 @@ class Line:
     comment: str = ""
     fault: str = ""
     note: str = ""
+    trusted: bool = False
 
     @property
     def keyword(self) -> str:

@@ -1,17 +1,18 @@
-"""What a netlist may not do.
+"""What a netlist may hold.
 
 A netlist is a program: ngspice runs the ``.control`` block of whatever it loads, ``shell`` inside it runs any
-command, and some elements read and write files. Only statements known to be harmless pass; anything else is
-refused before ngspice sees it, in nested files too. Since the list is one of what is allowed, a spelling
-that ngspice happens to accept as an abbreviation does not slip through.
+command, and some elements read and write files. Only statements, elements, models and options known to be
+harmless pass; anything else is refused before ngspice sees it, in nested files too. Since the lists are of
+what is allowed, a spelling that ngspice happens to accept as an abbreviation does not slip through.
+`cosim.ngspice.gate` judges the finished deck once more, name by name.
 """
 
 import re
 
-from cosim.errors import Problem
-from cosim.ngspice.lines import Line, assignments, tokens
+from cosim.errors import Problem, nearest
+from cosim.ngspice.lines import Line, tokens
 
-__all__ = ["DROPPED", "KEPT", "refusal"]
+__all__ = ["DROPPED", "ELEMENTS", "KEPT", "MODELS", "OPTIONS", "allowed_model", "refusal"]
 
 KEPT = frozenset(
     ".param .params .csparam .func .model .options .option .opt .temp .global .nodeset .subckt .ends "
@@ -29,18 +30,42 @@ DROPPED = frozenset(
 """Statements of a test bench: harmless, ignored with a word. A run starts from the operating point, so that
 initial conditions can only contradict it."""
 
-_ELEMENTS = frozenset("abcdefghijklmopqrstuvwxyz")
-_FILE_MODELS = re.compile(
-    r"\b(filesource|file_source|d_source|d_state|d_ram_file|table2d|table3d|d_process|d_cosim|osdi)\b",
-    re.IGNORECASE,
+ELEMENTS = frozenset("abcdefghijklmoqrstuvwxz")
+"""Letters of the elements that describe a circuit; N is a compiled (OSDI) device, P and Y are lines of cables
+that no board has."""
+
+MODELS = frozenset(
+    # SPICE
+    "r res c cap l ind d npn pnp lpnp njf pjf nmf pmf nhfet phfet nmos pmos vdmos vdmosn vdmosp nsoi psoi "
+    "sw csw vswitch iswitch ltra urc "
+    # XSPICE, analog: what reads no file
+    "gain summer mult divide limit climit ilimit pwl multi_input_pwl hyst slew int d_dt s_xfer aswitch "
+    "pswitch delay zener oneshot cmeter lmeter core lcouple potentiometer sine triangle square sidiode "
+    # XSPICE, digital: gates and bridges
+    "adc_bridge dac_bridge bidi_bridge d_and d_nand d_or d_nor d_xor d_xnor d_inverter d_buffer d_tristate "
+    "d_open_c d_open_e d_pulldown d_pullup d_dff d_jkff d_tff d_srff d_dlatch d_srlatch d_osc d_fdiv "
+    "d_to_real real_delay real_gain real_to_v".split()
 )
-_FILE_KEYS = re.compile(
-    r"\b(file|filename|input_file|state_file|process_file|simulation|wavefile|wave_file|table_file)\s*=",
+"""Types of models that read and write no file and start no process."""
+
+OPTIONS = frozenset(
+    "abstol reltol vntol gmin chgtol pivtol pivrel trtol cshunt rshunt itl1 itl2 itl3 itl4 itl5 itl6 method "
+    "maxord xmu lvltim mu gminsteps srcsteps gshunt temp tnom scale defl defw defad defas defm noopac "
+    "noopiter nomod noacct acct list node opts nopage limpts numdgt ingold cptime limtim bypass badmos3 "
+    "trytocompact oldlimit minbreak rampshunt keepopinfo autostop convlimit convstep convabsstep "
+    "savecurrents width sparse klu".split()
+)
+"""Options that set numbers of the simulation; of others ngspice makes variables of its command language."""
+
+_FILES = re.compile(
+    r"(?<![\w.])(?:file|filename|input_?file|state_?file|process_?file|table_?file|wave_?file|pwl_?file"
+    r"|lib_?file|simulation|sim_args|lib_args)\s*=|\bpwl\s+file\b|\bwavefile\b",
     re.IGNORECASE,
 )
 _COMMANDS = re.compile(
     r"^\.?(shell|system|codemodel|pre_osdi|osdi|pre_codemodel|load|write|wrdata|source)\b", re.I
 )
+_TRUST = " (--trust allows it)"
 
 
 def refusal(line: Line) -> Problem | None:
@@ -52,35 +77,46 @@ def refusal(line: Line) -> Problem | None:
         A logical line of a netlist, comments removed and continuations joined.
     """
     word = line.keyword
-    reason = None
-    if word.startswith("*@"):
-        return None
+    if word.startswith("*@") or word in DROPPED or word in INLINED:
+        return None  # never reaches ngspice as it is
     if word.startswith((".control", ".endc", ".exec")):
-        reason = "commands in a netlist are not run"
+        reason: str | None = "commands in a netlist are not run" + _TRUST
     elif _COMMANDS.match(line.text):
-        reason = "a command that touches the system is not allowed in a netlist"
+        reason = "a command that touches the system is not allowed in a netlist" + _TRUST
     elif word.startswith("."):
-        if word in DROPPED:
-            return None  # never reaches ngspice
-        if word not in KEPT and word not in INLINED:
-            reason = "unknown statement"
-        elif _touches_file(line) and word not in INLINED:
-            reason = "reads or writes a file"
-    elif word[0] not in _ELEMENTS:
-        reason = "not an element" if word[0] != "n" else "a compiled (OSDI) device is not allowed"
-    elif _touches_file(line):
-        reason = "reads or writes a file"
-    if reason is None:
+        reason = _statement(line) if word in KEPT else "unknown statement"
+    elif word[:1] not in ELEMENTS:
+        reason = "not an element" if word[:1] != "n" else "a compiled (OSDI) device is not allowed" + _TRUST
+    else:
+        reason = None
+    if reason is None and '"' in line.text:
+        reason = 'text in "..." is not allowed: a model could take it for the name of a file' + _TRUST
+    elif reason is None and _FILES.search(line.text):
+        reason = "reads or writes a file" + _TRUST
+    return Problem(reason, file=line.file, line=line.lineno, value=line.text) if reason else None
+
+
+def _statement(line: Line) -> str | None:
+    """Return why a statement of a known kind is refused."""
+    if line.keyword == ".model":
+        return allowed_model(line.text)
+    if line.keyword in (".option", ".options", ".opt"):
+        for word in tokens(line.text)[1:]:
+            name = word.partition("=")[0].lower().strip(",")
+            if name and name not in OPTIONS:
+                near = nearest(name, OPTIONS)
+                return f"option {name} is not allowed" + (f", nearest is {near}" if near else "") + _TRUST
+    return None
+
+
+def allowed_model(text: str) -> str | None:
+    """Return why a ``.model`` statement is refused: its type must be a plain word that is allowed."""
+    words = [word.lower() for word in tokens(text)]
+    if len(words) > 2 and words[2].startswith("ako:"):  # like another model, which stands between
+        words = words[1:] if words[2] != "ako:" else words[2:]
+    kind = words[2].partition("(")[0] if len(words) > 2 else ""
+    if kind in MODELS:
         return None
-    hint = "" if reason in ("unknown statement", "not an element") else " (--trust allows it)"
-    return Problem(f"{reason}{hint}", file=line.file, line=line.lineno, value=line.text)
-
-
-def _touches_file(line: Line) -> bool:
-    """Return whether an element or a model names a file."""
-    words = tokens(line.text)
-    if line.keyword in (".model", ".option", ".options", ".opt") or line.keyword.startswith("a"):
-        return _FILE_MODELS.search(line.text) is not None or _FILE_KEYS.search(line.text) is not None
-    if line.keyword[0] in "vibeg":
-        return _FILE_KEYS.search(line.text) is not None
-    return "file" in assignments(words)
+    if not re.fullmatch(r"\w+", kind):
+        return "the type of a model must be a plain word" + _TRUST
+    return f"a model of type {kind} is not allowed: it could read a file or start a process" + _TRUST

@@ -15,14 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.errors import CosimError, InputError, Problem, SimulationError, StepTooSmall, nearest
+from cosim.ngspice.aliases import Aliases
+from cosim.ngspice.command import spelled
 from cosim.ngspice.dcpath import has_dc_path
+from cosim.ngspice.gate import admit
 from cosim.ngspice.library import OLDEST_VERSION, STOP_COMMAND, Init, Library, Source, Sync
 from cosim.ngspice.lines import Line, number
 from cosim.ngspice.words import is_error, load_problems, operating_point_problem, step_problem
 
 __all__ = ["OLDEST_VERSION", "STOP_COMMAND", "Simulator"]
 
-_BEHAVIOUR = re.compile(r"^\*@\s*ngbehavior=(\w+)\s*$", re.MULTILINE)
 _CSPARAM = re.compile(r"^\s*\.csparam\s+([^\s=]+)", re.MULTILINE | re.IGNORECASE)
 _STOP = re.compile(r"^\s*(\d+)\s+stop\b", re.IGNORECASE)
 _HISTORY = 1000
@@ -58,6 +60,8 @@ class Simulator:
         self._library = _library
         self._library.attach(None, None, None, None, None)
         self._library.on_time = on_time
+        self._aliases = Aliases()
+        self._library.restore = self._aliases.restore
         self._commands = 0
         self._deck: str | None = None
         self._rows: list[str] = []
@@ -77,7 +81,8 @@ class Simulator:
         ----------
         text
             The deck; its first line is the title. A line ``*@ ngbehavior=psa`` selects ngspice's
-            compatibility mode for the whole deck.
+            compatibility mode for the whole deck. It is judged, and its names get aliases, by
+            `cosim.ngspice.gate.admit`; whoever asks for a vector or sends a command uses the deck's own.
         lines
             Where the first lines of `text` come from (`Deck.lines`), so that ngspice's complaints name the
             user's file and line.
@@ -92,31 +97,32 @@ class Simulator:
         Raises
         ------
         InputError
-            With ngspice's own words, when it does not accept the deck.
+            When it holds what no deck may, or with ngspice's own words, when it does not accept the deck.
         """
         self._deck = name
+        written = text.rstrip("\n").split("\n")
+        deck = admit(written, lines)
         self._clear()
-        behaviour = _BEHAVIOUR.search(text)
-        self._run(f"set ngbehavior={behaviour[1]}" if behaviour else "unset ngbehavior")
+        self._aliases = deck.aliases
+        library = self._library
+        library.restore = deck.aliases.restore
+        self._run(f"set ngbehavior={deck.behaviour}" if deck.behaviour else "unset ngbehavior")
         self._run("setplot const")  # where `.csparam` lines land: ngspice writes them to the current plot
-        ffi, library = self._library.ffi, self._library
-        rows = text.rstrip("\n").split("\n")
-        if not any(row.strip().lower() == ".end" for row in rows):
-            rows.append(".end")
-        self._rows = rows
-        kept = [ffi.new("char[]", row.encode()) for row in rows]
+        ffi = library.ffi
+        self._rows = written
+        kept = [ffi.new("char[]", row.encode()) for row in deck.rows]
         library.lines.clear()
         status = library.api.ngSpice_Circ(ffi.new("char *[]", [*kept, ffi.NULL]))
         said = self._said()
         if library.exited or status or any(is_error(line) for line in library.lines):
-            raise InputError(load_problems(said, rows, lines))
+            raise InputError(load_problems(said, written, lines))
         library.loaded = True
         self._constants = [name.lower() for name in _CSPARAM.findall(text)]
         self.notes.extend(said)
         return said
 
     def command(self, command: str) -> list[str]:
-        """Run one ngspice command.
+        """Run one ngspice command of those that `cosim.ngspice.command` lists, with the deck's own names.
 
         Returns
         -------
@@ -128,13 +134,13 @@ class Simulator:
         SimulationError
             With ngspice's own words, when it complains or the analysis was aborted.
         InputError
-            When the circuit has no DC operating point or a floating node.
+            When the circuit has no DC operating point, a floating node, or no element of that name.
+        ValueError
+            For what is not one of these commands.
         BaseException
             What a Python callback raised during the command.
         """
-        if not command.strip() or "\n" in command:
-            raise ValueError(f"not one ngspice command: {command!r}")
-        return self._run(command)
+        return self._run(spelled(command, self._aliases), command)
 
     def vector(self, name: str) -> NDArray[np.float64] | NDArray[np.complex128]:
         """Return a copy of a vector of the current plot (or of ``plot.name``).
@@ -161,7 +167,8 @@ class Simulator:
         ffi, api = self._library.ffi, self._library.api
         self._alive()
         self._library.lines.clear()
-        info = api.ngGet_Vec_Info(name.encode())
+        alias = self._aliases.vector(name)
+        info = ffi.NULL if alias is None else api.ngGet_Vec_Info(alias.encode())
         if info == ffi.NULL:
             near = nearest(name, self.vector_names())
             hint = f"; nearest is {near}" if near else ""
@@ -207,8 +214,21 @@ class Simulator:
         rows = api.ngSpice_AllVecs(api.ngSpice_CurPlot())
         names: list[str] = []
         while rows != ffi.NULL and rows[len(names)] != ffi.NULL:
-            names.append(ffi.string(rows[len(names)]).decode().lower())
+            names.append(self._aliases.restore(ffi.string(rows[len(names)]).decode().lower()))
         return names
+
+    def called(self, element: str) -> str:
+        """Return what ngspice calls an element of the deck: so a compiled callback hears of a source.
+
+        Raises
+        ------
+        InputError
+            When the deck has no such element.
+        """
+        found = self._aliases.element_path(element)
+        if found is None:
+            raise InputError(Problem("the circuit has no such element", file=self._deck, key=element))
+        return found
 
     def attach(
         self,
@@ -316,7 +336,8 @@ class Simulator:
             self._run("destroy all")
             self._run("remcirc")
 
-    def _run(self, command: str) -> list[str]:
+    def _run(self, command: str, shown: str | None = None) -> list[str]:
+        """Run a command as it is; errors name it as it was `shown`."""
         self._alive()
         library = self._library
         self._commands += 1
@@ -346,7 +367,7 @@ class Simulator:
             short = step_problem(said)
             if short is not None:
                 raise StepTooSmall(short[0], deck=self._deck, time_s=short[1], last_words=words)
-            what = f"ngspice could not carry out '{command}'"
+            what = f"ngspice could not carry out '{shown or command}'"
             raise SimulationError(what, deck=self._deck, last_words=words)
         rows = list(library.lines)
         self.notes.extend(row.partition(" ")[2] for row in rows if row.startswith("stderr"))

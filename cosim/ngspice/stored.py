@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from cosim.errors import InputError, Problem, fail
+from cosim.ngspice import gate
 from cosim.ngspice.deck import Amplifier, Deck
 from cosim.ngspice.lines import Line
 from cosim.ngspice.parts import Part
@@ -35,7 +37,7 @@ def load(folder: Path, *, trust: bool = False) -> Deck:
     try:
         record = json.loads(file.read_text(encoding="utf-8"))
         board = Deck(
-            lines=tuple(Line(**line) for line in record["lines"]),
+            lines=tuple(_line(line, trust) for line in record["lines"]),
             board=record["board"],
             pins=tuple(record["pins"]),
             joints=record["joints"],
@@ -57,7 +59,13 @@ def load(folder: Path, *, trust: bool = False) -> Deck:
     problems = [] if trust else [p for line in board.lines[1:] if (p := _refusal(line)) is not None]
     if problems:
         raise InputError(problems)
+    gate.check(board.lines)
     return board
+
+
+def _line(record: dict[str, Any], trust: bool) -> Line:
+    """Read a line; that its run was trusted does not make it so."""
+    return Line(**{**record, "trusted": trust and bool(record.get("trusted"))})
 
 
 def _refusal(line: Line) -> Problem | None:

@@ -1,10 +1,11 @@
 """The child's side of `cosim.ngspice.child`: waits for requests, runs them, reports.
 
 Imports little before a request comes, and on the command line takes modules to import meanwhile:
-``python -m cosim.ngspice.worker <descriptor> <die with parent: 0 or 1> [module ...]``.
+``python -m cosim.ngspice.worker <descriptor> <die with parent: 0 or 1> <its files, in JSON> [module ...]``.
 """
 
 import importlib
+import json
 import os
 import pickle
 import struct
@@ -18,6 +19,7 @@ from typing import Any, NoReturn
 
 from cosim.caution import collected
 from cosim.errors import CosimError
+from cosim.ngspice import sandbox
 
 __all__ = ["HEAD", "main"]
 
@@ -121,7 +123,8 @@ def _serve(descriptor: int, request: bytes) -> None:
             _send(descriptor, ("progress", progress))
 
     try:
-        target, payload = pickle.loads(request)
+        target, payload, cpu_s = pickle.loads(request)
+        sandbox.limit_cpu(cpu_s)
         module, _, name = target.partition(":")
         function = getattr(_import(module), name)
         _send(descriptor, ("progress", {}))  # imports may have taken long
@@ -145,10 +148,11 @@ def main() -> None:
     descriptor = int(sys.argv[1])
     if sys.argv[2] == "1":
         _die_with_parent()
+    sandbox.confine(**json.loads(sys.argv[3]))  # before any thread, and before anything of a netlist
     requests: SimpleQueue[bytes] = SimpleQueue()
     threading.Thread(target=_receive, args=(requests,), daemon=True).start()
     threading.Thread(target=_pulse, args=(descriptor,), daemon=True).start()
-    for module in sys.argv[3:]:
+    for module in sys.argv[4:]:
         try:
             _import(module)
         except Exception:  # the request will fail for the same reason, and be heard

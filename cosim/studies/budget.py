@@ -147,7 +147,8 @@ def _computed(spec: StudyFile) -> dict[str, Any]:
         stated = plan.stated(child)
         errors = position_errors(tip, stated, nominal_value(plan.board, given.load_parameter))
         noise = call("cosim.circuits.noise:component_noise", {"board": plan.board},
-                     deck=str(plan.board.path), child=child)  # fmt: skip
+                     time_limit_s=scene.solver.time_limit_s, deck=str(plan.board.path),
+                     child=child)  # fmt: skip
         forces = _forces(spec, tip, stated, noise, child)
     return {
         "errors": [[e.source, e.meant, e.rad] for e in errors], "forces": [list(f) for f in forces],

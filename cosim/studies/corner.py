@@ -122,7 +122,7 @@ def _extracted(spec: StudyFile, child: Child) -> tuple[float, list[dict[str, Any
             "sets": [{given.corner_parameter: 1.0 / (2.0 * math.pi * f * capacitor)}
                      for f in given.corners_hz],
         },
-        deck=str(board.path), child=child,
+        time_limit_s=tip.scene.solver.time_limit_s, deck=str(board.path), child=child,
     )  # fmt: skip
     looked = [
         None if isinstance(circuit, CosimError)

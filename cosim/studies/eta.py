@@ -151,7 +151,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
 def _case(spec: StudyFile, case: Case, with_poses: bool, child: Child) -> dict[str, Any]:
     given: EtaParameters = spec.parameters
     scene = spec.scene("solver.model=linear", *case.set)
-    paths = spring_delays(resolve(scene).board, child)
+    paths = spring_delays(resolve(scene).board, child, time_limit_s=scene.solver.time_limit_s)
     tip = tip_of(scene, child)
     b = tip.viscosity()
     active, unstable = active_from(tip), unstable_from(tip)

@@ -111,7 +111,13 @@ def _looked_at(
 
 
 def _noise(tip: Tip, board: Deck, band_hz: float, child: Child) -> NoiseForm:
-    found = call("cosim.circuits.noise:component_noise", {"board": board}, deck=str(board.path), child=child)
+    found = call(
+        "cosim.circuits.noise:component_noise",
+        {"board": board},
+        time_limit_s=tip.scene.solver.time_limit_s,
+        deck=str(board.path),
+        child=child,
+    )
     return component_form(tip, found, band_hz)
 
 
@@ -138,7 +144,7 @@ def _opamp(spec: StudyFile, case: Case, child: Child) -> dict[str, Any]:
     circuits: list[LinearCircuit | CosimError] = call(
         "cosim.circuits.reextraction:circuits",
         {"board": board, "band_hz": 0.0, "tolerance": 0.0, "sets": sets},
-        deck=str(board.path), child=child,
+        time_limit_s=tip.scene.solver.time_limit_s, deck=str(board.path), child=child,
     )  # fmt: skip
     looked: list[dict[str, Any] | None] = []
     for number, circuit in enumerate(circuits):

@@ -45,7 +45,11 @@ def circuit_of(
         solver = plan.scene.solver
         payload |= {"band_hz": solver.band_hz, "tolerance": solver.reduction_tolerance}
     found: tuple[LinearCircuit, DesignConstants] = call(
-        "cosim.studies.model:ask", payload, deck=str(plan.board.path), child=child
+        "cosim.studies.model:ask",
+        payload,
+        time_limit_s=plan.scene.solver.time_limit_s,
+        deck=str(plan.board.path),
+        child=child,
     )
     return found
 

@@ -1,0 +1,59 @@
+"""What a child sends, taken for data: a pickle could call anything, so only known types are made of it.
+
+A child that something broke into must not get at its parent, which is not in a sandbox.
+"""
+
+import io
+import pickle
+from typing import Any
+
+from cosim.errors import SimulationError
+
+__all__ = ["read"]
+
+_PACKAGES = ("cosim", "mech")
+_PLAIN = frozenset(
+    {("cosim.errors", "_rebuild")}  # how an error with keywords is made again
+    | {("builtins", name) for name in ("set", "frozenset", "complex", "bytearray", "slice", "range")}
+    | {("collections", name) for name in ("OrderedDict", "deque")}
+    | {("pathlib", name) for name in ("Path", "PosixPath", "WindowsPath", "PurePosixPath")}
+    | {("pathlib._local", name) for name in ("Path", "PosixPath", "WindowsPath")}
+    | {("numpy", "ndarray"), ("numpy", "dtype"), ("types", "SimpleNamespace")}
+    | {
+        (f"numpy.{core}.{module}", name)
+        for core in ("_core", "core")
+        for module, name in (
+            ("multiarray", "_reconstruct"),
+            ("multiarray", "scalar"),
+            ("numeric", "_frombuffer"),
+        )
+    }
+)
+
+
+class _Reader(pickle.Unpickler):
+    """Makes classes of our packages, arrays and containers; nothing else."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        """Return a type that a message may hold."""
+        if (module, name) in _PLAIN:
+            return super().find_class(module, name)
+        if module.partition(".")[0] in _PACKAGES:
+            found = super().find_class(module, name)
+            if isinstance(found, type) and found.__module__ == module and "." not in name:
+                return found
+        raise pickle.UnpicklingError(f"{module}.{name}")
+
+
+def read(body: bytes) -> Any:
+    """Return a message.
+
+    Raises
+    ------
+    SimulationError
+        When it holds what no message of ours does.
+    """
+    try:
+        return _Reader(io.BytesIO(body)).load()
+    except pickle.UnpicklingError as error:
+        raise SimulationError(f"the child process sent what it may not send ({error})") from None

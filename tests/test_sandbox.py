@@ -1,0 +1,175 @@
+"""What a child process may do, tried from inside."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cosim.errors import SimulationError
+from cosim.ngspice import sandbox
+from cosim.ngspice.child import call
+
+HERE = Path(__file__).parent
+pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the sandbox is Linux's")
+
+NEEDS_LANDLOCK = {
+    "a secret file", "a secret by a link", "a secret by /proc", "the parent's environment", "names of users",
+    "the user's home", "a list of processes", "a new file", "more in a file", "a shorter file",
+    "a new folder", "no more file", "a file moved out", "a device",
+}  # fmt: skip
+ATTEMPTS = """
+import json, sys, tempfile
+sys.path.insert(0, {here!r})
+from cosim.ngspice.child import call
+payload = {{"secret": {secret!r}, "place": {place!r}, "home": {home!r}}}
+print(json.dumps(call("sandbox_targets:attempts", payload)))
+print(json.dumps(call("cosim.commands.about:seen_inside", None)))
+"""
+
+
+@pytest.fixture(autouse=True)
+def targets_on_path(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.syspath_prepend(str(HERE))
+    monkeypatch.chdir(tmp_path)
+
+
+def _python_of(who: dict[str, Any]) -> tuple[str, str]:
+    """Return a Python that this user can start, and its modules: root's own may lie in a closed home."""
+    modules = os.pathsep.join([str(HERE.parent), *(entry for entry in sys.path if entry)])
+    for python in (sys.executable, f"/usr/bin/python{sys.version_info.major}.{sys.version_info.minor}"):
+        try:
+            subprocess.run(
+                [python, "-c", "import numba, cosim"], env={"PYTHONPATH": modules, "HOME": "/nowhere"},
+                check=True, capture_output=True, **who,
+            )  # fmt: skip
+        except (OSError, subprocess.CalledProcessError):
+            continue
+        return python, modules
+    pytest.skip("a plain user cannot start a Python with this program's libraries")
+
+
+@pytest.mark.parametrize("user", ["as we are", "plain"])
+def test_a_simulation_reaches_nothing_else(tmp_path_factory: pytest.TempPathFactory, user: str) -> None:
+    """As the user of the tests, and where that is root as nobody: no privileges, no namespaces."""
+    import json
+
+    if user == "plain" and os.geteuid() != 0:
+        pytest.skip("the tests run as a plain user already")
+    base = Path(tmp_path_factory.mktemp("world"))
+    for above in (base, *base.parents):
+        if user == "plain" and above.owner() == "root" and str(above) not in ("/", "/tmp"):
+            above.chmod(above.stat().st_mode | 0o055)
+    secret, home = base / "secret", base / "home"
+    secret.write_text("the secret")
+    home.mkdir()
+    names = {"secret": str(secret), "place": str(base), "home": str(home)}
+    who: dict[str, Any] = {}
+    if user == "plain":
+        for path in (base, secret, home):
+            os.chown(path, 65534, 65534)
+        who = {"user": 65534, "group": 65534, "extra_groups": []}
+    python, path = _python_of(who)
+    environment = {"PATH": os.environ["PATH"], "HOME": str(home), "PYTHONPATH": path, "TMPDIR": str(base)}
+    done = subprocess.run(
+        [python, "-c", ATTEMPTS.format(here=str(HERE), **names)],
+        env=environment, cwd=base, capture_output=True, text=True, check=False, **who,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    found, (_, said) = map(json.loads, done.stdout.splitlines())
+    if "seccomp" not in said:
+        pytest.skip("this machine filters no system calls")
+    expected = {name for name in found if "Landlock " in said or name not in NEEDS_LANDLOCK}
+    assert {name: found[name] for name in sorted(expected)} == {
+        name: "PermissionError" for name in sorted(expected)
+    }
+    assert secret.read_text() == "the secret"
+    assert not list(base.glob("owned*"))
+
+
+def test_a_simulation_does_what_it_needs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("A_SECRET_TOKEN", "x")
+    monkeypatch.setenv("SPICE_LIB_DIR", str(tmp_path))
+    monkeypatch.setenv("PYTHONSTARTUP", str(tmp_path / "x.py"))
+    seen = call("sandbox_targets:allowed", None, collect=tmp_path)
+    assert seen["threads"] == [1]
+    assert (tmp_path / "rows").read_text() == "1"
+    environment = seen["environment"]
+    assert not {"A_SECRET_TOKEN", "PYTHONSTARTUP", "USER", "LOGNAME"} & set(environment)
+    assert not [name for name in environment if name.startswith("SPICE")]
+    assert environment["HOME"] != os.environ.get("HOME")
+    for state in seen["states"]:  # of every thread: none was started before
+        fields = dict(row.split(":", 1) for row in state.splitlines() if ":" in row)
+        assert fields["NoNewPrivs"].strip() == "1"
+        assert fields["Seccomp"].strip() == "2"
+
+
+def test_limits_of_resources() -> None:
+    found = call("sandbox_targets:limits", None, time_limit_s=10.0)
+    assert found["RLIMIT_CORE"] == [0, 0] or found["RLIMIT_CORE"] == (0, 0)
+    assert 0 < found["RLIMIT_CPU"][0] <= 10 * 4 + 60 + 30  # its share, and what it took to start
+    assert 0 < found["RLIMIT_DATA"][0] <= os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    assert 0 < found["RLIMIT_FSIZE"][0] <= 64 << 30
+    with pytest.raises(SimulationError, match="MemoryError"):
+        call("sandbox_targets:eat_memory", None)
+    with pytest.raises(SimulationError, match="File too large"):
+        call("sandbox_targets:grow_file", None)
+
+
+def test_trust_lifts_the_refusals_and_not_the_sandbox(tmp_path: Path) -> None:
+    said = call("sandbox_targets:trusted", None, collect=tmp_path)
+    assert "was here" in said
+    assert not (tmp_path / "owned").exists()
+
+
+@pytest.mark.parametrize("name", ["evil", "foreign"])
+def test_what_a_child_sends_is_data(tmp_path: Path, name: str) -> None:
+    """A pickle could call anything in the parent, which is in no sandbox."""
+    with pytest.raises(SimulationError, match="may not send"):
+        call(f"sandbox_targets:{name}", None)
+    assert not (tmp_path / "owned").exists()
+
+
+def test_a_link_that_a_child_leaves_is_not_collected(tmp_path: Path) -> None:
+    (tmp_path / "secret").write_text("the secret")
+    (tmp_path / "results").mkdir()
+    with pytest.raises(SimulationError, match="no file"):
+        call("sandbox_targets:leave_link", str(tmp_path / "secret"), collect=tmp_path / "results")
+    assert not list((tmp_path / "results").iterdir())
+
+
+def test_a_kernel_that_gives_less_is_told() -> None:
+    """Where Landlock or the filter is missing, the other holds, and the words say so."""
+    code = (
+        "from cosim.ngspice import sandbox\n"
+        "sandbox._landlock_version = lambda libc: -1\n"
+        "print(sandbox.confine([], []))\n"
+        "import socket\n"
+        "try: socket.socket()\n"
+        "except PermissionError: print('no sockets')\n"
+        "open('/etc/passwd').close()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": str(HERE.parent)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "files NOT limited: no Landlock" in done.stdout
+    assert "no sockets" in done.stdout
+    assert str(sandbox.Status(False, 0)).count("NOT") == 2
+
+
+def test_the_filter_knows_both_architectures() -> None:
+    """Each program ends with leave to go on, and no jump leaves it."""
+    import struct
+
+    for machine in ("x86_64", "aarch64"):
+        steps = list(struct.iter_unpack("=HBBI", sandbox._program(machine, 1234)))
+        assert steps[-1] == (0x06, 0, 0, 0x7FFF0000)
+        for place, (code, then, otherwise, _) in enumerate(steps):
+            if code & 0x07 == 0x05:
+                assert place + 1 + max(then, otherwise) < len(steps)
