@@ -19,7 +19,6 @@ from cosim.ngspice.aliases import Aliases
 from cosim.ngspice.command import spelled
 from cosim.ngspice.deck import load_deck
 from cosim.ngspice.gate import admit
-from cosim.ngspice.lines import Line
 from cosim.ngspice.simulator import Simulator
 
 PROJECT = Path(__file__).parent / "data" / "ngspice" / "project"
@@ -164,8 +163,6 @@ BREAKS = ["\n", "\r", "\x0b", "\x0c", "\x1c", "\x1d", "\x1e", "\x85", "\u2028", 
 @pytest.mark.parametrize("end", BREAKS)
 def test_one_row_is_one_line(tmp_path: Path, end: str) -> None:
     tail = f"{end}.control{end}shell touch owned{end}.endc"
-    with pytest.raises(InputError):
-        Line(f"R1 a 0 1k{tail}")
     with pytest.raises(InputError):
         Simulator().load(f"t\nV1 a 0 1\nR1 a 0 1k{tail}\n")
     shutil.copytree(PROJECT, tmp_path / "p")

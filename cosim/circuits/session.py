@@ -61,7 +61,7 @@ class Bench:
         text = "\n".join(
             [
                 "cosim extraction",
-                *board.text.splitlines()[1:],
+                *(line.text for line in board.lines[1:]),
                 *testbench(board, drive, dict.fromkeys(pins, "dc 0 ac 0")),
                 *extra,
                 ".save " + " ".join(f"v({node})" for node in self._outputs),

@@ -107,7 +107,7 @@ def lockstep_deck(
     external = {pin: "ac 0 external" if pin.startswith("vel") else "external" for pin in drive.sources()}
     lines = [
         "cosim lockstep",
-        *board.text.splitlines()[1:],
+        *(line.text for line in board.lines[1:]),
         *testbench(board, drive, external),
         tolerances.line(),
         *extra,

@@ -55,7 +55,9 @@ def read(payload: dict[str, Any], report: Report) -> Stated:
     bench = testbench(board, drive, dict.fromkeys(drive.sources(), "dc 0"))
     simulator = Simulator()
     simulator.load(
-        "\n".join([*board.text.splitlines(), *bench, ".end"]) + "\n", lines=board.lines, name=str(board.path)
+        "\n".join([*(line.text for line in board.lines), *bench, ".end"]) + "\n",
+        lines=board.lines,
+        name=str(board.path),
     )
     numbers = simulator.constants()
     _keep(board, numbers)

@@ -36,6 +36,7 @@ def including(folders: Iterable[str | Path]) -> Iterator[None]:
     finally:
         _granted.reset(before)
 
+
 MOST_LINES = 200_000
 """Statements that a board may be made of, included files counted as often as they are included."""
 MOST_FILES = 1_000
@@ -153,9 +154,7 @@ class Reader:
         allowed = (self.root, *_granted.get())
         inside = any(target.resolve().is_relative_to(each.resolve()) for each in allowed)
         if not fault and not self.trust and not inside:
-            fault = (
-                f"include leaves the project's folder {self.root} (--include {target.parent} allows it)"
-            )
+            fault = f"include leaves the project's folder {self.root} (--include {target.parent} allows it)"
         elif not fault and not target.is_file():
             there = [entry.name for entry in target.parent.iterdir()] if target.parent.is_dir() else []
             near = nearest(target.name, there)

@@ -18,8 +18,8 @@ _TOKEN = re.compile(
     re.ASCII,
 )
 _SIMPLE = re.compile(r"[\w+\-.{}=]*", re.ASCII)
-_UNITS = {"\u00b5": "u", "\u2126": "", "\u03a9": ""}
-"""Signs that ngspice takes in numbers: micro, and Ohm, which means nothing to it."""
+_UNITS = {"\u00b5": "u", "\u2126": "", "\u03a9": "", "\u00b0": ""}
+"""Signs in numbers: micro, and units, which mean nothing to ngspice."""
 _ACCESS = {"v": False, "i": True}
 """Functions of nodes and of elements."""
 _NOT_IN_NAMES = re.compile(r"[\s{}='\",;]")
