@@ -114,7 +114,9 @@ def allowed_model(text: str) -> str | None:
     words = [word.lower() for word in tokens(text)]
     if len(words) > 2 and words[2].startswith("ako:"):  # like another model, which stands between
         words = words[1:] if words[2] != "ako:" else words[2:]
-    kind = words[2].partition("(")[0] if len(words) > 2 else ""
+    if len(words) < 3:
+        return "must be .model name type(parameters)"
+    kind = words[2].partition("(")[0]
     if kind in MODELS:
         return None
     if not re.fullmatch(r"\w+", kind):
