@@ -90,7 +90,7 @@ def refusal(line: Line) -> Problem | None:
     else:
         reason = None
     if reason is None and '"' in line.text:
-        reason = 'text in "..." is not allowed: a model could take it for the name of a file' + _TRUST
+        reason = "a string is not allowed: a model could take it for the name of a file" + _TRUST
     elif reason is None and _FILES.search(line.text):
         reason = "reads or writes a file" + _TRUST
     return Problem(reason, file=line.file, line=line.lineno, value=line.text) if reason else None
@@ -120,5 +120,5 @@ def allowed_model(text: str) -> str | None:
     if kind in MODELS:
         return None
     if not re.fullmatch(r"\w+", kind):
-        return "the type of a model must be a plain word" + _TRUST
+        return "must be .model name type(parameters), the type a plain word" + _TRUST
     return f"a model of type {kind} is not allowed: it could read a file or start a process" + _TRUST
