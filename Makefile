@@ -1,6 +1,8 @@
 # Everything a fresh machine needs: `make demo` and `make test` set up what is missing first.
 PYTHON ?= python3
 BIN := .venv/bin
+# Processes that share the tests; each starts ngspice in a process of its own.
+WORKERS ?= auto
 OUT ?= out/demo
 
 .PHONY: demo test slow fuzz bench paper gallery lint setup clean
@@ -11,7 +13,7 @@ demo: setup
 	@echo "Open $(OUT)/report/report.html in a browser."
 
 test: setup
-	$(BIN)/python -m pytest -q
+	$(BIN)/python -m pytest -q -n $(WORKERS) --dist worksteal
 
 slow: setup
 	$(BIN)/python -m pytest -q -m slow
@@ -56,13 +58,14 @@ lint: setup
 
 setup: .venv/ready
 	@sh setup/ngspice.sh
+	@$(BIN)/cosim warm >/dev/null
 
 # The lock pins every package; it is written by `uv pip compile pyproject.toml --extra test --universal`.
 .venv/ready: requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 	  || { echo "Python 3.11 or newer is needed; found `$(PYTHON) --version`. Try: make PYTHON=python3.12" >&2; exit 1; }
 	@$(PYTHON) -m venv .venv \
-	  || { rm -rf .venv; echo "Python's venv is missing. On Debian or Ubuntu: sudo apt-get install python3-venv" >&2; exit 1; }
+	  || { rm -rf .venv; echo "Python's venv is missing. On Debian or Ubuntu: sudo apt-get install make python3-venv ngspice libngspice0" >&2; exit 1; }
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
 	@touch $@

@@ -29,6 +29,7 @@ from cosim.commands import (
     run,
     stability,
     sweep,
+    warm,
 )
 from cosim.commands.command import caution_lines
 from cosim.errors import CosimError, fail
@@ -51,6 +52,7 @@ COMMANDS = (
     device.COMMAND,
     export.COMMAND,
     new.COMMAND,
+    warm.COMMAND,
 )
 
 

@@ -4,18 +4,33 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+COMPILING = "compiling, once, about 60 s"
+"""What is said where the first run of an installation would look like a hang; seconds of CPU on 2 GHz."""
+
+
+def announce_compilation() -> None:
+    """Say on standard error that code is compiled first, where it is and no bar will say so."""
+    from cosim.compiled import is_warm
+
+    if not is_warm() and not sys.stderr.isatty():
+        print(f"{COMPILING}; `cosim warm` does it ahead", file=sys.stderr, flush=True)
+
 
 @contextmanager
 def progress(title: str) -> Iterator[Callable[[int, int, str], None] | None]:
     """Show a bar; yields what to call with (done, total, name), or None where nobody looks."""
+    announce_compilation()
     if not sys.stderr.isatty():
         yield None
         return
     from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import Progress, TimeElapsedColumn
 
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(title, total=None)
+    from cosim.compiled import is_warm
+
+    columns = (*Progress.get_default_columns(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(title if is_warm() else f"{title}: {COMPILING}", total=None)
 
         def show(done: int, total: int, name: str) -> None:
             bar.update(task, completed=done, total=total, description=f"{title}: {name}")

@@ -16,6 +16,7 @@ from cosim.commands.command import (
     out_argument,
     scene_arguments,
 )
+from cosim.commands.progress import COMPILING, announce_compilation
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -54,7 +55,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
             return _without_run(args, [(v, plan_of(args, v, scene, child)) for v, scene in found], child)
         base = Path(args.out) if args.out else Path("out") / Path(args.scene).stem
         _keep_apart(base, series=len(found) > 1)
-        _announce_compilation()
+        announce_compilation()
         plans = []
         for variant, scene in found:
             with collected(about(variant, found)):
@@ -105,14 +106,6 @@ def _keep_apart(base: Path, *, series: bool) -> None:
         )
 
 
-def _announce_compilation() -> None:
-    """Say that the first run of an installation compiles, which looks like a hang otherwise."""
-    from cosim.compiled import is_warm
-
-    if not is_warm():
-        print("compiling for the first run on this machine (about 15 s, once)", file=sys.stderr, flush=True)
-
-
 def folder_name(label: str) -> str:
     """Return a folder's name for one combination of values."""
     return "".join(c if c.isalnum() or c in "._=-+" else "_" for c in label)
@@ -138,17 +131,27 @@ def progress(duration_s: float, title: str) -> "Iterator[Callable[[Mapping[str, 
         yield None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from cosim.compiled import is_warm
 
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
-        TextColumn("{task.completed:.3g} of {task.total:.3g} s"),
-        TimeRemainingColumn(),
+        TextColumn("{task.fields[reached]}"),
+        TimeElapsedColumn(),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(title, total=duration_s)
-        yield lambda state: bar.update(task, completed=float(state.get("time_s", 0.0)))
+        # no total: the bar moves without an end until simulated time does
+        task = bar.add_task(title if is_warm() else COMPILING, total=None, reached="")
+
+        def show(state: "Mapping[str, Any]") -> None:
+            time_s = float(state.get("time_s", 0.0))
+            if time_s > 0.0:
+                reached = f"{time_s:.3g} of {duration_s:.3g} s"
+                bar.update(task, description=title, total=duration_s, completed=time_s, reached=reached)
+
+        yield show
 
 
 def _json(finished: "list[tuple[Variant, Path, Run]]") -> dict[str, Any]:
