@@ -69,6 +69,7 @@ def write_comparison(sides: "Sequence[Side]", rows: "Sequence[Row]", folder: Pat
         summary=_summary(sides, rows),
         compare=None,
         compared=[],
+        inputs=None,
         pictures=pictures,
         absent=[],
         tables=tables(sides, rows),

@@ -17,7 +17,7 @@ import numpy as np
 from cosim.caution import Caution, grouped
 from cosim.errors import InputError, Problem
 from reports.source import RunLike, View
-from reports.tables import Trial, all_tables, command_line, compare_table
+from reports.tables import Table, Trial, all_tables, command_line, compare_table
 from reports.words import summary, tiles
 
 if TYPE_CHECKING:
@@ -61,7 +61,9 @@ class Picture:
         return "data:image/svg+xml;base64," + base64.b64encode(self.svg).decode("ascii")
 
 
-def write_report(run: RunLike, out_dir: str | Path, trials: Sequence[Trial] = ()) -> Path:
+def write_report(
+    run: RunLike, out_dir: str | Path, trials: Sequence[Trial] = (), inputs: Table | None = None
+) -> Path:
     """Write ``report.html`` and the folder ``figures`` with PNG, SVG and CSV of each figure.
 
     Parameters
@@ -72,6 +74,8 @@ def write_report(run: RunLike, out_dir: str | Path, trials: Sequence[Trial] = ()
         Folder to write into; made when it is absent. A report that it holds is replaced.
     trials
         Values tried with ``--set``, the reference first: adds a section of what changed.
+    inputs
+        In what they differ, from `reports.tables.inputs_table`.
 
     Returns
     -------
@@ -104,6 +108,7 @@ def write_report(run: RunLike, out_dir: str | Path, trials: Sequence[Trial] = ()
         tables=all_tables(view),
         compare=compare_table(trials) if len(trials) > 1 else None,
         compared=compared,
+        inputs=inputs,
         scene=_scene_text(run),
         command=command_line(run.provenance.get("command")),
     )

@@ -9,7 +9,7 @@ from typing import Any
 from reports.source import RunLike, View, plain
 from reports.text import cell, plain_name, quantity
 
-__all__ = ["Table", "Trial", "all_tables", "compare_table"]
+__all__ = ["Table", "Trial", "all_tables", "compare_table", "inputs_table"]
 
 
 @dataclass(frozen=True)
@@ -156,6 +156,15 @@ def command_line(command: Any) -> str:
     if isinstance(command, list | tuple) and command:
         return shlex.join([Path(str(command[0])).name, *(str(part) for part in command[1:])])
     return str(command or "")
+
+
+def inputs_table(labels: Sequence[str], rows: Sequence[tuple[str, Sequence[str | None]]]) -> Table:
+    """Return the inputs that are not the same in all runs, one row an input, one column a run."""
+    told = tuple((name, *("-" if value is None else value for value in values)) for name, values in rows)
+    note = (
+        "Scene, board and versions; a dash where a run does not have it." if told else "All inputs are equal."
+    )
+    return Table("inputs", "Inputs that differ", ("input", *labels), told, note)
 
 
 def compare_table(trials: Sequence[Trial]) -> Table:

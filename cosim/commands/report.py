@@ -2,10 +2,16 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from cosim.caution import collected, warn
+from cosim.caution import Caution, collected, warn
 from cosim.commands.command import Command
+
+if TYPE_CHECKING:
+    from cosim.ngspice.deck import Deck
+
+#: Inputs that the terminal shows.
+_MOST_INPUTS = 12
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,8 +40,9 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 def _report_runs(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.errors import fail
     from cosim.results import Run
+    from cosim.studies.inputs import differing
     from reports.page import write_report
-    from reports.tables import Trial
+    from reports.tables import Trial, inputs_table
 
     if args.set:
         fail("a result is what it is: only the scenes of studies can be changed", key="--set", value=args.set)
@@ -46,8 +53,34 @@ def _report_runs(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
             warn(*run.warnings)
     trials = [Trial(folder.name, run.measures, run) for folder, run in zip(folders, runs, strict=True)]
     out = Path(args.out) if args.out else Path(args.results[0]) / "report"
-    page = write_report(runs[0], out, trials if len(trials) > 1 else ())
-    return {"page": str(page), "runs": [str(folder) for folder in folders]}, f"wrote {page}"
+    told = differing(runs, [_board(folder) for folder in folders]) if len(runs) > 1 else []
+    inputs = inputs_table([folder.name for folder in folders], told) if len(runs) > 1 else None
+    page = write_report(runs[0], out, trials if len(trials) > 1 else (), inputs)
+    lines = [f"{name}: {', '.join('-' if v is None else v for v in values)}" for name, values in told]
+    shown = [f"  {line}" for line in lines[:_MOST_INPUTS]]
+    if len(lines) > len(shown):
+        shown.append(f"  and {len(lines) - len(shown)} more, on the page")
+    head = ["inputs that differ:"] if shown else ["all inputs are equal"] if len(runs) > 1 else []
+    data = {
+        "page": str(page),
+        "runs": [str(folder) for folder in folders],
+        "inputs": [{"input": name, "values": list(values)} for name, values in told],
+    }
+    return data, "\n".join([*head, *shown, f"wrote {page}"])
+
+
+def _board(folder: Path) -> "Deck | None":
+    """Return what a result keeps of its board; None where it keeps none that can be read."""
+    from cosim.errors import InputError
+    from cosim.ngspice import stored
+
+    try:
+        return stored.load(folder)
+    except InputError as error:
+        why = "; ".join(problem.message for problem in error.problems)
+        warn(Caution("board-unread", f"the board kept in {folder.name} is not compared: {why}",
+                     "run the scene again"))  # fmt: skip
+        return None
 
 
 def study_files(given: list[Path]) -> list[Path]:
