@@ -18,6 +18,8 @@ __all__ = ["write_study_page"]
 #: A longer table is data for a program: the page only links it.
 _MOST_ROWS = 40
 _HOLDS = {True: "holds", False: "does not hold", None: "answered"}
+#: The same of what judges a closed form or a model of this program.
+_OWN = {True: "own check passed", False: "own check failed", None: "answered"}
 
 
 @dataclass(frozen=True)
@@ -130,7 +132,8 @@ def _claims(results: Sequence[tuple[str, StudyResult]], asked: Sequence[Claim]) 
     found: dict[str, _Claim] = {claim.id: _Claim(claim.id, claim.says, claim.counts, []) for claim in asked}
     for name, result in results:
         for v in result.verdicts:
-            row = _Judged(v.claim, v.expected, v.found, _HOLDS[v.holds], name, result.title)
+            words = _OWN if v.own else _HOLDS
+            row = _Judged(v.claim, v.expected, v.found, words[v.holds], name, result.title)
             found.setdefault(v.id, _Claim(v.id, "", "", [])).rows.append(row)
     return list(found.values())
 
@@ -139,20 +142,29 @@ def _summary(claims: Sequence[_Claim]) -> list[str]:
     """Say how many verdicts hold, which do not, and what was not judged."""
     if not claims:
         return []
-    said = [(claim.id, row.holds) for claim in claims for row in claim.rows]
+    said = [(claim, row.holds) for claim in claims for row in claim.rows]
 
     def which(word: str) -> list[str]:
-        return list(dict.fromkeys(name for name, holds in said if holds == word))
+        names = (f"{c.id} ({c.says})" if c.says else c.id for c, holds in said if holds == word)
+        return list(dict.fromkeys(names))
 
     held = sum(holds == _HOLDS[True] for _, holds in said)
     decided = held + sum(holds == _HOLDS[False] for _, holds in said)
-    out = f"{held} of {decided} verdicts hold"
+    out = f"{held} of {decided} verdicts on the paper hold"
     if failed := which(_HOLDS[False]):
-        out += f"; not all of {', '.join(failed)}"
+        out += f"; not all of {'; '.join(failed)}"
     answered = sum(holds == _HOLDS[None] for _, holds in said)
     if answered:
         out += f". {answered} more answer a question with a number"
     sentences = [out + "."]
+    passed, missed = (sum(holds == _OWN[each] for _, holds in said) for each in (True, False))
+    if passed or missed:
+        sentences.append(
+            f"{passed} of {passed + missed} checks of this program's own closed forms and models pass; they "
+            "are no verdicts on the paper."
+        )
+        if failed := which(_OWN[False]):
+            sentences.append(f"Own checks that failed are of {'; '.join(failed)}.")
     if absent := [claim.id for claim in claims if not claim.rows]:
         sentences.append(f"Not judged: {', '.join(absent)}.")
     return sentences

@@ -17,9 +17,11 @@ from support import KT, MOTOR_OHM, TORQUE, merge, quick, scene_of, shared_child,
 
 from cosim.effects.circuit import CARRIED
 from cosim.errors import InputError
+from cosim.loop.propagate_run import prepare
 from cosim.ngspice.deck import Deck, Feature, load_deck
 from cosim.plan import resolve
 from cosim.results import Run
+from cosim.studies.model import circuit_of
 
 OPAMP = parameters("parts/tl072.lib")
 VCA = parameters("parts/ad633.lib")
@@ -434,6 +436,26 @@ def test_the_limit_of_a_negative_current_is_the_mirror_of_a_positive_ones(tmp_pa
     # the two sides of the limit are diodes of their own, one within 0.1 % of the other
     for name, scale in (("imot1", 0.875), ("y", 0.02), ("v1", 1.0), ("fmy", 2.1)):
         np.testing.assert_allclose(between(up, t, name), -between(down, t, name), atol=1e-3 * scale)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_at_an_accepted_point_the_clamped_current_accelerates(tmp_path: Path, sign: float) -> None:
+    """Run into the clamp and stopped there: torque is the limit's, acceleration what Newton says of it."""
+    turned = {
+        "duration_s": 0.9,
+        "wall": {"point_m": [0.0, 0.0], "normal": [0.0, sign]},
+        "operator": {"force_s_n": [[0.1, 0.0, 0.0], [0.5, 0.0, -5.0 * sign]]},
+    }
+    scene = scene_of(tmp_path, pushed(True, "ideal", **turned))
+    circuit, constants = circuit_of(resolve(scene), child=shared_child())
+    run = prepare(scene, constants, circuit, record=False)
+    run.run()
+    state = run.memory.state[0]
+    low, high = circuit.limit[0]
+    assert state["tau"][0] == pytest.approx(TORQUE * (high if sign > 0 else low), rel=1e-9)
+    hand = -5.0 * sign - 100.0 * REACH * state["q"][0] - 20.0 * REACH * state["v"][0]
+    newton = (state["tau"][0] + REACH * hand) / (0.2 * REACH**2)
+    assert state["a"][0] == pytest.approx(newton, abs=1e-6 * 5.0 / (0.2 * REACH))
 
 
 def test_limit_is_absent_when_off(tmp_path: Path) -> None:

@@ -1,6 +1,9 @@
 """The page of studies: every claim once in its place, tables that fit, nothing from the network."""
 
+import csv
+import io
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +14,9 @@ from support import SCENES
 from cosim.errors import InputError
 from cosim.studies.claims import load_claims
 from cosim.studies.study import StudyResult, Table, Verdict
+from reports.page import picture
 from reports.study_page import write_study_page
+from reports.style import Drawn, figure
 
 PAPER = SCENES / "paper"
 #: The rows of the acceptance table.
@@ -62,9 +67,52 @@ def test_every_claim_stands_once_in_its_order(page: Path) -> None:
     assert re.findall(r'href="#(\w+)"', bodies["A1"]) == ["7_second", "0_first"]
     assert bodies["N3"].count('class="verdict does-not-hold"') == 2
     assert "2e-11 &lt; 1e-8" in bodies["A1"]
-    assert "4 of 6 verdicts hold; not all of N3. 2 more answer a question" in html.replace("\u00a0", " ")
+    told = html.replace("\u00a0", " ")
+    assert "4 of 6 verdicts on the paper hold; not all of N3 (footnote 2" in told  # no code to be looked up
+    assert "2 more answer a question" in told
     missing = ", ".join(row for row in ROWS if row not in ("A1", "N3"))
     assert f"Not judged: {missing}." in html
+
+
+def test_a_check_of_our_own_closed_form_is_no_verdict_on_the_paper(tmp_path: Path) -> None:
+    verdicts = (
+        Verdict("A1", "of the paper", "x", "x", True),
+        Verdict("A1", "our formula", "x", "x", True, own=True),
+        Verdict("A1", "our other formula", "x", "y", False, own=True),
+    )
+    result = replace(synthetic(), verdicts=verdicts)
+    html = write_study_page([("0_first", result)], tmp_path, "t", "", load_claims(PAPER).claims)
+    text = html.read_text(encoding="utf-8").replace("\u00a0", " ")
+    assert "1 of 1 verdicts on the paper hold." in text
+    assert "1 of 2 checks of this program" in text
+    assert text.count('class="verdict own-check-failed"') == 1
+
+
+def test_every_picture_has_its_data(tmp_path: Path) -> None:
+    """Lines, bars, dots and maps: what is drawn stands in the file beside it, not its headings alone."""
+    for name in ("line", "bars", "dots", "mesh", "shaded", "contours"):
+        drawing, grid = figure(3.0)
+        axes = grid[0, 0]
+        x, y = np.meshgrid(np.linspace(0, 1, 4), np.linspace(2, 3, 5))
+        if name == "line":
+            axes.plot([0.0, 1.0], [2.0, 3.0])
+        elif name == "bars":
+            axes.barh([0, 1], [1.0, 2.0])
+        elif name == "dots":
+            axes.scatter([0.0, 1.0], [2.0, 3.0], c=[5.0, 6.0])
+        elif name == "contours":
+            axes.contour(x, y, x + y, levels=[2.5, 3.5])
+        else:
+            axes.pcolormesh(x, y, x + y, shading="gouraud" if name == "shaded" else "auto")
+        rows = list(csv.DictReader(io.StringIO(picture(name, name, Drawn(drawing, "")).data)))
+        assert rows, name
+        if name in ("dots", "mesh", "shaded", "contours"):
+            assert all(row["value"] for row in rows), name
+        if name in ("mesh", "shaded", "contours"):  # what is shown is the sum of both
+            assert all(
+                float(row["value"]) == pytest.approx(float(row["x"]) + float(row["y"]), abs=1e-6)
+                for row in rows
+            ), name
 
 
 def test_it_is_self_contained(page: Path) -> None:

@@ -141,7 +141,7 @@ def _report_studies(args: argparse.Namespace, files: list[Path]) -> tuple[dict[s
     judged = {verdict.id for verdict in verdicts}
     left = [claim.id for claim in claims.claims if claim.id not in judged]
     marks = {True: "ok  ", False: "NOT ", None: "    "}
-    lines = [f"{marks[v.holds]} {v.id:6} {v.claim}: {v.found}" for v in verdicts]
+    lines = [f"{marks[v.holds]} {v.id:6} {v.claim}: {v.found}{' (own check)' * v.own}" for v in verdicts]
     lines += [f"     {name:6} not judged" for name in left]
     lines.append(f"wrote {page}")
     data = {"page": str(page), "verdicts": [vars(v) for v in verdicts], "not_judged": left}

@@ -234,7 +234,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     verdicts = [
         Verdict("N3", shift, "K_theta = J^T K J + K_g(F)", found, None),
         Verdict("N3", "adding K_g(F) to the joints' gains restores it", "shift 0", restored,
-                left < 100 * _PRESSED and worst_check < _PRESSED),
+                left < 100 * _PRESSED and worst_check < _PRESSED, own=True),
     ]  # fmt: skip
     tables = [Table("workspace", "Apparent against commanded stiffness over the workspace", columns)]
     if (sweep := _sweep(spec, chain, normal, points)) is not None:
@@ -257,9 +257,9 @@ def _in_runs(given: CongruenceParameters, sweep: Table) -> Verdict:
     )
     off = max(abs(p / t - 1.0) for p, t in zip(plain, theory, strict=True))
     return Verdict(
-        "N3", "runs with geometric_stiffness in the law: the shift between two samples is gone",
+        "N3", "runs with K_g(F) in the law: the shift between two samples is gone",
         f"at most {100 * _LEFT:g} % of it left", f"{told}; without it {100 * off:.2g} % off theory",
-        all(h <= _LEFT * p for p, h in zip(plain, held, strict=True)),
+        all(h <= _LEFT * p for p, h in zip(plain, held, strict=True)), own=True,
     )  # fmt: skip
 
 

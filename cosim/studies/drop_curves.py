@@ -80,7 +80,7 @@ def verdicts(
                     "log-log slope -1.0 +- 0.15, and of the exact limit +- 0.05" if family.name == first
                     else "log-log slope of the exact limit +- 0.05",
                     f"slope {seen:.3f}; of the exact limit {theory:.3f}",
-                    steep and abs(seen - theory) <= 0.05,
+                    steep and abs(seen - theory) <= 0.05, own=family.name != first,
                 )
             )  # fmt: skip
         if spring and shared:

@@ -143,7 +143,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
                     bool(eta < given.largest_eta)),
             Verdict("N1a", "the practical limit b/sum(tau) is where the analog spring turns active",
                     "the same from the fitted circuit over all frequencies, within 1 %",
-                    f"{first['active']:.5g} N/m, off by {100 * off:.2g} %", bool(off < 0.01)),
+                    f"{first['active']:.5g} N/m, off by {100 * off:.2g} %", bool(off < 0.01), own=True),
         ),
     )  # fmt: skip
 

@@ -292,7 +292,7 @@ def verdicts(found: Found, given: MapParameters) -> list[Verdict]:
     )  # fmt: skip
     out.append(
         Verdict("M1", "what is passive is stable", "passive / exact <= 1 everywhere",
-                f"at most {worst:.4g}", worst <= 1.0 + 1e-9)
+                f"at most {worst:.4g}", worst <= 1.0 + 1e-9, own=True)
     )  # fmt: skip
     for panel in given.panels:
         rows = [row for (_, name, _), row in found.items() if name == panel.name]
@@ -318,6 +318,7 @@ def verdicts(found: Found, given: MapParameters) -> list[Verdict]:
                 "a question: friction holds above it" if rough else "no phase rests above it",
                 told,
                 None if rough else not still,
+                own=True,
             )
         )  # fmt: skip
     return out

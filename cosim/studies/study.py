@@ -81,6 +81,7 @@ class Verdict:
     id : row of the acceptance table, such as ``F13a``
     claim, expected, found : in words with numbers and units
     holds : None where the claim is a question that `found` answers
+    own : whether it judges a closed form or a model of this program, which is no verdict on the paper
     """
 
     id: str
@@ -88,6 +89,7 @@ class Verdict:
     expected: str
     found: str
     holds: bool | None
+    own: bool = False
 
 
 @dataclass(frozen=True)
