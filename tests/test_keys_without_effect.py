@@ -42,6 +42,8 @@ VALUES: dict[str, tuple[Any, dict[str, Any]]] = {
 def scene(folder: Path, effect: str, value: Any, keys: dict[str, Any]) -> Scene:
     settings = [f"{key}={setting}" for key, setting in keys.items()]
     states = [f"effects.{effect}={str(value).lower()}"] if value is not None else []
+    if effect == "shaft" and value:  # it needs a rotor
+        states += ["device.slider.rotor_inertia_kg_m2=1e-6", "effects.rotor_inertia=true"]
     return scene_of(folder, slider(), *settings, *states)
 
 

@@ -7,6 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from support import scene_of, slider
 
 from cosim.circuits.port import DesignConstants
 from cosim.errors import InputError
@@ -15,6 +16,7 @@ from cosim.ngspice.dialect import Dialect
 from cosim.ngspice.expression import evaluate
 from cosim.ngspice.lines import Line, number, read_lines
 from cosim.ngspice.values import as_meant
+from cosim.plan import resolve
 from cosim.scene import load_scene
 
 DATA = Path(__file__).parent / "data" / "ngspice"
@@ -244,6 +246,11 @@ def test_of_two_subcircuits_the_first_counts_with_a_note(tmp_path: Path) -> None
     assert any("subcircuit myop is defined again" in note for note in deck.notes)
 
 
+def test_a_device_that_only_ltspice_has(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"vendor.lib:\d+: 'A1 .*A device of LTspice's"):
+        library(tmp_path, MYOP.replace(".ends", "A1 1 2 0 0 0 0 x 0 OTA g=1m\n.ends"), "ltspice")
+
+
 def test_dialects_of_the_parts_make_that_of_the_deck(tmp_path: Path) -> None:
     assert library(tmp_path, MYOP, "ltspice").lines[1].text == "*@ ngbehavior=ltpsa"
     power = PartSwap(tmp_path / "vendor.lib", "MYOP", "1 2 3 4 5", "pspice")
@@ -385,6 +392,13 @@ def test_scenes_that_are_no_files(tmp_path: Path) -> None:
     for file in (fifo, Path("/dev/zero")):
         with pytest.raises(InputError, match="not a regular file"):
             load_scene(file)
+
+
+@pytest.mark.parametrize("between", [*"\n\r\t\x0b\x0c\x1c\x85\u2028\u2029\u200b ;`", "'", "{"])
+def test_a_recorded_node_is_one_name(tmp_path: Path, between: str) -> None:
+    scene = slider(record={"nodes": ["xboard.x1", f"a{between}.control"]}, solver={"model": "spice"})
+    with pytest.raises(InputError, match=r"record.nodes = .*is not the name of a node"):
+        resolve(scene_of(tmp_path, scene))
 
 
 @pytest.mark.parametrize("bits", [1e11, 33.0, 0.5])

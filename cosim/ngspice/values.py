@@ -53,6 +53,8 @@ def as_meant(line: Line, dialect: Dialect, functions: Collection[str] = ()) -> L
     text = line.text
     if text.startswith("*@") or line.fault:
         return line
+    if dialect is Dialect.LTSPICE and text[0] in "aA":
+        return replace(line, fault="an A device of LTspice's, which no other simulator has")
     if "(" in text:
         text, drawn = nominal(text, functions)
         if len(drawn) > MOST_DRAWN:
