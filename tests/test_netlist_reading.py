@@ -394,7 +394,7 @@ def test_scenes_that_are_no_files(tmp_path: Path) -> None:
             load_scene(file)
 
 
-@pytest.mark.parametrize("between", [*"\n\r\t\x0b\x0c\x1c\x85\u2028\u2029\u200b ;`", "'", "{"])
+@pytest.mark.parametrize("between", [*"\n\r\t\x0b\x0c\x1c\x85\u2028\u2029\u200b ;", "'", "{"])
 def test_a_recorded_node_is_one_name(tmp_path: Path, between: str) -> None:
     scene = slider(record={"nodes": ["xboard.x1", f"a{between}.control"]}, solver={"model": "spice"})
     with pytest.raises(InputError, match=r"record.nodes = .*is not the name of a node"):
