@@ -210,13 +210,12 @@ def _certified(run: "Run") -> list[str]:
 
 
 def measure_table(columns: "Sequence[tuple[str, Mapping[str, Mapping[str, Any]]]]") -> str:
-    """Return measures side by side: the first column in full, the others with their change."""
+    """Return measures side by side with units: the first column in full, the others with their change."""
     reference = columns[0][1]
     names = list(dict.fromkeys(name for _, measures in columns for name in measures))
-    table = [["measure", "unit", *(label or "value" for label, _ in columns)]]
+    table = [["measure", *(label or "value" for label, _ in columns)]]
     for name in names:
-        unit = next(str(measures[name]["unit"]) for _, measures in columns if name in measures)
-        row = [name, unit]
+        row = [name]
         for k, (_, measures) in enumerate(columns):
             row.append(_cell(measures.get(name), None if k == 0 else reference.get(name)))
         table.append(row)
@@ -227,7 +226,7 @@ def measure_table(columns: "Sequence[tuple[str, Mapping[str, Mapping[str, Any]]]
     widths = [max(len(row[i]) for row in table) for i in range(len(table[0]))]
     return "\n".join(
         "  ".join(
-            cell.ljust(width) if i in (0, 1) or (len(columns) == 1 and i == 3) else cell.rjust(width)
+            cell.ljust(width) if i == 0 or (len(columns) == 1 and i == 2) else cell.rjust(width)
             for i, (cell, width) in enumerate(zip(row, widths, strict=True))
         ).rstrip()
         for row in table
@@ -241,7 +240,9 @@ _SAME = 1e-12
 def _cell(row: "Mapping[str, Any] | None", before: "Mapping[str, Any] | None") -> str:
     if row is None:
         return "-"
-    text = f"{row['value']:.4g}"
+    from reports.text import quantity
+
+    text = quantity(float(row["value"]), str(row["unit"]), 4)
     if before is None:
         return text
     if abs(row["value"] - before["value"]) <= _SAME * abs(before["value"]):

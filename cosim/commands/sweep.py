@@ -72,9 +72,15 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
 
 def _text(found: "Sweep", table: Path, picture: Path | None) -> str:
+    from cosim.catalogue import UNITS
+    from reports.text import quantity
+
     rows = [[*found.names, *found.measures]]
     for number, values in enumerate(found.values):
-        cells = ["-" if (v := column[number]) is None else f"{v:.5g}" for column in found.measures.values()]
+        cells = [
+            "-" if (v := column[number]) is None else quantity(v, UNITS[name], 5)
+            for name, column in found.measures.items()
+        ]
         rows.append([*values, *cells])
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     lines = ["  ".join(c.rjust(w) for c, w in zip(row, widths, strict=True)) for row in rows]
