@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from cosim import effects
+from cosim.caution import Caution
 from cosim.circuits.port import DesignConstants
+from cosim.circuits.spice import SUPPLY_V
 from cosim.circuits.stability_verdict import Question, Verdict, keep, known
 from cosim.loop.setup import mechanism, start
 from cosim.ngspice.child import Child, call
@@ -16,12 +19,17 @@ from cosim.ngspice.deck import Deck, load_deck
 from cosim.plan import Plan, swaps
 from cosim.scene import Level, Method, PartFile, Scene
 
-__all__ = ["FINITE", "commanded", "question", "verdict"]
+__all__ = ["FINITE", "commanded", "latched", "question", "verdict"]
 
 #: Levels at which a board is judged: every amplifier has its bandwidth, the winding its inductance.
 FINITE: Mapping[str, str] = {
     "opamp": "gbw", "vca": "gbw", "driver_level": "gbw", "motor": "full", "potentiometer": "ideal",
 }  # fmt: skip
+#: A device that moves slower [rad/s] is at rest: its differentiators are then at their operating point.
+_REST_RAD_PER_S = 0.05
+#: An output stands at its limit from this share of it, of the supply where its part states none; and is
+#: latched there if the same pins do not ask for so much of it, this share of it less.
+_AT_LIMIT, _AT_SUPPLY, _ASKED = 0.97, 0.6, 0.8
 #: Decks made for verdicts in this process, by the plan's own: to flatten one takes longer than to look it up.
 _decks: dict[tuple[str, ...], Deck] = {}
 _MOST_DECKS = 32
@@ -100,3 +108,50 @@ def verdict(asked: Question, path: Path, child: Child | None = None, time_limit_
         )
         keep(asked, found)
     return found
+
+
+def latched(
+    plan: Plan, end: Mapping[str, Any], limits: Mapping[str, float], child: Child | None = None
+) -> list[Caution]:
+    """Look at the end of a run on ngspice for outputs that hang at their limit without being driven there.
+
+    An overdriven amplifier is at its limit because its inputs ask for more. A latched one is there although
+    the same board with linear amplifiers, at the same pins, asks for less.
+
+    Parameters
+    ----------
+    plan
+        Of the run.
+    end
+        'nodes' and 'pins' [V] at the last point, and 'speed_rad_per_s' of the fastest joint.
+    limits
+        Node -> limit of the output [V], where a part states one.
+    child
+        The run's process.
+    """
+    stuck = {}
+    for a in plan.board.amplifiers:
+        limit = limits.get(a.out_node)
+        volts = end["nodes"].get(a.out_node, 0.0)
+        declared = any(f"{a.path}.".startswith(f"{block}.") for block in plan.board.declared)
+        if not declared and abs(volts) >= (_AT_LIMIT * limit if limit else _AT_SUPPLY * SUPPLY_V):
+            stuck[a.out_node] = (a.path, volts)
+    if not stuck or end["speed_rad_per_s"] > _REST_RAD_PER_S:
+        return []
+    asked: list[float] = call(
+        "cosim.circuits.instability:at_rest",
+        {"board": _finite(plan, vendors=False), "pins": end["pins"], "nodes": list(stuck)},
+        time_limit_s=plan.scene.solver.time_limit_s,
+        deck=str(plan.board.path),
+        child=child,
+    )
+    return [
+        Caution(
+            "output-latched",
+            f"at the end of the run the output of {path} hangs at {volts:+.3g} V, where its inputs ask for "
+            f"{wanted:+.3g} V",
+            "look for positive feedback around it that begins once it clips",
+        )
+        for (path, volts), wanted in zip(stuck.values(), asked, strict=True)
+        if wanted * np.sign(volts) < _ASKED * abs(volts)
+    ]

@@ -18,7 +18,7 @@ from cosim.caution import Caution, collected, warn
 from cosim.circuits import certificate
 from cosim.circuits.port import DesignConstants
 from cosim.errors import InputError, Problem
-from cosim.judgement import question, verdict
+from cosim.judgement import latched, question, verdict
 from cosim.measures import chosen, headroom, standard
 from cosim.ngspice import stored
 from cosim.ngspice.child import OUTBOX, Child, call
@@ -132,6 +132,9 @@ def _run(
         amplifiers = _amplifiers(plan, got)
         measures = standard(scene, constants, signals, samples, amplifiers, ledger) | dict(more)
         warn(*plausibility.of_run(scene, constants, signals, samples, measures, amplifiers, ledger))
+        if "end" in got:
+            limits = {a["node"]: a["swing_v"] for a in amplifiers if a["swing_v"]}
+            warn(*latched(plan, got["end"], limits, child))
         if "circuit" in got:
             warn(*plausibility.of_circuit(got["circuit"], constants))
             warn(*certificate.cautions(got["circuit"].certificate))

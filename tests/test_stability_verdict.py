@@ -14,7 +14,7 @@ from cosim.circuits.boardgen import board_text
 from cosim.circuits.stability_verdict import Instability, Latched, Question, Verdict
 from cosim.cli import main
 from cosim.errors import InputError
-from cosim.judgement import FINITE, question, verdict
+from cosim.judgement import FINITE, latched, question, verdict
 from cosim.ngspice.deck import load_deck
 from cosim.plan import resolve
 from cosim.run import run
@@ -275,6 +275,20 @@ def test_a_stuck_output_at_rest_is_said(tmp_path):
     levels = {role: "full" for role in FINITE}
     at_rest = judged(load_deck(board, levels={**levels, "driver": "voltage"}))
     assert "xboard.xsum1.xop" in [each.path for each in at_rest.latched]
+
+
+def test_an_output_that_hangs_at_the_end_of_a_run_is_said(tmp_path):
+    """The summing amplifier asks for -10k/20k of the command: -2 V at 4 V, and 13.4 V is not that."""
+    plan = resolve(scene_of(tmp_path, slider(effects=FULL)))
+    node = next(a.out_node for a in plan.board.amplifiers if a.path == "xboard.xsum1.xop")
+    end = {"nodes": {node: 13.4}, "pins": {"cmd1": 4.0}, "speed_rad_per_s": 0.0}
+    (said,) = latched(plan, end, {node: 13.5}, shared_child())
+    assert "xboard.xsum1.xop" in said.text
+    assert "-2 V" in said.text
+    # it is overdriven where its inputs ask for more than it can, and nobody knows while the device moves
+    assert not latched(plan, end | {"pins": {"cmd1": -40.0}}, {node: 13.5}, shared_child())
+    assert not latched(plan, end | {"speed_rad_per_s": 1.0}, {node: 13.5}, shared_child())
+    assert not latched(plan, end | {"nodes": {node: 9.0}}, {node: 13.5}, shared_child())
 
 
 def test_a_verdict_survives_its_file():

@@ -23,7 +23,7 @@ from cosim.circuits.stability_verdict import Instability, Latched, Question, Ver
 from cosim.errors import CosimError
 from cosim.ngspice.deck import Deck
 
-__all__ = ["judge"]
+__all__ = ["at_rest", "judge"]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -58,6 +58,13 @@ def judge(payload: Mapping[str, Any], report: Report) -> Verdict:
     except CosimError as reason:  # whoever runs the board meets the reason again and names it fully
         return replace(verdict, unjudged=str(reason).splitlines()[0])
     return verdict
+
+
+def at_rest(payload: Mapping[str, Any], report: Report) -> list[float]:
+    """Return the voltages [V] of 'nodes' at the operating point of 'board' with 'pins' held, in the child."""
+    bench = Bench(payload["board"], multipliers=False)
+    bench.hold(payload["pins"])
+    return [float(volts) for volts in bench.operating_point(payload["nodes"])]
 
 
 class _Court:

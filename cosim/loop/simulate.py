@@ -176,7 +176,8 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     -------
     dict
         'ledger', 'sample_columns', 'constants', 'stats', 'peaks' (largest |v| of each node), 'clipped_s' (how
-        long it was at its limit), 'swings' (output limits by node), 'ngspice' (version),
+        long it was at its limit), 'swings' (output limits by node), 'end' (volts of
+        'nodes' and 'pins' at the last point, 'speed_rad_per_s' of the fastest joint), 'ngspice' (version),
         'component_noise' (as `ComponentGrid.about`); signals.raw and samples.f64 are in the folder
     """
     asked: Tolerances = payload["tolerances"]
@@ -286,6 +287,11 @@ def _simulate(payload: dict[str, Any], report: Report, aid: Aid) -> dict[str, An
         "component_noise": component.about if component is not None else None,
         "peaks": dict(zip(nodes, state["node_peak"].tolist(), strict=False)),
         "clipped_s": dict(zip(nodes, state["node_clipped"].tolist(), strict=False)),
+        "end": {
+            "nodes": {node: float(simulator.vector(node)[-1]) for node in nodes},
+            "pins": dict(zip(circuit.sources(), state["out"].tolist(), strict=False)),
+            "speed_rad_per_s": float(np.abs(state["v"][:n]).max()),
+        },
         "swings": swings,
         "ngspice": simulator.version,
     }
