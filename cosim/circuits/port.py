@@ -111,11 +111,14 @@ class Stated(DesignConstants):
     numbers : every `.csparam` of the deck by its lower-case name, such as 'tl072_gbw', in the netlist's units
     parts : role -> names of the parts that play it
     count : role -> how many amplifiers of that role the board holds
+    straight, bent : elements that ngspice evaluates at every point, see `cosim.circuits.element_count`
     """
 
     numbers: Mapping[str, float] = field(default_factory=dict)
     parts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     count: Mapping[str, int] = field(default_factory=dict)
+    straight: int = 0
+    bent: int = 0
 
     def design(self) -> dict[str, float]:
         """Return the design constants alone, JSON-ready."""

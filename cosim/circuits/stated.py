@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.circuits.cache import folder
+from cosim.circuits.element_count import element_count
 from cosim.circuits.port import DesignConstants, Stated
 from cosim.circuits.spice import Drive, testbench
 from cosim.ngspice.deck import Deck, board_pins
@@ -38,7 +39,11 @@ def of_deck(board: Deck, numbers: Mapping[str, float]) -> Stated:
     for amplifier in board.amplifiers:
         if amplifier.role is not None:
             count[amplifier.role] = count.get(amplifier.role, 0) + 1
-    stated = Stated(**vars(design), numbers=dict(numbers), parts=parts, count=count)
+    elements = element_count(board)
+    stated = Stated(
+        **vars(design), numbers=dict(numbers), parts=parts, count=count,
+        straight=elements.straight, bent=elements.bent,
+    )  # fmt: skip
     stated.check(str(board.path))
     return stated
 

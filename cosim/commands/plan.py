@@ -49,7 +49,8 @@ def describe(plan: "Plan") -> str:
             f"; of these {cost['noise_points']:.0f} points and {cost['noise_seconds']:.3g} s for noise"
             if cost["noise_points"]
             else "; no noise"
-        ),
+        )
+        + f"; about {cost['start_seconds']:.2g} s to start",
         "  in force:",
         *(_line(row) for row in facts["effects"]),
         "  left out, the largest first:",

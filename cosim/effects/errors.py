@@ -11,9 +11,6 @@ from cosim.effects.scale import Scale, scale
 from cosim.ngspice.deck import NOMINAL_C
 from cosim.scene import Drive, Scene
 
-#: What a point costs more where Newton's method meets a bend, as further points behind each jump.
-_POINTS_A_JUMP = 2.0
-
 
 def gain_before(constants: Stated) -> float:
     """Return the voltage gain from the potentiometer to a multiplier's input, from the design constants.
@@ -41,11 +38,11 @@ def unstated(at: Scale, quantity: str) -> Size:
 
 
 def bent(role: str) -> Callable[[Scene, Stated], Cost]:
-    """Return the cost of a bend in the characteristic of every part of a role."""
+    """Return the cost of a bend in the characteristic of every part of a role: its elements', no points."""
 
     def cost(scene: Scene, constants: Stated) -> Cost:
         count = constants.count.get(role, 0)
-        return Cost(_POINTS_A_JUMP / scene.computer.period_s, 0, f"a bend in each of {count}")
+        return Cost(0.0, 0, f"a bend in each of {count}")
 
     return cost
 
@@ -142,9 +139,7 @@ def corner(scene: Scene, constants: Stated) -> Size:
 
 def corner_cost(scene: Scene, constants: Stated) -> Cost:
     """Two capacitors a joint."""
-    return Cost(
-        _POINTS_A_JUMP / scene.computer.period_s, 2 * scene.joints, "two states and an op-amp a joint"
-    )
+    return Cost(0.0, 2 * scene.joints, "two states and an op-amp a joint")
 
 
 def undamped(scene: Scene) -> str:

@@ -1,53 +1,82 @@
-"""What a run will cost: points and seconds, apart from set-up, before anything has run.
+"""What a run will cost: points, seconds and the start before them, before anything has run.
 
-Calibrated on press, drop and slope in the three models, at their own and at other periods and steps, with
-and without noise: points and processor time are within a factor of two on those (a test holds this). The
-machine enters by the microseconds a point, measured on one of two cores.
+Calibrated on the shipped scenes in the three models, with parts at every level and of a vendor, with noise of
+both kinds, at relative tolerances from 1e-3 to 1e-6 and at other periods and steps: points and processor time
+are within a factor of two on those (a test holds this). The machine enters by the microseconds a point,
+measured on one of two cores.
 """
 
 from __future__ import annotations
 
 from cosim.circuits.port import Stated
 from cosim.effects import EFFECTS
-from cosim.scene import Jitter, PotNoise, Scene
+from cosim.scene import Jitter, Level, PotNoise, Scene
 
-#: Points of a sample beyond the longest steps: what the restart behind its jump and its ramp takes.
-RESTART_POINTS = 10.0
-#: Points of any further instant that is landed on: ngspice starts afresh there with short steps.
+#: Points of a sample beyond the longest steps: what the restart behind its jump and its ramp takes; in
+#: `spice` at ngspice's relative tolerance `_RTOL`, and with its fourth root at others.
+RESTART_POINTS = {"spice": 13.0, "linear": 10.0, "ideal": 10.0}
+#: Points of any further instant that is landed on: ngspice starts afresh there with short steps, whose
+#: length goes with the third root of the tolerance, as that of any method of second order.
 EVENT_POINTS = {"spice": 17.0, "linear": 1.0, "ideal": 1.0}
-#: Microseconds a point: fixed, a joint, and an amplifier of the board.
-POINT_US = {"spice": (2.0, 0.0, 0.8), "linear": (0.6, 0.5, 0.0), "ideal": (0.45, 0.25, 0.0)}
+#: Points of a tick of component noise in `spice`, for each joint, one at least: its bends are small, and few
+#: short steps follow. Fewer yet with offsets, whose volts the relative tolerance then goes by.
+COMPONENT_POINTS, COMPONENT_POINTS_OFFSET = 1.65, 1.2
+_RTOL = 1e-4
+#: Microseconds a point: fixed, a joint, and in `spice` a straight and a bent element of the board.
+POINT_US = {
+    "spice": (2.4, 0.0, 0.08, 0.28),
+    "linear": (0.4, 0.8, 0.0, 0.0),
+    "ideal": (0.45, 0.25, 0.0, 0.0),
+}
+#: A slew limit at level gbw stands inside the loop of its pole: so many times the Newton steps.
+SLEW_STEPS = 1.5
 #: Seconds for the matrices of a slider that is solved exactly, and for the maps of an interval of new length.
-EXACT_S = {"spice": 0.0, "linear": 0.015, "ideal": 0.010}
+EXACT_S = {"spice": 0.0, "linear": 0.020, "ideal": 0.012}
 INTERVAL_S = {"spice": 0.0, "linear": 1.4e-4, "ideal": 1.1e-5}
+#: Seconds of processor time from the command to the first point, with everything compiled and extracted
+#: before: two processes load Python, ngspice and compiled code, and the board's stability is judged.
+START_S = 1.6
 
 
 def predict(scene: Scene, constants: Stated, model: str) -> dict[str, float]:
     """Return points and seconds of a run on a circuit model; those of noise apart, because they decide.
 
-    Keys 'points', 'seconds', 'noise_points' and 'noise_seconds'; the last two are parts of the first two.
+    Keys 'points', 'seconds', 'noise_points' and 'noise_seconds', the last two parts of the first two; and
+    'start_seconds', which come before.
     """
     step = min(scene.solver.max_step_s, scene.computer.period_s)
     samples = scene.duration_s / scene.computer.period_s
-    points = samples * (RESTART_POINTS + scene.computer.period_s / step)
+    finer = _RTOL / scene.solver.rtol if model == "spice" else 1.0
+    points = samples * (RESTART_POINTS[model] * finer**0.25 + scene.computer.period_s / step)
     noisy = 0.0
     for effect in EFFECTS:
         if effect.is_in_force(scene) and not effect.lacks(scene):
-            events = effect.cost(scene, constants).events_per_s * scene.duration_s
-            added = events * EVENT_POINTS[model]
+            each = EVENT_POINTS[model] * finer ** (1.0 / 3.0)
+            if effect.name == "component_noise" and model == "spice":
+                each = max(1.0, _of_tick(scene) * finer ** (1.0 / 3.0))
+            added = effect.cost(scene, constants).events_per_s * scene.duration_s * each
             points += added
             noisy += added if effect.name in ("pot_noise", "component_noise") else 0.0
-    fixed, joint, amplifier = POINT_US[model]
-    each = 1e-6 * (fixed + joint * scene.joints + amplifier * sum(constants.count.values()))
+    fixed, joint, straight, bent = POINT_US[model]
+    micro = fixed + joint * scene.joints + straight * constants.straight + bent * constants.bent
+    if model == "spice" and scene.effects.opamp_slew:
+        micro *= SLEW_STEPS
     apart = EXACT_S[model] if _is_exact(scene) else 0.0
     if scene.effects.period_jitter is not Jitter.NONE:
         apart += samples * INTERVAL_S[model]
     return {
         "points": round(points),
-        "seconds": points * each + apart,
+        "seconds": 1e-6 * points * micro + apart,
         "noise_points": round(noisy),
-        "noise_seconds": noisy * each,
+        "noise_seconds": 1e-6 * noisy * micro,
+        "start_seconds": START_S,
     }
+
+
+def _of_tick(scene: Scene) -> float:
+    """Return the points that follow a tick of component noise in `spice`."""
+    offset = scene.effects.opamp_offset or scene.effects.opamp is Level.FULL
+    return (COMPONENT_POINTS_OFFSET if offset else COMPONENT_POINTS) * scene.joints
 
 
 def _is_exact(scene: Scene) -> bool:
@@ -55,4 +84,5 @@ def _is_exact(scene: Scene) -> bool:
     effects = scene.effects
     bent = effects.pot_linearity or effects.pot_calibration
     bent = bent or effects.pot_noise in (PotNoise.STATIC, PotNoise.POSITION)
-    return scene.is_slider and not (bent or effects.coulomb or effects.end_stops)
+    others = effects.coulomb or effects.end_stops or effects.component_noise
+    return scene.is_slider and not (bent or others)
