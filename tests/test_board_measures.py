@@ -29,6 +29,7 @@ from cosim.results import Run
 from cosim.scene import load_scene
 from cosim.studies import measuring
 from cosim.studies.board_measures import board_measures, needing_no_run
+from cosim.studies.energy import law_of
 
 IDEAL = ("opamp=ideal", "vca=ideal", "driver_level=ideal", "motor=emf", "differentiator=ideal")
 DROP, SLOPE, PRESS = (str(SCENES / f"{name}.toml") for name in ("drop", "slope", "press"))
@@ -62,6 +63,18 @@ def test_limits_of_a_sampled_wall_on_a_mass(tmp_path: Path) -> None:
     exact = VISCOSITY * (1 - e) / (tau * (1 - e) - PERIOD * e)
     assert found["k_max"] * rendered == pytest.approx(exact, rel=CLOSE)
     assert found["passive_stiffness"] * rendered == pytest.approx(2 * VISCOSITY / PERIOD, rel=CLOSE)
+
+
+def test_converters_that_settle_are_late_by_half_of_it(tmp_path: Path) -> None:
+    """The mean of a ramp from code to code; what the delay is past whole periods."""
+    for settling, skew, delay, expected in ((2e-3, 0.0, 0, (0, 1e-3)), (2e-3, 1e-3, 1, (1, 2e-3))):
+        tables = slider(
+            computer={**DISCRETE, "dac": {"settling_s": settling, "skew_s": skew}, "delay_periods": delay},
+            effects={"dac_settling": True, "dac_skew": skew > 0.0, "delay": delay > 0},
+        )
+        law = law_of(scene_of(tmp_path, tables))
+        assert len(law.a) == expected[0]  # a state a whole period of delay
+        assert law.lag_s == pytest.approx(expected[1], rel=1e-9)
 
 
 def test_limits_of_an_analog_spring_behind_the_windings_lag(tmp_path: Path) -> None:
