@@ -248,7 +248,9 @@ def _everything(one: Traced, mine: Mapping[str, float], plain: Mapping[str, floa
         f"{change('tangential_ratio')}, ripple {1e3 * mine['force_ripple']:.3g} for "
         f"{1e3 * plain['force_ripple']:.3g} mN"
     )
-    return Verdict("N1", f"{one.name}, beside {one.all_of}", "a question", text, None)
+    return Verdict(
+        "N1", f"what the plain run leaves out: {one.name}, beside {one.all_of}", "a question", text, None
+    )
 
 
 STUDY = Study("trace", "a hand traces the wall: methods side by side", TraceParameters, analyse)
