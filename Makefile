@@ -24,8 +24,13 @@ fuzz: setup
 	$(BIN)/python -m tests.fuzz --seed $(SEED)
 	! $(BIN)/python -c "import atheris" 2>/dev/null || $(BIN)/python -m tests.fuzz.coverage -runs=5000 -seed=$(SEED)
 
-bench: setup
+# Against peers, and against the committed figures; `python -m benchmarks --commit` renews these.
+bench: setup .venv/bench
 	$(BIN)/python -m benchmarks
+
+.venv/bench: .venv/ready
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable '.[bench]'
+	@touch $@
 
 # The paper, figure by figure and claim by claim, and the published pictures of it.
 paper: setup

@@ -1,4 +1,4 @@
-"""`python -m benchmarks [NAME ...]`: measure, print a table, write `benchmarks/latest.json`."""
+"""`python -m benchmarks [NAME ...]`: measure, print a table, compare with the committed figures."""
 
 from __future__ import annotations
 
@@ -15,21 +15,30 @@ if TYPE_CHECKING:
     from benchmarks.figure import Figure
 
 HERE = Path(__file__).resolve().parent
+COMMITTED = HERE / "latest.json"
 REPETITIONS = 15
 
 
 def main() -> int:
-    """Measure the figures asked for; exit code 1 when one misses its target."""
+    """Measure the figures asked for; exit code 1 when one misses its target or became worse."""
     os.environ.setdefault("NUMBA_CACHE_DIR", cache_folder())
     from benchmarks.anatomy import anatomy
     from benchmarks.figure import TARGETS
+    from benchmarks.regression import committed, worse
     from benchmarks.suite import SUITE
     from benchmarks.table import show
 
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Peers side by side.")
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join([*TARGETS, 'anatomy'])}")
     parser.add_argument("--repetitions", type=int, default=REPETITIONS, help="of each timed pair")
-    parser.add_argument("--out", type=Path, default=HERE / "latest.json", help="file for the figures")
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/bench.json"), help="file for the figures (default %(default)s)"
+    )
+    parser.add_argument(
+        "--commit",
+        action="store_true",
+        help=f"write them to {COMMITTED.name}, what later ones are held against",
+    )
     args = parser.parse_args()
     unknown = [name for name in args.names if name not in TARGETS and name != "anatomy"]
     if unknown:
@@ -42,11 +51,17 @@ def main() -> int:
             for found in measure(args.repetitions):
                 figures.append(found)
                 print(show(found), flush=True)
+    slower = worse(figures, committed(COMMITTED))
     if figures:
-        write(args.out, figures)
+        out = COMMITTED if args.commit else args.out
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write(out, figures)
+    for line in slower:
+        print(f"WORSE than committed: {line}")
     if not args.names or "anatomy" in args.names:
         print(anatomy(), flush=True)
-    return 0 if all(found.met for found in figures) else 1
+    accepted = args.commit or not slower
+    return 0 if accepted and all(found.met for found in figures) else 1
 
 
 def write(path: Path, figures: list[Figure]) -> None:

@@ -2,10 +2,13 @@
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
+
+import pytest
 
 from cosim.circuits.boardgen import board_text, pin_names
 
@@ -32,6 +35,8 @@ def measures(printed: str) -> dict[str, float]:
 
 def run_program(deck: Path) -> str:
     """Run a deck with ``ngspice -b`` from its own folder and return all it prints."""
+    if shutil.which("ngspice") is None:
+        pytest.skip("the ngspice program is not installed")
     done = subprocess.run(
         ["ngspice", "-b", deck.name], cwd=deck.parent, capture_output=True, text=True, timeout=60, check=False
     )

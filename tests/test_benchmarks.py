@@ -4,10 +4,13 @@ import json
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks.__main__ import write
 from benchmarks.figure import TARGETS, figure, interleaved
+from benchmarks.regression import BAND, BANDS, allowed, committed, worse
+from benchmarks.stiff import System, sundials
 from benchmarks.suite import SUITE
 from benchmarks.table import show
 from cosim.ngspice.child import Child
@@ -94,3 +97,62 @@ def test_both_sides_of_the_pairs_do_the_same_work():
     assert got["calls"]["accepted"] == got["points"]
     # the linkage as circuit elements: same physics, both at a tolerance of 1e-4
     assert got["monolithic_difference"] < 1e-3
+
+
+def test_a_figure_worse_than_committed_is_named():
+    before = {name: 0.5 * target for name, (target, _, _) in TARGETS.items()}
+    for name, ratio in before.items():
+        at_the_edge, beyond = (figure(name, [allowed(name, ratio) * share]) for share in (1 - 1e-9, 1 + 1e-9))
+        assert worse([at_the_edge], before) == []
+        (line,) = worse([beyond], before)
+        assert line.startswith(f"{name}: ")
+        assert worse([beyond], {}) == []  # nothing is committed: nothing to hold it against
+
+
+def test_what_is_committed_passes_itself():
+    """The slowest repetition lies within the band as well, which is wider than the spread."""
+    rows = {row["name"]: row for row in json.loads(LATEST.read_text(encoding="utf-8"))}
+    assert set(BANDS) <= set(rows)
+    assert all(0.0 < band <= 1.0 for band in (BAND, *BANDS.values()))
+    outside = {name for name, row in rows.items() if row["max"] > allowed(name, row["ratio"])}
+    assert outside <= {"linear_vs_monolithic_drop"}  # its largest is 1.33 of the median
+    assert committed(LATEST) == {name: row["ratio"] for name, row in rows.items()}
+
+
+def test_the_gate_fails_the_command(tmp_path, monkeypatch, capsys):
+    import benchmarks.__main__ as program
+    import benchmarks.suite as suite
+
+    better = [figure("help_vs_numpy", [0.5])]
+    monkeypatch.setattr(suite, "SUITE", {("help_vs_numpy",): lambda repetitions: better})
+    monkeypatch.setattr(program, "COMMITTED", tmp_path / "committed.json")
+    out = ["--out", str(tmp_path / "out" / "fresh.json")]
+    commit = ["--commit"]
+    for argv, ratio, code in (
+        (commit, 0.5, 0),
+        (out, 0.6, 0),
+        (out, 0.7, 1),
+        (commit, 0.7, 0),
+        (out, 0.7, 0),
+    ):
+        better[:] = [figure("help_vs_numpy", [ratio])]
+        monkeypatch.setattr("sys.argv", ["benchmarks", "help_vs_numpy", *argv])
+        assert program.main() == code
+        if code:
+            assert "WORSE than committed: help_vs_numpy: 0.7, committed 0.5" in capsys.readouterr().out
+    assert (tmp_path / "out" / "fresh.json").exists()
+
+
+def test_sundials_where_it_is_installed():
+    pytest.importorskip("sksundae", reason="scikit-sundae is not installed (pip install '.[bench]')")
+    a = np.array([[0.0, 1.0], [-1e6, -2e3]])  # critically damped, rate 1000/s
+    b = np.array([0.0, 1e6])
+    nothing = np.zeros((1, 2))
+    system = System(
+        1e-3, [a] * 3, [b] * 3, [nothing] * 3, [np.zeros(1)] * 3, np.zeros(2), np.array([1.0, 1e3])
+    )
+    solver = sundials()
+    assert solver is not None
+    x = np.arange(1, 4)
+    # y = 1 - (1 + x) exp(-x) at x = 1000/s t; an error of 20 tolerances over some hundred steps
+    np.testing.assert_allclose(solver(system, 1e-8)[:, 0], 1 - (1 + x) * np.exp(-x), atol=2e-7)

@@ -99,3 +99,16 @@ def test_imports_are_found_in_every_form(monkeypatch):
         assert compiled._closure("x") == set(names)
     finally:
         compiled._imports.cache_clear()
+
+
+def test_warm_compiles_ahead_and_says_where(capsys: pytest.CaptureFixture[str]) -> None:
+    from cosim import cli
+    from cosim.compiled import cache_folder, is_warm
+
+    assert cli.main(["warm"]) == 0
+    out, err = capsys.readouterr()
+    assert is_warm()
+    assert cache_folder() in out
+    assert "1/2" in err
+    assert "2/2" in err
+    assert "warning" not in err  # doubts about its own short runs are nobody's
