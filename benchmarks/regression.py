@@ -1,8 +1,8 @@
 """Fresh figures against the committed ones: what became worse beyond the noise fails `make bench`.
 
 Most figures are ratios of two things measured in turn in one process: the machine's speed drops out and its
-noise is left. Repeated measurements on one idle machine spread by 5 to 15 % about their median (`min` and `max`
-of the committed figures).
+noise is left. Repeated measurements on one idle machine spread by 5 to 15 % about their median (`min` and
+`max` of the committed figures).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ __all__ = ["BAND", "BANDS", "allowed", "committed", "worse"]
 #: Share of the committed figure by which a fresh one may exceed it.
 BAND = 0.30
 #: Figures with another band: counts are the same everywhere but for rounding, memory but for the allocator;
-#: plain times follow the machine's speed, and a map of borders is one process against one call of a millisecond.
+#: plain times follow the machine's speed, and a map of borders is one process against a call of a millisecond.
 BANDS = {
     "lockstep_vs_replay_points": 0.02,
     "growth_exponent": 0.15,
