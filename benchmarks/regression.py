@@ -18,7 +18,7 @@ __all__ = ["BAND", "BANDS", "allowed", "committed", "worse"]
 #: Share of the committed figure by which a fresh one may exceed it.
 BAND = 0.30
 #: Figures with another band: counts are the same everywhere but for rounding, memory but for the allocator;
-#: plain times follow the machine's speed, and a map of borders is one process against a call of a millisecond.
+#: plain times follow the machine's speed, and a map of borders is held against a call of a millisecond.
 BANDS = {
     "lockstep_vs_replay_points": 0.02,
     "growth_exponent": 0.15,
