@@ -22,7 +22,9 @@ from cosim.commands import (
     device,
     effects,
     export,
+    keys,
     new,
+    nodes,
     noise,
     plan,
     report,
@@ -33,6 +35,8 @@ from cosim.commands import (
 )
 from cosim.commands.command import caution_lines
 from cosim.errors import CosimError, fail
+from cosim.staging import writable_folder
+from cosim.terminal import printable
 
 EXIT_FAILURE = 1
 EXIT_REFUSED = 2
@@ -51,6 +55,8 @@ COMMANDS = (
     noise.COMMAND,
     device.COMMAND,
     export.COMMAND,
+    keys.COMMAND,
+    nodes.COMMAND,
     new.COMMAND,
     warm.COMMAND,
 )
@@ -93,7 +99,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         signal.signal(signal.SIGINT, signal.default_int_handler)  # from here on there is something to tidy up
     code, text, stream = _outcome(args)
     try:
-        print(text, file=stream, flush=True)
+        print(printable(text), file=stream, flush=True)
     except BrokenPipeError:
         # The reader, for example `head`, went away; Python must not complain again when it flushes at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
@@ -127,6 +133,8 @@ def _outcome(args: argparse.Namespace) -> tuple[int, str, TextIO]:
     with collected() as cautions:
         try:
             _check_folder()
+            if getattr(args, "out", None):
+                writable_folder(args.out)  # before anything long is done for it
             with _granted(args):
                 result, text = args.run(args)
         except CosimError as error:

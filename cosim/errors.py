@@ -13,6 +13,10 @@ from typing import Any, NoReturn
 __all__ = ["CosimError", "InputError", "Problem", "SimulationError", "StorageError", "fail", "nearest"]
 
 
+#: Characters of a message, or of a line of ngspice's, that help.
+_MOST_ECHOED = 600
+
+
 @dataclass(frozen=True)
 class Problem:
     """One thing that is wrong with the user's input.
@@ -52,7 +56,7 @@ class Problem:
             unit = f" {self.unit}" if self.unit else ""
             shown = _shorten(self.value) + unit
             what = f"{what} = {shown}" if what else shown
-        text = ": ".join(part for part in (where, what, self.message) if part)
+        text = ": ".join(part for part in (where, what, _cut(self.message)) if part)
         if self.allowed:
             unit = f" {self.unit}" if self.unit else ""
             text += f" (allowed: {self.allowed}{unit})"
@@ -61,7 +65,7 @@ class Problem:
     def as_dict(self) -> dict[str, object]:
         """Return the problem as JSON-ready fields, the empty ones left out."""
         fields = {
-            "message": self.message,
+            "message": _cut(self.message),
             "file": self.file,
             "line": self.line,
             "key": self.key,
@@ -153,7 +157,8 @@ class SimulationError(CosimError):
         if self.time_s is not None:
             text += f" (at t = {self.time_s:.9g} s)"
         if self.last_words:
-            text += "\nngspice said last:\n" + "\n".join(f"  {line}" for line in self.last_words.splitlines())
+            lines = (f"  {_cut(line)}" for line in self.last_words.splitlines())
+            text += "\nngspice said last:\n" + "\n".join(lines)
         return text
 
     def as_dict(self) -> dict[str, object]:
@@ -200,4 +205,11 @@ def _shorten(value: object, limit: int = 60) -> str:
 
 
 def _jsonable(value: object) -> object:
-    return value if isinstance(value, str | int | bool) else _shorten(value)
+    if isinstance(value, str):
+        return _cut(value)
+    return value if isinstance(value, int | bool) else _shorten(value)
+
+
+def _cut(text: str) -> str:
+    """Return text that may echo a line of a file, without the middle of what nobody reads."""
+    return text if len(text) <= _MOST_ECHOED else f"{text[: _MOST_ECHOED - 60]} ... {text[-40:]}"

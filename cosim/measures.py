@@ -119,9 +119,19 @@ def _heat(t: NDArray[np.float64], signals: Signals, n: int) -> float:
     return float(np.trapezoid(squares, t))
 
 
+def own_measures(scene: Scene) -> list[str]:
+    """Return the measures of the user's own among `[measures] names`: ``file.py:Class``."""
+    return [name for name in scene.measures.names if ":" in name]
+
+
 def chosen(measures: Mapping[str, Mapping[str, Any]], scene: Scene) -> dict[str, Mapping[str, Any]]:
-    """Return the measures that `[measures] names` asks for and this run has, all when it asks for none."""
-    return {name: measures[name] for name in scene.measures.names or measures if name in measures}
+    """Return the measures that `[measures] names` asks for and this run has, all when it asks for none.
+
+    Those of the user's own, which are called by the name of their class, come on top.
+    """
+    own = [name.rpartition(":")[2] for name in own_measures(scene)]
+    wanted = [name for name in scene.measures.names if ":" not in name] or [*measures]
+    return {name: measures[name] for name in dict.fromkeys([*wanted, *own]) if name in measures}
 
 
 @dataclass(frozen=True)
@@ -216,6 +226,22 @@ def _unknown(scene: Scene, key: str, name: str) -> Problem:
 
 def check_names(scene: Scene) -> None:
     """Raise an `InputError` for every name in `[measures] names` that no run can have."""
-    problems = [_unknown(scene, "measures.names", name) for name in scene.measures.names if name not in NAMES]
+    own = own_measures(scene)
+    problems = [
+        _unknown(scene, "measures.names", name)
+        for name in scene.measures.names
+        if name not in NAMES and name not in own
+    ]
+    classes = [name.rpartition(":")[2] for name in own]
+    problems += [
+        Problem(
+            "an own measure needs a class whose name no other measure has",
+            file=str(scene.file) if scene.file else None,
+            key="measures.names",
+            value=name,
+        )
+        for name, kind in zip(own, classes, strict=True)
+        if kind in NAMES or classes.count(kind) > 1 or not kind.isidentifier()
+    ]
     if problems:
         raise InputError(problems)

@@ -230,6 +230,13 @@ def _resolved(scene: Scene, trust: bool, board: Deck | None) -> Plan:
         )
     _check_path(scene)
     warn(*plausibility.of_plan(scene, board, partial(_unedited, scene, trust)))
+    warn(
+        *(
+            Caution("key-unused", text, "switch the effect on, or take the key out")
+            for text in stated_in_vain(scene, effects.EFFECTS)
+            if text.startswith("computer.")  # what a mechanism is stays true with its effect off
+        )
+    )
     model = effects.circuit_model(scene)
     _check_stops(scene, model)
     solver = scene.solver

@@ -7,6 +7,7 @@ length streams through constant memory.
 """
 
 import os
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import BinaryIO, Self
@@ -19,8 +20,10 @@ from cosim.staging import disk_errors
 
 _COUNT_WIDTH = 20
 _BINARY = b"Binary:\n"
-# A raw file wants a date; the true one would make equal runs differ in their bytes.
+# A raw file wants a date: this one holds the place of the run's, see `stamp`.
 _DATE = "Thu Jan  1 00:00:00  1970"
+# By this line spicelib and PyLTSpice know whose form it is; ngspice takes it for a command, here a comment.
+_COMMAND = "Command: * ngspice\n"
 
 
 def kind_of(name: str) -> str:
@@ -75,7 +78,7 @@ class RawWriter:
         )
         before = (
             f"Title: {' '.join(title.split())}\nDate: {_DATE}\nPlotname: Transient Analysis\n"
-            f"Flags: real\nNo. Variables: {len(self.names)}\nNo. Points: "
+            f"{_COMMAND}Flags: real\nNo. Variables: {len(self.names)}\nNo. Points: "
         ).encode()
         after = f"\nVariables:\n{rows}".encode() + _BINARY
         # Blanks after the count put the points on a multiple of 8, where numpy maps them as they are.
@@ -129,6 +132,20 @@ class RawWriter:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def stamp(path: Path, date_s: float) -> None:
+    """Write a date, in seconds since 1970, into a file of `RawWriter`; UTC, whatever the place and language.
+
+    Raises
+    ------
+    InputError
+        When it cannot be written.
+    """
+    day, _, year = time.asctime(time.gmtime(date_s)).rpartition(" ")
+    with disk_errors(path), path.open("r+b") as stream:
+        stream.readline()  # the title
+        stream.write(f"Date: {day}  {year}".encode())
 
 
 class Signals(Mapping[str, NDArray[np.float64]]):

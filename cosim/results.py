@@ -18,8 +18,10 @@ import os
 import platform
 import shutil
 import sys
-from collections.abc import Collection, Mapping, Sequence
+import time
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +33,9 @@ from cosim.caution import Caution, caution_of
 from cosim.errors import CosimError, InputError, fail
 from cosim.rawfile import Signals, read_raw
 from cosim.scene import Scene, scene_from_dict
-from cosim.seal import check_files, file_sums, read_sealed, sealed
+from cosim.seal import check_files, file_sums, intact, listed, read_sealed, sealed
 from cosim.staging import Staging, disk_errors
+from cosim.units import heading, name_of, sample_unit, signal_unit
 
 RAW, SAMPLES, RECORD, SCENE = "signals.raw", "samples.csv", "run.json", "scene.toml"
 BOARD = "board.json"
@@ -40,11 +43,16 @@ FORMATS = ("parquet", "csv")
 _FORMAT_VERSION = 2
 #: What a result is checked for when it is loaded; the other forms of the signals are for other tools.
 _SEALED = (RAW, SAMPLES, SCENE, BOARD)
+#: Further forms of the signals, by which nothing is loaded.
+_FORMS = tuple(f"signals.{ending}" for ending in FORMATS)
+#: Where `cosim report` puts its page unless it is told another place.
+PAGE_FOLDER = "report"
 #: What a record must hold to be a run's.
 _CONTENT = {
-    **dict.fromkeys(("scene", "plan", "measures", "ledger", "stats", "provenance", "files"), dict),
+    **dict.fromkeys(("scene", "plan", "measures", "ledger", "stats", "provenance", "files", "forms"), dict),
     "events": list,
     "warnings": list,
+    "said": list,
 }
 # Rows handled at once when exporting: some megabytes, whatever the length of the run.
 _CHUNK = 1 << 15
@@ -76,6 +84,8 @@ class Run:
         Versions, seed and command, see `provenance`.
     warnings
         What a person should doubt about the result.
+    said
+        Lines that the user's own law and measures printed.
     """
 
     scene: Scene
@@ -88,6 +98,7 @@ class Run:
     stats: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     warnings: Sequence[Caution] = ()
+    said: Sequence[str] = ()
 
     def save(self, folder: str | os.PathLike[str], formats: Collection[str] = ("parquet",)) -> Path:
         """Write the result folder whole, or not at all.
@@ -109,7 +120,7 @@ class Run:
         InputError
             When it cannot be written or is somebody else's; nothing is left behind then.
         """
-        with Staging(folder, RECORD) as stage:
+        with Staging(folder, written_files) as stage:
             self.write_into(stage.path, formats)
             stage.publish()
             return stage.target
@@ -126,10 +137,11 @@ class Run:
             if "parquet" in formats:
                 write_parquet(folder / "signals.parquet", self.signals)
             if "csv" in formats:
-                write_csv(folder / "signals.csv", self.signals)
-            write_csv(folder / SAMPLES, self.samples)
+                write_csv(folder / "signals.csv", self.signals, signal_unit)
+            write_csv(folder / SAMPLES, self.samples, sample_unit)
             (folder / SCENE).write_text(self.scene.to_toml(), encoding="utf-8")
-            plain = json.loads(json_text({**self._record(), "files": file_sums(folder, _SEALED)}))
+            sums = {"files": file_sums(folder, _SEALED), "forms": file_sums(folder, _FORMS)}
+            plain = json.loads(json_text({**self._record(), **sums}))
             (folder / RECORD).write_text(json_text(sealed(plain)) + "\n", encoding="utf-8")
 
     def _record(self) -> dict[str, Any]:
@@ -139,6 +151,7 @@ class Run:
             "scene": self.scene.as_dict(),
             "scene_digest": self.scene.digest(),
             "warnings": [caution.as_dict() for caution in self.warnings],
+            "said": list(self.said),
             "plan": self.plan,
             "measures": self.measures,
             "ledger": self.ledger,
@@ -179,7 +192,21 @@ class Run:
             stats=record["stats"],
             provenance=record["provenance"],
             warnings=tuple(map(caution_of, record["warnings"])),
+            said=tuple(map(str, record["said"])),
         )
+
+
+def written_files(folder: Path) -> set[str]:
+    """Return the relative paths in a result folder that a run and its page have written, and nobody since.
+
+    Nothing of a folder whose record is missing, damaged or another version's can be proven.
+    """
+    try:
+        record = read_sealed(folder / RECORD, _FORMAT_VERSION)
+    except InputError:
+        return set()
+    page = {f"{PAGE_FOLDER}/{name}" for name in listed(folder / PAGE_FOLDER)}
+    return {RECORD, *intact(folder, {**record.get("files", {}), **record.get("forms", {})}), *page}
 
 
 def provenance(
@@ -207,6 +234,7 @@ def provenance(
             **{package: _version(package) for package in packages},
         },
         "platform": platform.platform(),
+        "date": datetime.fromtimestamp(run_date(), UTC).isoformat(timespec="seconds"),
         "command": list(sys.argv if command is None else command),
         "seed": scene.seed,
         "scene_file": str(scene.file) if scene.file else None,
@@ -214,6 +242,12 @@ def provenance(
         "effects_digest": effects_digest(scene),
         **more,
     }
+
+
+def run_date() -> float:
+    """Return the present time [s since 1970], or what SOURCE_DATE_EPOCH says, for results of equal bytes."""
+    fixed = os.environ.get("SOURCE_DATE_EPOCH", "")
+    return float(fixed) if fixed.isdigit() else time.time()
 
 
 def effects_digest(scene: Scene) -> str:
@@ -266,19 +300,21 @@ def _not_finite(value: Any, path: str) -> str | None:
     return next((bad for key, item in items if (bad := _not_finite(item, f"{path}.{key}".lstrip(".")))), None)
 
 
-def write_csv(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
-    """Write columns of equal length; numbers keep every digit."""
+def write_csv(
+    path: Path, columns: Mapping[str, NDArray[Any]], unit: Callable[[str], str] = lambda name: ""
+) -> None:
+    """Write columns of equal length; numbers keep every digit, headings carry the unit of their name."""
     length = len(next(iter(columns.values()))) if columns else 0
     with disk_errors(path), path.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(columns)
+        writer.writerow([heading(name, unit(name)) for name in columns])
         for start in range(0, length, _CHUNK):
             block = [column[start : start + _CHUNK].tolist() for column in columns.values()]
             writer.writerows(zip(*block, strict=True))
 
 
 def read_csv(path: Path) -> dict[str, NDArray[np.float64]]:
-    """Read columns of numbers written by `write_csv`.
+    """Read columns of numbers written by `write_csv`, by their names without the units.
 
     Raises
     ------
@@ -287,7 +323,7 @@ def read_csv(path: Path) -> dict[str, NDArray[np.float64]]:
     """
     try:
         with path.open(encoding="utf-8", newline="") as stream:
-            names = next(csv.reader([stream.readline()]), [])
+            names = [name_of(each) for each in next(csv.reader([stream.readline()]), [])]
             table = np.empty((0, len(names)))
             if stream.tell() < path.stat().st_size:
                 table = np.loadtxt(stream, delimiter=",", comments=None, ndmin=2)

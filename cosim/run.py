@@ -15,16 +15,15 @@ from numpy.typing import NDArray
 
 from cosim import plausibility
 from cosim.caution import Caution, collected, warn
-from cosim.circuits import certificate
 from cosim.circuits.port import DesignConstants
 from cosim.errors import InputError, Problem
 from cosim.judgement import latched, question, verdict
-from cosim.measures import chosen, headroom, standard
+from cosim.measures import chosen, headroom, own_measures, standard
 from cosim.ngspice import stored
 from cosim.ngspice.child import OUTBOX, Child, call
 from cosim.plan import Plan, resolve
-from cosim.rawfile import read_raw
-from cosim.results import RAW, RECORD, Run, provenance
+from cosim.rawfile import read_raw, stamp
+from cosim.results import RAW, Run, provenance, run_date, written_files
 from cosim.scene import PythonOperator, Scene
 from cosim.staging import Staging, disk_errors
 
@@ -103,7 +102,7 @@ def _run(
         judged.require(str(plan.board.path))
     warn(*judged.cautions())
     target = Path(out) if out is not None else Path(tempfile.gettempdir()) / f"cosim-run-{uuid.uuid4().hex}"
-    with Staging(target, RECORD) as stage:
+    with Staging(target, written_files) as stage:
         got = call(
             f"{_TARGETS[plan.model]}:simulate",
             {
@@ -126,18 +125,20 @@ def _run(
             collect=stage.path,
         )
         constants: DesignConstants = got["constants"]
+        stamp(stage.path / RAW, run_date())
         samples = _read_samples(stage.path / "samples.f64", got["sample_columns"])
         ledger = got["ledger"]
         signals = read_raw(stage.path / RAW)
         amplifiers = _amplifiers(plan, got)
         measures = standard(scene, constants, signals, samples, amplifiers, ledger) | dict(more)
+        own = _own(plan, constants, stage.path / RAW, samples, child)
+        measures |= own["rows"]
         warn(*plausibility.of_run(scene, constants, signals, samples, measures, amplifiers, ledger))
         if "end" in got:
             limits = {a["node"]: a["swing_v"] for a in amplifiers if a["swing_v"]}
             warn(*latched(plan, got["end"], limits, child))
         if "circuit" in got:
             warn(*plausibility.of_circuit(got["circuit"], constants))
-            warn(*certificate.cautions(got["circuit"].certificate))
         stats = dict(got["stats"])
         stats["total_s"] = time.perf_counter() - begun
         result = Run(
@@ -156,6 +157,7 @@ def _run(
             measures=chosen(measures, scene),
             ledger=ledger,
             stats=stats,
+            said=(*got["said"], *own["said"]),
             warnings=tuple(cautions),
             provenance=provenance(
                 scene,
@@ -176,7 +178,31 @@ def _python_folders(scene: Scene) -> list[Path]:
     base = scene.file.parent if scene.file is not None else Path()
     named = [scene.computer.law] if scene.computer.law is not None else []
     named += [scene.operator.file] if isinstance(scene.operator, PythonOperator) else []
+    named += own_measures(scene)
     return list(dict.fromkeys((base / each.rpartition(":")[0]).resolve().parent for each in named))
+
+
+def _own(
+    plan: Plan,
+    constants: DesignConstants,
+    raw: Path,
+    samples: Mapping[str, NDArray[np.float64]],
+    child: Child | None,
+) -> dict[str, Any]:
+    """Ask the user's own measures in the child, as it runs their laws: 'rows', and what they 'said'."""
+    names = own_measures(plan.scene)
+    if not names:
+        return {"rows": {}, "said": []}
+    asked = {"scene": plan.scene, "constants": constants, "raw": raw, "samples": samples, "names": names}
+    found: dict[str, Any] = call(
+        "cosim.loop.usermeasure:measured",
+        asked,
+        time_limit_s=plan.scene.solver.time_limit_s,
+        deck=str(plan.board.path),
+        child=child,
+        reads=[raw.parent, *_python_folders(plan.scene)],
+    )
+    return found
 
 
 def _check_duration(plan: Plan) -> None:

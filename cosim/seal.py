@@ -10,11 +10,24 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 
-from cosim.errors import fail
+from cosim.errors import InputError, fail
 
-__all__ = ["check_files", "file_sums", "read_object", "read_sealed", "sealed"]
+__all__ = [
+    "MANIFEST",
+    "check_files",
+    "file_sums",
+    "intact",
+    "listed",
+    "read_object",
+    "read_sealed",
+    "sealed",
+    "write_manifest",
+]
 
 _SEAL = "seal"
+#: Names the files of a page, so that they and no others are replaced with it.
+MANIFEST = ".cosim-files.json"
+_MANIFEST_FORM = 1
 
 
 def file_sums(folder: Path, names: Iterable[str]) -> dict[str, str]:
@@ -30,6 +43,30 @@ def check_files(folder: Path, sums: Mapping[str, str]) -> None:
             fail("is missing: the result is not whole", file=str(file))
         if _sum(file) != expected:
             fail("is damaged: its content is not what the run has written", file=str(file))
+
+
+def intact(folder: Path, sums: Mapping[str, str]) -> set[str]:
+    """Return the names among `sums` whose files in `folder` are what they were when they were written."""
+    return {
+        name
+        for name, expected in sums.items()
+        if (folder / name).is_file() and _sum(folder / name) == expected
+    }
+
+
+def write_manifest(folder: Path, names: Iterable[str]) -> None:
+    """Note that files (relative paths) in `folder` are ours, in a file beside them."""
+    record = sealed({"format": _MANIFEST_FORM, "files": file_sums(folder, names)})
+    (folder / MANIFEST).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+
+
+def listed(folder: Path) -> set[str]:
+    """Return the relative paths that a manifest proves to be ours and unchanged, itself among them."""
+    try:
+        record = read_sealed(folder / MANIFEST, _MANIFEST_FORM)
+    except InputError:  # none, or one that proves nothing
+        return set()
+    return {MANIFEST, *intact(folder, record["files"])}
 
 
 def sealed(record: Mapping[str, Any]) -> dict[str, Any]:

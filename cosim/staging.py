@@ -7,7 +7,7 @@ import platform
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Self
@@ -68,6 +68,49 @@ def _umask() -> int:
     return umask
 
 
+def own_file(path: str | os.PathLike[str], ours: Callable[[str], bool]) -> None:
+    """Refuse to write a file that could not be written, or that would replace one that is not of its kind.
+
+    Parameters
+    ----------
+    ours
+        Tells from the first lines of an existing file whether we wrote it: a board, a scene or a text of the
+        user's is never replaced.
+    """
+    file = Path(path)
+    writable_folder(file.parent)
+    if not file.parent.is_dir():
+        fail("there is no such folder", file=os.fspath(file.parent))
+    if not os.path.lexists(file):
+        return
+    if not file.is_file():
+        fail("is no file", file=os.fspath(path))
+    with disk_errors(path), file.open("rb") as stream:
+        head = stream.read(4096).decode("utf-8", "replace")
+    if head and not ours(head):
+        fail("exists and was not written by this command: nothing was changed; choose another name",
+             file=os.fspath(path))  # fmt: skip
+
+
+def writable_folder(path: str | os.PathLike[str]) -> None:
+    """Refuse a folder that could not be written or made, before long work is done for it.
+
+    Raises
+    ------
+    InputError
+        Naming what is in the way.
+    """
+    place = Path(os.path.abspath(path))
+    while not os.path.lexists(place):
+        place = place.parent
+    if not place.is_dir():
+        fail("exists and is not a folder", file=str(place))
+    with disk_errors(path):
+        handle, name = tempfile.mkstemp(prefix=_prefix(place), dir=place)
+        os.close(handle)
+        os.unlink(name)
+
+
 @contextmanager
 def scratch_folder(purpose: str) -> Iterator[Path]:
     """Yield a folder in the system's place for temporary files, and remove it at the end of the block.
@@ -114,6 +157,15 @@ def _sweep_killed(place: Path, before: str, ending: str = "") -> None:
                 entry.unlink(missing_ok=True)
 
 
+def _files(folder: Path) -> set[str]:
+    """Return the relative paths of all that is in a folder and is no folder."""
+    return {
+        path.relative_to(folder).as_posix()
+        for path in folder.rglob("*")
+        if path.is_symlink() or not path.is_dir()
+    }
+
+
 def _label() -> str:
     """Return this machine's mark in the names of temporary folders; a shared disk has several machines."""
     return hashlib.sha256(platform.node().encode()).hexdigest()[:6]
@@ -140,10 +192,10 @@ class Staging:
     ----------
     target
         Folder that shall appear.
-    marker
-        File that a folder of this kind contains. An existing target is replaced only when it is empty
-        or has this file: a folder of the user's own is never deleted. Without a marker only an empty
-        target is replaced.
+    ours
+        Tells, of an existing target, the relative paths of the files that we wrote and nobody has changed
+        since. A target is replaced only when it holds no other: nothing of the user's is ever deleted.
+        Without it only an empty target is replaced.
 
     Attributes
     ----------
@@ -151,9 +203,11 @@ class Staging:
         The temporary folder.
     """
 
-    def __init__(self, target: str | os.PathLike[str], marker: str | None = None) -> None:
+    def __init__(
+        self, target: str | os.PathLike[str], ours: Callable[[Path], Collection[str]] | None = None
+    ) -> None:
         self.target = Path(os.path.abspath(target))
-        self._marker = marker
+        self._ours = ours
         self._refuse_foreign()
         with disk_errors(self.target):
             self.target.parent.mkdir(parents=True, exist_ok=True)
@@ -173,11 +227,15 @@ class Staging:
                 fail("exists and is not a folder", file=str(self.target))
             if not any(self.target.iterdir()):
                 return
-            if self._marker is None:
+            if self._ours is None:
                 fail("exists and is not empty; nothing was changed", file=str(self.target))
-            if not (self.target / self._marker).is_file():
+            foreign = sorted(_files(self.target) - set(self._ours(self.target)))
+            if foreign:
+                more = f" and {len(foreign) - 1} more" if len(foreign) > 1 else ""
                 fail(
-                    f"is not empty and holds no {self._marker}; choose another folder", file=str(self.target)
+                    f"holds {foreign[0]}{more}, which no run has written as it is now: nothing was changed; "
+                    "choose another folder, or move it away",
+                    file=str(self.target),
                 )
 
     def publish(self) -> None:
@@ -198,13 +256,25 @@ class Staging:
                 self._step_aside()
 
     def _step_aside(self) -> None:
-        """Remove the earlier result by way of a new name: a folder that is not empty is not renamed over."""
+        """Remove the earlier result by way of a new name: a folder that is not empty is not renamed over.
+
+        Only files that are proven to be ours are removed. One that was put there in this very moment stays.
+        """
+        assert self._ours is not None  # a target that is not empty was refused
         old = self._beside()
         try:
             self.target.rename(old)
         except FileNotFoundError:  # another process was quicker
             pass
-        shutil.rmtree(old, ignore_errors=True)
+        for name in self._ours(old):
+            (old / name).unlink(missing_ok=True)
+        for folder in sorted((path for path in old.rglob("*") if path.is_dir()), reverse=True):
+            with suppress(OSError):
+                folder.rmdir()
+        try:
+            old.rmdir()
+        except OSError:
+            fail("a file was put there while the run ended; it was moved aside", file=str(old))
 
     def discard(self) -> None:
         """Remove the temporary folder if it is still there."""

@@ -73,6 +73,7 @@ def write_comparison(sides: "Sequence[Side]", rows: "Sequence[Row]", folder: Pat
         pictures=pictures,
         absent=[],
         tables=tables(sides, rows),
+        said=[],
         scene="",
     )
     return write_page(folder, html, pictures)

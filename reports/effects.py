@@ -2,9 +2,11 @@
 
 import csv
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
-from cosim.staging import disk_errors
+from cosim.staging import disk_errors, whole_file
+from cosim.units import heading
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -13,7 +15,7 @@ if TYPE_CHECKING:
     from cosim.studies.ledger import EffectsLedger
 
 
-def write_effects(ledger: "EffectsLedger", measure: str, folder: Path) -> Path:
+def write_effects(ledger: "EffectsLedger", measure: str, folder: Path, title: str = "") -> Path:
     """Write ``effects.png``, ``effects.svg`` and ``effects.csv`` (all measures) and return the PNG.
 
     Raises
@@ -25,29 +27,40 @@ def write_effects(ledger: "EffectsLedger", measure: str, folder: Path) -> Path:
 
     with disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        with (folder / "effects.csv").open("w", encoding="utf-8", newline="") as stream:
+        with (
+            whole_file(folder / "effects.csv") as temporary,
+            temporary.open("w", encoding="utf-8", newline="") as stream,
+        ):
             names = list(ledger.full)
             writer = csv.writer(stream)
-            writer.writerow(["effect", "value", "alone_s", "among_s", *names, *(f"{n}_among" for n in names)])
+            units = {name: str(row["unit"]) for name, row in ledger.full.items()}
+            heads = [heading(name, units[name]) for name in names]
+            heads += [heading(f"{name}_among", units[name]) for name in names]
+            writer.writerow(["effect", "value", "alone [s]", "among [s]", *heads])
             for row in ledger.rows:
                 alone = [row.on.get(name) for name in names]
                 among = [row.off.get(name) for name in names]
                 writer.writerow([row.effect, row.value, row.on_s, row.off_s, *alone, *among])
         with look():
-            figure = draw(ledger, measure)
+            figure = draw(ledger, measure, title)
             for ending in ("svg", "png"):
-                figure.savefig(folder / f"effects.{ending}")
+                with whole_file(folder / f"effects.{ending}") as temporary:
+                    figure.savefig(temporary, format=ending)
     return folder / "effects.png"
 
 
-def draw(ledger: "EffectsLedger", measure: str) -> "Figure":
-    """Return the figure: bars of size, alone and on top of all others, beside bars of cost."""
+def draw(ledger: "EffectsLedger", measure: str, title: str = "") -> "Figure":
+    """Return the figure: bars of size, alone and on top of all others, beside bars of cost.
+
+    It stands alone, without a page: its title names the scene, and its caption says what to see.
+    """
+    from reports.style import Drawn
     from reports.style import figure as new_figure
 
     rows = sorted(ledger.rows, key=lambda r: max(abs(r.on.get(measure, 0)), abs(r.off.get(measure, 0))))
     labels = [f"{row.effect} {'' if row.value == 'True' else row.value}".strip() for row in rows]
     drawing, axes = new_figure(
-        1.2 + 0.28 * len(rows), columns=2, sharey=True, gridspec_kw={"width_ratios": (3, 2)}
+        2.3 + 0.28 * len(rows), columns=2, sharey=True, gridspec_kw={"width_ratios": (3, 2)}
     )
     size, cost = axes[0]
     unit = str(ledger.full[measure]["unit"])
@@ -68,7 +81,18 @@ def draw(ledger: "EffectsLedger", measure: str) -> "Figure":
     cost.set_xlabel("cost, processor time [ms]")
     cost.axvline(0.0, color="0.4", linewidth=1)
     size.legend(loc="lower right")
-    return drawing
+    words = measure.replace("_", " ")
+    drawing.suptitle(
+        f"{title}: what each effect does to {words}" if title else f"What each effect does to {words}"
+    )
+    share = f"1 % of its value with all effects, {scale:.4g} {unit}".rstrip()
+    caption = (
+        f"Left: how far an effect moves the {words}, put on alone over none and on top of all others; the "
+        f"dashed line is {share}. An effect without a bar changes nothing here. Right: what it costs in "
+        "processor time; what is below the noise of the clock may be negative."
+    )
+    drawing.supxlabel("\n".join(wrap(caption, 118)), fontsize=9.0, ha="left", x=0.01)
+    return Drawn(drawing, caption).figure
 
 
 def _bars(axes: "Axes", labels: list[str], alone: list[float], among: list[float]) -> None:

@@ -7,7 +7,7 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cosim.caution import Caution, grouped
-from cosim.errors import InputError, Problem
+from cosim.errors import fail
+from cosim.seal import MANIFEST, listed, write_manifest
+from cosim.staging import disk_errors
 from reports.source import RunLike, View
 from reports.tables import Table, Trial, all_tables, command_line, compare_table
 from reports.words import summary, tiles
@@ -109,6 +111,7 @@ def write_report(
         compare=compare_table(trials) if len(trials) > 1 else None,
         compared=compared,
         inputs=inputs,
+        said=list(run.said),
         scene=_scene_text(run),
         command=command_line(run.provenance.get("command")),
     )
@@ -227,35 +230,45 @@ def glue(text: str) -> str:
     return re.sub(r"(?<=\d) (?=[%A-Za-zµ]{1,3}\b|%)", "\u00a0", text)
 
 
-def write_page(folder: Path, html: str, pictures: Sequence[Picture]) -> Path:
-    """Write the page and its pictures; figures to a temporary folder first, swapped in, and the page last.
+def write_page(
+    folder: Path, html: str, pictures: Sequence[Picture], tables: Mapping[str, str] | None = None
+) -> Path:
+    """Write the page, its pictures and `tables` (path in the folder -> CSV text), the page last.
+
+    All is written to a temporary folder first. Of what is in the way only files that an earlier report wrote,
+    and that nobody has changed since, are replaced; those that this one has no more are removed.
 
     Raises
     ------
     InputError
-        The folder cannot be written; nothing half-written is left.
+        The folder cannot be written, or holds something else under these names; nothing half-written is left.
     """
-    page, figures = folder / PAGE_NAME, folder / FOLDER_NAME
-    fresh: Path | None = None
-    try:
+    content: dict[str, bytes] = {path: text.encode() for path, text in (tables or {}).items()}
+    for each in pictures:
+        for ending, data in (("svg", each.svg), ("png", each.png), ("csv", each.data.encode())):
+            content[f"{FOLDER_NAME}/{each.name}.{ending}"] = data
+    content[PAGE_NAME] = html.encode()
+    before = listed(folder)
+    foreign = [name for name in content if os.path.lexists(folder / name) and name not in before]
+    if foreign:
+        fail(
+            "is in the way, and no report has written it as it is now: nothing was changed; choose another "
+            "folder (--out), or move it away",
+            file=str(folder / foreign[0]),
+        )
+    with disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         fresh = Path(tempfile.mkdtemp(prefix=".report-", dir=folder))
-        fresh.chmod(0o755)  # mkdtemp keeps others out; a report is for reading
-        inside = fresh / FOLDER_NAME
-        inside.mkdir()
-        for picture in pictures:
-            (inside / f"{picture.name}.svg").write_bytes(picture.svg)
-            (inside / f"{picture.name}.png").write_bytes(picture.png)
-            (inside / f"{picture.name}.csv").write_text(picture.data, encoding="utf-8")
-        (fresh / PAGE_NAME).write_text(html, encoding="utf-8")
-        if figures.exists():
-            os.replace(figures, fresh / "old")
-        os.replace(inside, figures)
-        os.replace(fresh / PAGE_NAME, page)
-    except OSError as error:
-        problem = Problem(f"the report cannot be written: {error.strerror or error}", file=str(folder))
-        raise InputError(problem) from error
-    finally:
-        if fresh is not None:
+        try:
+            for name, data in content.items():
+                (fresh / name).parent.mkdir(exist_ok=True)
+                (fresh / name).write_bytes(data)
+            write_manifest(fresh, content)
+            for name in [*content, MANIFEST]:
+                (folder / name).parent.mkdir(exist_ok=True)
+                os.replace(fresh / name, folder / name)
+            for name in before - {*content, MANIFEST}:
+                (folder / name).unlink(missing_ok=True)
+        finally:
             shutil.rmtree(fresh, ignore_errors=True)
-    return page
+    return folder / PAGE_NAME

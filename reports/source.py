@@ -64,6 +64,10 @@ class RunLike(Protocol):
     def warnings(self) -> Sequence[Caution]:
         """What to doubt about the result."""
 
+    @property
+    def said(self) -> Sequence[str]:
+        """Lines that the scene's own Python printed."""
+
 
 @dataclass(frozen=True)
 class WallFrame:

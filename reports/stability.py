@@ -9,7 +9,7 @@ import numpy as np
 from cosim.circuits.linear import LinearCircuit
 from cosim.circuits.port import DesignConstants
 from cosim.scene import Scene
-from cosim.staging import disk_errors
+from cosim.staging import disk_errors, whole_file
 from cosim.studies.limits import Limits, limits, locus
 from cosim.studies.stability import with_computer
 
@@ -36,14 +36,18 @@ def write_stability(
     rows = over_period(scene, constants, circuit)
     with disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        with (folder / "stability.csv").open("w", encoding="utf-8", newline="") as stream:
+        with (
+            whole_file(folder / "stability.csv") as temporary,
+            temporary.open("w", encoding="utf-8", newline="") as stream,
+        ):
             writer = csv.DictWriter(stream, list(rows[0]))
             writer.writeheader()
             writer.writerows(rows)
         with look():
             figure = draw(found, scene, constants, circuit, rows)
             for ending in ("svg", "png"):
-                figure.savefig(folder / f"stability.{ending}")
+                with whole_file(folder / f"stability.{ending}") as temporary:
+                    figure.savefig(temporary, format=ending)
     return folder / "stability.png"
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from cosim.caution import Caution, grouped
 from cosim.studies.claims import Claim
-from cosim.studies.study import StudyResult, write_table
+from cosim.studies.study import StudyResult, table_text
 from cosim.studies.study import Table as StudyTable
 from reports.page import Picture, picture, render, write_page
 from reports.style import look
@@ -118,13 +118,12 @@ def write_study_page(
         "study.html.j2", title=title, command=command, summary=_summary(judged), sections=sections,
         claims=judged, warnings=grouped(cautions),
     )  # fmt: skip
-    page = write_page(out, html, pictures)
-    data = out / "data"
-    data.mkdir(exist_ok=True)
-    for name, result in results:
-        for table in result.tables:
-            write_table(data / f"{name}_{table.name}.csv", table)
-    return page
+    tables = {
+        f"data/{name}_{table.name}.csv": table_text(table)
+        for name, result in results
+        for table in result.tables
+    }
+    return write_page(out, html, pictures, tables)
 
 
 def _claims(results: Sequence[tuple[str, StudyResult]], asked: Sequence[Claim]) -> list[_Claim]:

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 from cosim.catalogue import UNITS
 from cosim.ngspice.lines import number
 from cosim.staging import whole_file
+from cosim.studies.sweep import unit_of
+from cosim.units import heading
 from reports.style import JOINTS, Drawn, figure, legend, look
 from reports.text import scale
 
@@ -41,7 +43,7 @@ def draw(found: "Sweep") -> Drawn | None:
     groups = list(dict.fromkeys(values[1:] for values in found.values))
     for row, name in enumerate(names):
         axes, column = grid[row, 0], found.measures[name]
-        unit = UNITS[name]
+        unit = UNITS.get(name, "")
         largest = max((abs(value) for value in column if value is not None), default=0.0)
         factor, shown = scale(largest, unit) if unit in ("N", "m", "A", "s") else (1.0, unit)
         for place, group in enumerate(groups):
@@ -51,7 +53,9 @@ def draw(found: "Sweep") -> Drawn | None:
                 if values[1:] == group and value is not None
             )
             pairs = zip(found.names[1:], group, strict=True)
-            label = ", ".join(f"{key.rpartition('.')[2]} = {value}" for key, value in pairs)
+            label = ", ".join(
+                f"{key.rpartition('.')[2]} = {value} {unit_of(key)}".rstrip() for key, value in pairs
+            )
             axes.plot(
                 [x for x, _ in line],
                 [y for _, y in line],
@@ -65,5 +69,6 @@ def draw(found: "Sweep") -> Drawn | None:
         if min(known) > 0.0 and max(known) / min(known) >= _LOGARITHMIC:
             axes.set_xscale("log")
     legend(grid[0, 0], columns=3)
-    grid[-1, 0].set_xlabel(found.names[0].rpartition(".")[2])
+    grid[-1, 0].set_xlabel(heading(found.names[0], unit_of(found.names[0])))
+    drawing.suptitle(f"{', '.join(name.replace('_', ' ') for name in names)} over {found.names[0]}")
     return Drawn(drawing, "")

@@ -17,6 +17,8 @@ FLOORS = {
     "cosim.compiled": 0,
     "cosim.seal": 0,
     "cosim.staging": 0,
+    "cosim.terminal": 0,
+    "cosim.units": 0,
     "cosim.scene": 0,
     "cosim.ngspice": 0,
     "cosim.circuits": 1,

@@ -180,7 +180,7 @@ from pathlib import Path
 from cosim.staging import Staging, make_scratch, whole_file
 here = Path(sys.argv[1])
 print(make_scratch("ngspice"), flush=True)
-stage = Staging(here / "result", "run.json")
+stage = Staging(here / "result")
 with whole_file(here / "deck.cir") as file:
     file.write_text("half")
     os.kill(os.getpid(), signal.SIGKILL)
@@ -205,7 +205,7 @@ def test_what_a_killed_process_left_is_removed_at_the_next_start(tmp_path, monke
         assert not left.exists()
     with whole_file(tmp_path / "deck.cir") as file:
         file.write_text("whole")
-    with Staging(tmp_path / "result", "run.json"):
+    with Staging(tmp_path / "result"):
         pass
     assert not [p for p in tmp_path.iterdir() if p.name.startswith(".")]
     assert not list((tmp_path / "tmp").iterdir())

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from support import scene_of, slider
 
+from cosim.caution import collected
 from cosim.circuits.port import DesignConstants
 from cosim.errors import InputError
 from cosim.ngspice.deck import Deck, Feature, PartSwap, load_deck
@@ -480,8 +481,9 @@ def test_a_value_that_an_effect_sets_is_refused() -> None:
 
 def test_a_value_that_nothing_uses_is_told() -> None:
     def told(on: bool, **values: str) -> bool:
-        notes = shipped((Feature("opamp_offset", on, ("opamp",)),), **values).notes
-        return any("depends on it" in note and next(iter(values)) in note for note in notes)
+        with collected() as cautions:
+            shipped((Feature("opamp_offset", on, ("opamp",)),), **values)
+        return any(c.code == "value-unused" and next(iter(values)) in c.text for c in cautions)
 
     assert told(False, tl072_vos="5m")
     assert not told(True, tl072_vos="5m")

@@ -65,9 +65,10 @@ def test_shipped_scenes_carry_no_warning(path: Path, model: str) -> None:
         ("masses-far-apart", "link 2 has 100 kg", ["device.chain.masses_kg=[0.05,100.0]"]),
         ("masses-far-apart", "the operator", ["operator.mass_kg=554.0"]),
         ("inertia-beyond-length", "(0.00025 kg m^2)", ["device.chain.inertias_kg_m2=[0.0833,8.33e-5]"]),
-        ("value-unused", "set effects.opamp_offset instead", ["device.values.opamp_offset=1"]),
         ("value-unused", "tl072_vos", ["device.values.tl072_vos=1"]),
-        ("value-unused", "tl072_en", ["device.values.tl072_en=1n"]),
+        ("value-unused", "tl072_sr", ["device.values.tl072_sr=1meg"]),
+        ("key-unused", "effects.delay is off", ["computer.delay_periods=2"]),
+        ("key-unused", "effects.dac_skew is off", ["computer.dac.skew_s=1e-3"]),
     ],
 )
 def test_a_slip_is_told(code: str, said: str, overrides: list[str]) -> None:

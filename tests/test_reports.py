@@ -7,6 +7,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,11 +16,15 @@ from browser import Browser, require
 from synthetic import DRAG, PERIOD_S, SyntheticRun, slope_run
 
 from cosim.errors import InputError
+from cosim.studies.sweep import Sweep
 from reports import Trial, compare_table, write_report
 from reports.decimate import keep_peaks, merge_spans
+from reports.effects import draw as draw_effects
 from reports.effort import energy
 from reports.page import FIGURES, draw_all, glue
 from reports.source import View
+from reports.style import look
+from reports.sweep import draw as draw_sweep
 from reports.tables import all_tables
 from reports.text import quantity, ratio, scale, share
 from reports.words import summary, tiles
@@ -363,3 +368,51 @@ def test_page_in_a_browser(page: Path, tmp_path: Path) -> None:
         browser.pdf(tmp_path / "page.pdf")
     assert (tmp_path / "page.png").stat().st_size > 100_000  # a blank page of this size takes 20 kB
     assert (tmp_path / "page.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.browser
+def test_a_telephone_shows_figures_that_can_be_read(page: Path) -> None:
+    """At 420 px the text of figures is at least 9 px high; they and tables scroll, the page does not."""
+    require()
+    with Browser(width=420, height=800) as browser:
+        assert browser.visit(page).complaints == []
+        assert browser.evaluate("document.documentElement.scrollWidth") <= 420
+        widths = browser.evaluate("[...document.images].map(i => i.clientWidth)")
+        # 9 point, the smallest of a figure that is 9.2 inches wide
+        assert all(width / 9.2 * 9.0 / 72.0 > 9.0 for width in widths)
+        held = browser.evaluate(
+            "[...document.querySelectorAll('figure img, table')].map(e => {const s = e.closest('.scroll');"
+            " return s !== null && getComputedStyle(s).overflowX === 'auto' && s.clientWidth <= 420})"
+        )
+        assert held
+        assert all(held)
+
+
+def test_the_effects_picture_says_what_it_is(tmp_path: Path) -> None:
+    row = {"effect": "dac", "value": "True", "on": {"peak_force": 0.01}, "off": {"peak_force": 0.02}}
+    ledger = SimpleNamespace(
+        rows=[SimpleNamespace(**row, on_s=0.01, off_s=0.02)],
+        full={"peak_force": {"value": 2.0, "unit": "N"}},
+    )
+    with look():
+        drawing = draw_effects(ledger, "peak_force", "Static push")  # type: ignore[arg-type]
+    assert drawing.get_suptitle() == "Static push: what each effect does to peak force"
+    assert "1 % of its value with all effects, 2 N" in drawing.get_supxlabel().replace("\n", " ")
+
+
+def test_a_sweep_says_what_it_is_over() -> None:
+    for name, label in (
+        ("computer.period_s", "computer.period_s [s]"),
+        ("R12", "R12 [Ohm]"),
+        ("xdiff1.r_diff_fb", "xdiff1.r_diff_fb [Ohm]"),
+        ("c_der_in", "c_der_in [F]"),
+        ("computer.gain_ramp_samples", "computer.gain_ramp_samples"),
+        ("rho", "rho"),
+    ):
+        found = Sweep((name,), (("1",), ("2",)), {"peak_force": (1.0, 2.0)}, {})
+        with look():
+            drawn = draw_sweep(found)
+        assert drawn is not None
+        assert drawn.figure.axes[-1].get_xlabel() == label
+        assert drawn.figure.axes[0].get_ylabel() == "peak force [N]"
+        assert drawn.figure.get_suptitle() == f"peak force over {name}"

@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from spicelib import RawRead
 
 from cosim.assets import scenes_folder
 from cosim.errors import CosimError, InputError, SimulationError
-from cosim.rawfile import RawWriter, Signals, read_raw
-from cosim.results import FORMATS, Run, json_text, provenance, read_csv, write_csv
+from cosim.rawfile import RawWriter, Signals, read_raw, stamp
+from cosim.results import FORMATS, Run, json_text, provenance, read_csv, write_csv, written_files
 from cosim.scene import load_scene
 from cosim.seal import sealed
 from cosim.staging import Staging
@@ -87,6 +88,35 @@ def test_one_point_may_be_a_plain_row(tmp_path: Path) -> None:
     with RawWriter(tmp_path / "a.raw", NAMES) as writer:
         writer.append([0.0, 1.0, 2.0, 3.0, 4.0])
     assert read_raw(tmp_path / "a.raw").table.tolist() == [[0, 1, 2, 3, 4]]
+
+
+def test_spicelib_reads_it_without_being_told_whose_it_is(tmp_path: Path) -> None:
+    raw(tmp_path / "a.raw", points=1234)
+    read = RawRead(tmp_path / "a.raw")
+    assert read.dialect == "ngspice"
+    assert tuple(read.get_trace_names()) == NAMES
+    for name, column in zip(NAMES, table(1234).T, strict=True):
+        assert np.array_equal(np.asarray(read.get_trace(name).get_wave(0)), column), name
+
+
+def test_a_raw_file_has_the_date_of_its_run(tmp_path: Path) -> None:
+    raw(tmp_path / "a.raw")
+    before = (tmp_path / "a.raw").stat().st_size
+    stamp(tmp_path / "a.raw", 1_000_000_000.0)
+    assert b"\nDate: Sun Sep  9 01:46:40  2001\n" in (tmp_path / "a.raw").read_bytes()  # POSIX's gigasecond
+    assert (tmp_path / "a.raw").stat().st_size == before
+    assert np.array_equal(read_raw(tmp_path / "a.raw").table, table(1000))
+
+
+def test_headings_of_csv_carry_units_and_are_read_with_and_without(run: Run, tmp_path: Path) -> None:
+    folder = run.save(tmp_path / "out", formats=FORMATS)
+    head = (folder / "signals.csv").read_text().splitlines()[0]
+    assert head.startswith("time [s],q1 [rad],")
+    bare = tmp_path / "bare.csv"
+    text = (folder / "signals.csv").read_text()
+    bare.write_text(text.replace(head, ",".join(NAMES), 1))
+    for file in (folder / "signals.csv", bare):
+        assert list(read_csv(file)) == list(NAMES)
 
 
 @pytest.mark.skipif(shutil.which("ngspice") is None, reason="the ngspice program is not installed")
@@ -446,7 +476,7 @@ def test_published_folder_is_as_public_as_the_users_files(tmp_path: Path) -> Non
 
 
 def test_target_that_became_foreign_meanwhile_is_kept(tmp_path: Path) -> None:
-    with Staging(tmp_path / "out", "run.json") as stage:
+    with Staging(tmp_path / "out", written_files) as stage:
         (tmp_path / "out").mkdir()
         (tmp_path / "out" / "mine.txt").write_text("mine")
         with pytest.raises(InputError):

@@ -54,7 +54,7 @@ def test_the_rendered_force_follows_the_stiffness(tmp_path, capsys):
     assert current == sorted(current)
     with (tmp_path / "sweep.csv").open() as stream:
         rows = list(csv.reader(stream))
-    assert rows[0] == ["computer.analog_stiffness_n_per_m", "peak_current [A]"]
+    assert rows[0] == ["computer.analog_stiffness_n_per_m [N/m]", "peak_current [A]"]
     assert [float(row[1]) for row in rows[1:]] == current
     assert (tmp_path / "sweep.png").stat().st_size > 5000
 

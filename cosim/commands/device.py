@@ -10,7 +10,7 @@ from cosim.commands.command import Command, about, load_variants, scene_argument
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     scene_arguments(parser)
-    parser.add_argument("-o", "--out", metavar="FILE", help="write the numbers as CSV")
+    parser.add_argument("-o", "--out", dest="file", metavar="FILE", help="write the numbers as CSV")
 
 
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
@@ -19,9 +19,12 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     with start_early("cosim.studies.model") as child:
         from cosim.plan import resolve
         from cosim.plausibility import of_asked, of_circuit
+        from cosim.staging import own_file
         from cosim.studies.device import PRESETS, device_numbers, flat
         from cosim.studies.model import circuit_of
 
+        if args.file:
+            own_file(args.file, lambda head: head.startswith("number,"))
         cases, texts, columns = [], [], {}
         every = load_variants(args)
         for variant, scene in every:
@@ -35,9 +38,9 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
                 lines = [f"{head} (circuit model {found.model}, {1e3 * found.period_s:g} ms)"]
                 lines += [f"  {name:38s}{_text(value)}" for name, value in columns[head].items()]
                 texts.append("\n".join([*lines, f"  workspace: {found.workspace.note}"]))
-    if args.out:
-        _write(Path(args.out), columns)
-        texts.append(f"wrote {args.out}")
+    if args.file:
+        _write(Path(args.file), columns)
+        texts.append(f"wrote {args.file}")
     known = "; ".join(
         f"{p.name} {p.force_n:g} N, {p.stiffness_n_per_m:g} N/m, {p.damping_n_s_per_m:g} N s/m"
         for p in PRESETS
@@ -57,9 +60,9 @@ def _write(file: Path, columns: dict[str, dict[str, Any]]) -> None:
     """Write one row a number, one column a case."""
     import csv
 
-    from cosim.staging import disk_errors
+    from cosim.staging import whole_file
 
-    with disk_errors(file), file.open("w", encoding="utf-8", newline="") as stream:
+    with whole_file(file) as temporary, temporary.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(["number", *columns])
         for name in next(iter(columns.values())):

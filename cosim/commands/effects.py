@@ -53,9 +53,12 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         )  # fmt: skip
     text = table(ledger, args.measure)
     if args.out:
+        from cosim.scene import load_scene
         from reports.effects import write_effects
 
-        text += f"\nwrote {write_effects(ledger, args.measure, Path(args.out))}"
+        title = load_scene(args.scene, overrides).title
+
+        text += f"\nwrote {write_effects(ledger, args.measure, Path(args.out), title)}"
     return as_dict(ledger), text
 
 

@@ -1,7 +1,6 @@
 """``cosim export``: the scene as one deck for plain ngspice."""
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 from cosim.commands.command import Command, load_variants, scene_arguments
@@ -9,7 +8,7 @@ from cosim.commands.command import Command, load_variants, scene_arguments
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     scene_arguments(parser)
-    parser.add_argument("-o", "--out", metavar="FILE", required=True, help="deck to write")
+    parser.add_argument("-o", "--out", dest="file", metavar="FILE", required=True, help="deck to write")
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument(
         "--monolithic",
@@ -30,21 +29,20 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.errors import fail
-    from cosim.export import command, export
+    from cosim.export import command, export, is_deck
     from cosim.plan import resolve
     from cosim.run import run
-    from cosim.staging import scratch_folder
+    from cosim.staging import own_file, scratch_folder
 
     found = load_variants(args)
     if len(found) > 1:
         fail("one deck holds one scene: give each name one value", key="--set", value=args.set)
-    if not Path(args.out).parent.is_dir() or Path(args.out).is_dir():
-        fail("is no place for a file", key="--out", value=args.out)  # before the scene runs
+    own_file(args.file, is_deck)  # before the scene runs
     plan = resolve(found[0][1], trust=args.trust)
     with scratch_folder("export") as folder:
         # The computer's outputs have to be known first: the scene runs once.
         result = run(plan, folder / "run", formats=())
-        deck = export(plan, result, args.out, kind=args.kind)
+        deck = export(plan, result, args.file, kind=args.kind)
     return {
         "deck": str(deck),
         "kind": args.kind,

@@ -4,6 +4,8 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from cosim.terminal import printable
+
 COMPILING = "compiling, once, about 60 s"
 """What is said where the first run of an installation would look like a hang; seconds of CPU on 2 GHz."""
 
@@ -30,9 +32,16 @@ def progress(title: str) -> Iterator[Callable[[int, int, str], None] | None]:
 
     columns = (*Progress.get_default_columns(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(title if is_warm() else f"{title}: {COMPILING}", total=None)
+        task = bar.add_task(shown(title if is_warm() else f"{title}: {COMPILING}"), total=None)
 
         def show(done: int, total: int, name: str) -> None:
-            bar.update(task, completed=done, total=total, description=f"{title}: {name}")
+            bar.update(task, completed=done, total=total, description=shown(f"{title}: {name}"))
 
         yield show
+
+
+def shown(text: str) -> str:
+    """Return text of a scene's as rich shows it: it knows markup of its own."""
+    from rich.markup import escape
+
+    return escape(printable(text))

@@ -39,11 +39,14 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
 def _report_runs(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.errors import fail
-    from cosim.results import Run
+    from cosim.results import PAGE_FOLDER, Run
+    from cosim.staging import writable_folder
     from cosim.studies.inputs import differing
     from reports.page import write_report
     from reports.tables import Trial, inputs_table
 
+    out = Path(args.out) if args.out else Path(args.results[0]) / PAGE_FOLDER
+    writable_folder(out)
     if args.set:
         fail("a result is what it is: only the scenes of studies can be changed", key="--set", value=args.set)
     folders = [folder for given in args.results for folder in result_folders(Path(given))]
@@ -52,7 +55,6 @@ def _report_runs(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         with collected(folder.name if len(runs) > 1 else ""):
             warn(*run.warnings)
     trials = [Trial(folder.name, run.measures, run) for folder, run in zip(folders, runs, strict=True)]
-    out = Path(args.out) if args.out else Path(args.results[0]) / "report"
     told = differing(runs, [_board(folder) for folder in folders]) if len(runs) > 1 else []
     inputs = inputs_table([folder.name for folder in folders], told) if len(runs) > 1 else None
     page = write_report(runs[0], out, trials if len(trials) > 1 else (), inputs)

@@ -133,6 +133,7 @@ def progress(duration_s: float, title: str) -> "Iterator[Callable[[Mapping[str, 
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+    from cosim.commands.progress import shown
     from cosim.compiled import is_warm
 
     columns = (
@@ -143,13 +144,15 @@ def progress(duration_s: float, title: str) -> "Iterator[Callable[[Mapping[str, 
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         # no total: the bar moves without an end until simulated time does
-        task = bar.add_task(title if is_warm() else COMPILING, total=None, reached="")
+        task = bar.add_task(shown(title) if is_warm() else COMPILING, total=None, reached="")
 
         def show(state: "Mapping[str, Any]") -> None:
             time_s = float(state.get("time_s", 0.0))
             if time_s > 0.0:
                 reached = f"{time_s:.3g} of {duration_s:.3g} s"
-                bar.update(task, description=title, total=duration_s, completed=time_s, reached=reached)
+                bar.update(
+                    task, description=shown(title), total=duration_s, completed=time_s, reached=reached
+                )
 
         yield show
 
@@ -164,6 +167,7 @@ def _json(finished: "list[tuple[Variant, Path, Run]]") -> dict[str, Any]:
                 "measures": dict(run.measures),
                 "ledger": dict(run.ledger),
                 "stats": dict(run.stats),
+                "said": list(run.said),
                 "warnings": [caution.as_dict() for caution in run.warnings],
             }
             for variant, out, run in finished
@@ -186,6 +190,7 @@ def _text(finished: "list[tuple[Variant, Path, Run]]") -> str:
             lines += choice_lines(run.plan["choice"])
         lines += _certified(run)
         lines += [f"  note: {note}" for note in run.plan["notes"]]
+        lines += [f"  printed: {line}" for line in run.said]
     return "\n".join([*lines, "", measure_table([(v.label, r.measures) for v, _, r in finished])])
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from cosim.ngspice.lines import Line
 from cosim.plan import Plan
 from cosim.results import Run
 from cosim.scene import Jitter, PotNoise, PythonOperator, Scene
-from cosim.staging import disk_errors
+from cosim.staging import own_file, whole_file
 
 KINDS = ("monolithic", "replay")
 #: What a monolithic deck cannot carry: key of `[effects]`, its null form, and what it is.
@@ -64,9 +65,15 @@ def export(plan: Plan, run: Run, path: str | os.PathLike[str], kind: str = "mono
     _check_clock(plan.scene)
     lines = _monolithic(plan, run) if kind == "monolithic" else _replay(plan, run)
     target = Path(path)
-    with disk_errors(target):
-        target.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    own_file(target, is_deck)
+    with whole_file(target) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return target
+
+
+def is_deck(head: str) -> bool:
+    """Whether these are the first lines of an exported deck."""
+    return re.match(r".*\n\* Run with: ngspice -b", head) is not None
 
 
 def _check_run(plan: Plan, run: Run) -> None:

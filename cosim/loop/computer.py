@@ -56,6 +56,7 @@ COMPUTER = np.dtype(
         ("point", "f8", 2),
         ("normal", "f8", 2),
         ("joint_gain", "f8", NMAX),
+        ("joint_damper", "f8", NMAX),
         ("encoder_step", "f8"),
         ("velocity_keep", "f8"),
         ("v_rad", "f8"),
@@ -205,7 +206,7 @@ def law(c: Record, p: Record, x: Record) -> None:
     if c.method == 3:
         for i in range(n):
             x.ksp[i, i] = c.joint_gain[i] if c.joint_gain[i] >= 0.0 else c.k_dp * w[i] * w[i]
-            x.ksd[i, i] = c.k_dd * w[i] * w[i]
+            x.ksd[i, i] = c.joint_damper[i] if c.joint_damper[i] >= 0.0 else c.k_dd * w[i] * w[i]
     elif c.method != 0:
         for i in range(n):
             for j in range(n):

@@ -30,7 +30,8 @@ def drive(scene: Scene) -> Drive:
     computer, n = scene.computer, scene.joints
     analog = computer.method is not Method.DISCRETE
     discrete = computer.discrete_stiffness_n_per_m > 0 or computer.discrete_damping_n_s_per_m > 0
-    damped = analog and computer.analog_damping_n_s_per_m > 0
+    own = computer.method is Method.JOINT_PD and any(computer.joint_damping_n_m_s_per_rad)
+    damped = analog and (computer.analog_damping_n_s_per_m > 0 or own)
     by_cmd = discrete and (
         computer.command_path is CommandPath.CMD or computer.method in (Method.DISCRETE, Method.JOINT_PD)
     )

@@ -30,6 +30,7 @@ from cosim.loop.setup import Memory, columns, pack, sample_columns
 from cosim.loop.signals import Layout, write_signals
 from cosim.loop.simulate import ROWS, Recorder, Report, read_constants, statistics
 from cosim.loop.state import Fault
+from cosim.loop.userclass import Said
 from cosim.loop.userlaw import UserLaw, load_law
 from cosim.ngspice.deck import Deck
 from cosim.ngspice.simulator import Simulator
@@ -226,8 +227,10 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     state = packed.memory.state[0]
     person = scene.operator.file if isinstance(scene.operator, PythonOperator) else "operator"
     recorder = Recorder(packed.memory, _Clock(state), folder, report, deck=str(board.path), person=person)
+    said = Said()
     if scene.computer.law is not None:
-        law = UserLaw(load_law(scene.computer.law, scene.file), state, recorder.fail, scene.computer.law)
+        where = scene.computer.law
+        law = UserLaw(load_law(where, scene.file, said), state, recorder.fail, where, scene, constants, said)
         state["law_address"] = law.address
     # a run of no length, without the user's law, loads the compiled loop before the clock starts
     warm = prepare(scene, constants, circuit, record=True, component=component)
@@ -253,5 +256,6 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         "clipped_s": {},
         "swings": {},
         "ngspice": version,
+        "said": said.lines,
         "circuit": circuit,
     }

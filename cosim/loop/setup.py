@@ -175,6 +175,9 @@ def computer_record(scene: Scene, constants: DesignConstants) -> NDArray[np.void
     c["joint_gain"] = -1.0
     for j, gain in enumerate(computer.joint_stiffness_n_m_per_rad):
         c["joint_gain"][j] = gain
+    c["joint_damper"] = -1.0
+    for j, gain in enumerate(computer.joint_damping_n_m_s_per_rad):
+        c["joint_damper"][j] = gain
     c["encoder_step"] = encoder_step(scene, constants.gear)
     cutoff = computer.velocity.filter_hz
     c["velocity_keep"] = 0.0 if cutoff is None else math.exp(-2 * math.pi * cutoff * computer.period_s)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,12 @@ class Layout:
     linkage: np.void
 
 
+def signal_names(columns: Sequence[str]) -> tuple[list[str], list[int]]:
+    """Return the signals made of streamed columns, and the numbers of the columns that are kept."""
+    keep = [i for i, name in enumerate(columns) if name.rstrip("0123456789") not in _PRIVATE or "." in name]
+    return [columns[i] for i in keep] + [*_POWERS, "e_kin", "e_grav", "e_spring", "fmx", "fmy"], keep
+
+
 def write_signals(
     rows_file: Path, raw_file: Path, layout: Layout, title: str, work_j: NDArray[np.float64] | None = None
 ) -> dict[str, Any]:
@@ -53,8 +60,7 @@ def write_signals(
     """
     n, columns = layout.circuit.joints, layout.columns
     table = np.memmap(rows_file, dtype=np.float64, mode="r").reshape(-1, len(columns))
-    keep = [i for i, name in enumerate(columns) if name.rstrip("0123456789") not in _PRIVATE or "." in name]
-    names = [columns[i] for i in keep] + [*_POWERS, "e_kin", "e_grav", "e_spring", "fmx", "fmy"]
+    names, keep = signal_names(columns)
     shafts = bool(layout.linkage["shaft_on"])
     motors, windup = (columns.index(name) if shafts else -1 for name in ("qm1", "e_shaft"))
     workers, stores = len(_POWERS), 2

@@ -25,7 +25,8 @@ from cosim.loop.driven import drive
 from cosim.loop.setup import Memory, columns, pack, sample_columns
 from cosim.loop.signals import Layout, write_signals
 from cosim.loop.state import Fault
-from cosim.loop.userlaw import UserLaw, in_users_words, load_law
+from cosim.loop.userclass import Said, in_users_words
+from cosim.loop.userlaw import UserLaw, load_law
 from cosim.measures import AT_LIMIT
 from cosim.ngspice.deck import Deck
 from cosim.ngspice.simulator import Simulator
@@ -177,8 +178,8 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     dict
         'ledger', 'sample_columns', 'constants', 'stats', 'peaks' (largest |v| of each node), 'clipped_s' (how
         long it was at its limit), 'swings' (output limits by node), 'end' (volts of
-        'nodes' and 'pins' at the last point, 'speed_rad_per_s' of the fastest joint), 'ngspice' (version),
-        'component_noise' (as `ComponentGrid.about`); signals.raw and samples.f64 are in the folder
+        'nodes' and 'pins' at the last point, 'speed_rad_per_s' of the fastest joint), 'ngspice' (version), 'said'
+        (what the law printed), 'component_noise' (as `ComponentGrid.about`); signals.raw and samples.f64 are there
     """
     asked: Tolerances = payload["tolerances"]
     return aided(asked, lambda aid: _simulate(payload, report, aid))
@@ -223,9 +224,10 @@ def _simulate(payload: dict[str, Any], report: Report, aid: Aid) -> dict[str, An
         memory, simulator, Path(payload["folder"]), report, deck=str(board.path), person=person
     )
     recorder.running = False
+    said = Said()
     if scene.computer.law is not None:
         where = scene.computer.law
-        law = UserLaw(load_law(where, scene.file), state, recorder.fail, where)
+        law = UserLaw(load_law(where, scene.file, said), state, recorder.fail, where, scene, constants, said)
         state["law_address"] = law.address
 
     def named(names: list[str]) -> None:
@@ -294,6 +296,7 @@ def _simulate(payload: dict[str, Any], report: Report, aid: Aid) -> dict[str, An
         },
         "swings": swings,
         "ngspice": simulator.version,
+        "said": said.lines,
     }
 
 

@@ -7,7 +7,6 @@ stays as the scene says. It runs in the simulation's process and is trusted as a
 from __future__ import annotations
 
 import ctypes
-import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,10 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cosim.errors import InputError, Problem, SimulationError, nearest
+from cosim.circuits.port import DesignConstants
+from cosim.loop.userclass import Said, in_users_words, load_class
+from cosim.scene import Scene
 from mech.kernels import jacobian, tip
 from mech.records import NMAX
-from mech.userfile import load_file
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,8 @@ class Sample:
     q_rad, v_rad_per_s : [n] encoder angles and their difference quotient
     tip_m : [2] fingertip at `q_rad`; jacobian : [2, n] m/rad
     wall_point_m, wall_normal : [2] the wall of the scene
+    scene : all that the scene states, such as ``sample.scene.computer.period_s``
+    board : the board's design constants, such as ``sample.board.k_fs``
     """
 
     tick: int
@@ -42,6 +44,8 @@ class Sample:
     jacobian: NDArray[np.float64]
     wall_point_m: NDArray[np.float64]
     wall_normal: NDArray[np.float64]
+    scene: Scene
+    board: DesignConstants
 
 
 @dataclass(frozen=True)
@@ -60,7 +64,7 @@ class Command:
     torque_n_m: ArrayLike = field(default=0.0)
 
 
-def load_law(where: str, scene: Path | None) -> Any:
+def load_law(where: str, scene: Path | None, said: Said | None = None) -> Any:
     """Make one object of the class `file.py:Class`, the file relative to the scene.
 
     Raises
@@ -68,50 +72,14 @@ def load_law(where: str, scene: Path | None) -> Any:
     InputError
         When the file or the class is missing, cannot be made, or has no method `control`.
     """
-
-    def refuse(why: str) -> InputError:
-        return InputError(
-            [Problem(why, file=None if scene is None else str(scene), key="computer.law", value=where)]
-        )
-
-    file, _, name = where.rpartition(":")
-    path = Path(file) if scene is None else scene.parent / file
-    if not file or not name:
-        raise refuse("a control law is named as 'file.py:Class'")
-    if not path.is_file():
-        raise refuse(f"there is no file {path}")
-    try:
-        module = load_file(path)
-        kind = getattr(module, name, None)
-        if not isinstance(kind, type):
-            near = nearest(name, [key for key, value in vars(module).items() if isinstance(value, type)])
-            raise refuse("the file has no such class" + (f", nearest is {near}" if near else ""))
-        law = kind()
-    except (Exception, SystemExit) as error:
-        if isinstance(error, InputError):
-            raise
-        raise refuse(_words(error)) from error
-    if not callable(getattr(law, "control", None)):
-        raise refuse(f"the class {name} has no method control(sample)")
-    return law
-
-
-def in_users_words(where: str, error: BaseException, time_s: float) -> SimulationError:
-    """Return the error of a run that a user's class ended: its own words, and the line of its file."""
-    if isinstance(error, SimulationError):
-        return error
-    lines = [
-        (frame.filename, frame.lineno)
-        for cause in (error.__cause__, error)
-        for frame in traceback.extract_tb(cause.__traceback__ if cause is not None else None)
-        if frame.filename == where.rpartition(":")[0]
-    ]
-    place = f"{lines[-1][0]}:{lines[-1][1]}" if lines else where
-    return SimulationError(f"{place}: {_words(error)}", time_s=time_s)
-
-
-def _words(error: BaseException) -> str:
-    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    return load_class(
+        where,
+        scene,
+        key="computer.law",
+        what="a control law",
+        method="control(sample)",
+        said=Said() if said is None else said,
+    )
 
 
 class UserLaw:
@@ -123,12 +91,22 @@ class UserLaw:
     state : the `STATE` record that compiled code works on
     failed : called with what went wrong; must stop the run
     where : how errors call it, 'file.py:Class'
+    scene, board : what the law is told of the scene and of the board's constants
+    said : hears what the law prints
     """
 
     def __init__(
-        self, law: Any, state: np.void, failed: Callable[[BaseException], None], where: str = "control law"
+        self,
+        law: Any,
+        state: np.void,
+        failed: Callable[[BaseException], None],
+        where: str,
+        scene: Scene,
+        board: DesignConstants,
+        said: Said,
     ) -> None:
         self.law, self.state, self.failed, self.where = law, state, failed, where
+        self.scene, self.board, self.said = scene, board, said
         self.callback = ctypes.CFUNCTYPE(None)(self._sample)
         self.address = ctypes.cast(self.callback, ctypes.c_void_p).value
 
@@ -136,7 +114,7 @@ class UserLaw:
         try:
             self._control()
         except BaseException as error:  # ctypes would print it and go on
-            self.failed(in_users_words(self.where, error, float(self.state["x"]["time"])))
+            self.failed(in_users_words(self.where, error, float(self.state["x"]["time"]), self.said))
 
     def _control(self) -> None:
         n = int(self.state["n"])
@@ -157,8 +135,11 @@ class UserLaw:
             jacobian=jac[:, :n].copy(),
             wall_point_m=c["point"].copy(),
             wall_normal=c["normal"].copy(),
+            scene=self.scene,
+            board=self.board,
         )
-        command = self.law.control(sample)
+        with self.said.listening():
+            command = self.law.control(sample)
         if not isinstance(command, Command):
             raise TypeError(f"control(sample) returned {command!r} and no cosim.loop.userlaw.Command")
         x["r"], x["pen"], x["contact"] = r, pen, int(pen > 0)

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from cosim.caution import Caution, warn
 from cosim.errors import InputError, Problem, fail, nearest
 from cosim.ngspice import conditions, gate
 from cosim.ngspice.dialect import Dialect
@@ -153,9 +154,10 @@ def load_deck(
     conditions.settle(net)
     joints = _joints(board)
     blocks = _reachable(net, board)
-    said += unused(
+    idle = unused(
         net, blocks, overrides or {}, shelf=shelf.folder / "parts", constants=_used_constants(shelf)
     )
+    warn(*(Caution("value-unused", text, "take it out, or switch on what reads it") for text in idle))
     short = shorts(net, blocks)
     if short:
         raise InputError(short)

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterator
 
 from cosim.caution import Caution
-from cosim.circuits.port import DesignConstants
 from cosim.ngspice.deck import Deck
-from cosim.ngspice.lines import assignments, tokens
 from cosim.plausibility.resistors import resistors
 from cosim.scene import Chain, Scene, Slider
 
@@ -34,7 +31,6 @@ def of_plan(scene: Scene, board: Deck, bare: Callable[[], Deck]) -> list[Caution
         *_degrees(scene),
         *_masses(scene),
         *resistors(scene.device.values, board, bare),
-        *_unused(scene, board),
     ]
 
 
@@ -109,42 +105,3 @@ def _masses(scene: Scene) -> Iterator[Caution]:
                 f"{heavy} has {known[heavy]:g} kg, {light} {known[light]:g} kg",
                 "masses are in kilograms: look at their units",
             )
-
-
-def _unused(scene: Scene, board: Deck) -> Iterator[Caution]:
-    """Yield the values of the netlist that are set and come to nothing."""
-    for name in scene.device.values:
-        key = name.lower().rpartition(".")[2]
-        if hasattr(scene.effects, key):
-            yield Caution(
-                "value-unused",
-                f"device.values sets {name}, which the effect of that name sets itself",
-                f"set effects.{key} instead",
-            )
-        elif "." not in name and not _is_read(key, board, scene.effects.component_noise):
-            yield Caution(
-                "value-unused",
-                f"device.values sets {name}, which nothing in the netlist reads at the levels in force",
-                "take it out, or switch on the effect that reads it",
-            )
-
-
-def _is_read(key: str, board: Deck, noise: bool) -> bool:
-    """Whether an element has this name or depends on it, through as many parameters as there may be."""
-    told = {*DesignConstants.names(), *(a.swing_param for a in board.amplifiers if a.swing_param)}
-    names = {key}
-    while True:
-        mentioned = re.compile("|".join(rf"(?<![\w.]){re.escape(name)}(?!\w)" for name in names))
-        found = set(names)
-        for line in board.lines[1:]:
-            word = line.keyword
-            if word in (".param", ".params", ".subckt", ".csparam") or word.startswith("x"):
-                given = assignments(tokens(line.text.lower()))
-                found |= {name for name, text in given.items() if mentioned.search(text)}
-                if word == ".csparam" and (noise or given.keys() & told) and found & given.keys():
-                    return True
-            elif mentioned.search(line.text.lower()):
-                return True
-        if found == names:
-            return False
-        names = found

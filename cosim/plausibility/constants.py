@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from cosim.caution import Caution
+from cosim.circuits import certificate
 from cosim.circuits.linear import LinearCircuit, channel_names
 from cosim.circuits.port import DesignConstants
 from cosim.scene import Method, Scene
@@ -36,7 +37,8 @@ def of_asked(scene: Scene, constants: DesignConstants) -> Iterator[Caution]:
 
 
 def of_circuit(circuit: LinearCircuit, constants: DesignConstants) -> Iterator[Caution]:
-    """Yield the design constants that the circuit misses, the worst place of each."""
+    """Yield what its certificate gives reason to doubt, and the constants missed, the worst place of each."""
+    yield from certificate.cautions(circuit.certificate)
     for name, rows in _made(circuit, constants).items():
         stated = getattr(constants, name)
         where, made = max(rows.items(), key=lambda row: abs(row[1] / stated - 1.0))

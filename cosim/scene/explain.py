@@ -181,16 +181,16 @@ def field_at(
 def _child(field: Field, name: str, key: Sequence[str | int], data: Mapping[str, Any]) -> Field | None:
     origin = get_origin(field.annotation)
     if isinstance(origin, type) and issubclass(origin, Mapping):
-        return _unwrapped(get_args(field.annotation)[1], (), None)
+        return unwrapped(get_args(field.annotation)[1], (), None)
     for model in _models(field.annotation, key, data):
         if name in model.model_fields:
             info = model.model_fields[name]
-            return _unwrapped(info.annotation, tuple(info.metadata), info)
+            return unwrapped(info.annotation, tuple(info.metadata), info)
     return None
 
 
 def _models(annotation: Any, key: Sequence[str | int], data: Mapping[str, Any]) -> list[type[BaseModel]]:
-    kinds = [_unwrapped(kind, (), None).annotation for kind in (annotation, *get_args(annotation))]
+    kinds = [unwrapped(kind, (), None).annotation for kind in (annotation, *get_args(annotation))]
     models = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
     if tuple(key) == ("operator",):
         kind = _value_at(("operator", "type"), data)
@@ -216,11 +216,11 @@ def _item(field: Field, index: int) -> Field | None:
         return None
     items = get_args(field.annotation)
     if len(items) == 2 and items[1] is ...:
-        return _unwrapped(items[0], (), None)
-    return _unwrapped(items[index], (), None) if index < len(items) else None
+        return unwrapped(items[0], (), None)
+    return unwrapped(items[index], (), None) if index < len(items) else None
 
 
-def _unwrapped(annotation: Any, metadata: tuple[Any, ...], info: FieldInfo | None) -> Field:
+def unwrapped(annotation: Any, metadata: tuple[Any, ...], info: FieldInfo | None) -> Field:
     """Take off ``Annotated`` and ``| None``, keeping the metadata."""
     while True:
         origin, args = get_origin(annotation), get_args(annotation)
@@ -238,7 +238,7 @@ def _deep_metadata(field: Field) -> Iterator[Any]:
     if get_origin(field.annotation) is tuple:
         for kind in dict.fromkeys(get_args(field.annotation)):
             if kind is not ...:
-                yield from _deep_metadata(_unwrapped(kind, (), None))
+                yield from _deep_metadata(unwrapped(kind, (), None))
 
 
 def _value_at(key: Sequence[str | int], data: Any) -> Any:

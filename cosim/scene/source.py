@@ -36,7 +36,8 @@ class Layer:
 def read_layer(path: Path) -> Layer:
     """Read one TOML file with its own paths made absolute."""
     try:
-        text = read_regular(path, MOST_BYTES).decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
+        text = read_regular(path, MOST_BYTES).decode("utf-8-sig")  # editors of Windows begin with a mark
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
     except FileNotFoundError:
         fail("no such scene file", file=str(path))
     except UnicodeDecodeError as error:
@@ -118,10 +119,17 @@ def absolute_paths(data: dict[str, Any], folder: Path) -> dict[str, Any]:
                 _set_path(part, "file", folder)
         if isinstance(values, dict):
             device["values"] = _flat_values(values)
+    measures = data.get("measures")
+    if isinstance(measures, dict) and isinstance(measures.get("names"), tuple):
+        measures["names"] = tuple(_own_measure(name, folder) for name in measures["names"])
     for table, name in ((operator, "file"), (computer, "law")):
         if isinstance(table, dict) and isinstance(table.get(name), str):
             table[name] = os.path.abspath(folder / table[name])
     return data
+
+
+def _own_measure(name: Any, folder: Path) -> Any:
+    return os.path.abspath(folder / name) if isinstance(name, str) and ":" in name else name
 
 
 def _set_path(table: dict[str, Any], name: str, folder: Path) -> None:

@@ -50,7 +50,7 @@ class Lacking(Exception):
 
 def needing_no_run(names: Iterable[str]) -> tuple[str, ...]:
     """Return those of the names that no run is needed for."""
-    return tuple(name for name in names if MEASURES[name].needs is not Need.RUN)
+    return tuple(name for name in names if name in MEASURES and MEASURES[name].needs is not Need.RUN)
 
 
 class BoardMeasures:

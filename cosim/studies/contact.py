@@ -101,6 +101,8 @@ def law_point(scene: Scene, constants: DesignConstants, linkage: Linkage, q: Arr
         spring, dspring, damper, ddamper = k * square, k * slope, d * square, d * slope
         if c.method is Method.JOINT_PD and c.joint_stiffness_n_m_per_rad:
             spring, dspring = np.diag(c.joint_stiffness_n_m_per_rad), np.zeros((n, n, n))
+        if c.method is Method.JOINT_PD and c.joint_damping_n_m_s_per_rad:
+            damper, ddamper = np.diag(c.joint_damping_n_m_s_per_rad), np.zeros((n, n, n))
     cmd, dcmd, dcmd_v = np.zeros(n), np.zeros((n, n)), np.zeros((n, n))
     du_v = np.zeros((n, n))
     kp, kd = c.discrete_stiffness_n_per_m, c.discrete_damping_n_s_per_m

@@ -10,6 +10,7 @@ from typing import Any
 from cosim.catalogue import NAMES, OF_A_RUN
 from cosim.caution import Caution
 from cosim.errors import InputError, Problem, nearest
+from cosim.measures import own_measures
 from cosim.ngspice.child import Child
 from cosim.plan import Plan
 from cosim.results import Run
@@ -42,7 +43,7 @@ class Measured:
 
 def needs_a_run(names: Iterable[str]) -> bool:
     """Whether one of the measures comes from a simulation."""
-    return any(name in OF_A_RUN for name in names)
+    return any(name in OF_A_RUN or ":" in name for name in names)
 
 
 def measure(
@@ -84,11 +85,10 @@ def run_with_measures(plan: Plan, out: str | Path | None, *, child: Child | None
 
 
 def all_measures(plan: Plan) -> Plan:
-    """Return the plan with every measure of a run, whatever the scene wants to see."""
+    """Return the plan with every measure of a run, whatever the scene wants to see, and the user's own."""
     scene = plan.scene
-    return replace(
-        plan, scene=scene.model_copy(update={"measures": scene.measures.model_copy(update={"names": ()})})
-    )
+    own = scene.measures.model_copy(update={"names": tuple(own_measures(scene))})
+    return replace(plan, scene=scene.model_copy(update={"measures": own}))
 
 
 def check_measures(names: Iterable[str]) -> None:
@@ -101,7 +101,7 @@ def check_measures(names: Iterable[str]) -> None:
             allowed=", ".join(NAMES),
         )
         for name in names
-        if name not in NAMES
+        if name not in NAMES and ":" not in name  # `resolve` looks at the user's own
     ]
     if problems:
         raise InputError(problems)

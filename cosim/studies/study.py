@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import io
 import json
 import os
 import time
@@ -25,7 +26,7 @@ from cosim.results import json_text
 from cosim.scene import Scene, load_scene
 from cosim.scene.parameters import Parameters, read_parameters
 from cosim.scene.source import line_of, read_layer
-from cosim.seal import read_sealed, sealed
+from cosim.seal import listed, read_sealed, sealed, write_manifest
 from cosim.staging import Staging, disk_errors
 from cosim.studies.points import Points
 
@@ -274,22 +275,24 @@ def run_study(
         result = spec.study.analyse(spec, points)
         seconds = points.seconds_before + time.perf_counter() - begun
     result = StudyResult(**{**vars(result), "seconds": seconds, "digest": digest})
-    with Staging(folder, RECORD) as stage, disk_errors(folder):
+    with Staging(folder, listed) as stage, disk_errors(folder):
         for table in result.tables:
-            write_table(stage.path / f"{table.name}.csv", table)
+            (stage.path / f"{table.name}.csv").write_text(table_text(table), encoding="utf-8")
         plain = json.loads(json_text({"format": _FORMAT_VERSION, **asdict(result)}))
         (stage.path / RECORD).write_text(json_text(sealed(plain)) + "\n", encoding="utf-8")
+        write_manifest(stage.path, [RECORD, *(f"{table.name}.csv" for table in result.tables)])
         stage.publish()
     kept.unlink(missing_ok=True)
     return result
 
 
-def write_table(path: Path, table: Table) -> None:
-    """Write a table as CSV."""
-    with path.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(table.columns)
-        writer.writerows(zip(*table.columns.values(), strict=True))
+def table_text(table: Table) -> str:
+    """Return a table as CSV."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(table.columns)
+    writer.writerows(zip(*table.columns.values(), strict=True))
+    return stream.getvalue()
 
 
 def _load(folder: Path) -> StudyResult | None:

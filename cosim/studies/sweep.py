@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -19,15 +21,20 @@ from cosim.ngspice.child import Child
 from cosim.ngspice.lines import number
 from cosim.plan import Plan, resolve
 from cosim.scene import load_scene
+from cosim.scene.keys import keys
 from cosim.settings import Setting, Variant, split_values, variants
 from cosim.staging import disk_errors, whole_file
 from cosim.studies.board_measures import needing_no_run
 from cosim.studies.measuring import check_measures, measure, needs_a_run
 from cosim.studies.points import Points, Progress
+from cosim.units import heading
 
 POINTS, TABLE = "points.jsonl", "sweep.csv"
 #: Form of a kept point; points of another form are computed anew.
 _FORM = "measures and warnings"
+#: What elements of a netlist are counted in, by the letter of a designator such as R12 or r_diff_fb.
+_ELEMENTS = {"r": "Ohm", "c": "F", "l": "H"}
+_ELEMENT = re.compile(r"[rcl]\d+|[rcl]_\w+")
 #: A range of more points than this is a slip of the pen.
 MOST_POINTS = 10_000
 
@@ -123,10 +130,16 @@ def sweep(
         When the folder cannot be written.
     """
     check_measures(measures)
+    own = [name for name in measures if ":" in name]
+    if own:
+        overrides = (*overrides, f"measures.names={json.dumps(own)}")
+        measures = [name.rpartition(":")[2] for name in measures]
     every = variants(settings)
     plans = _plans(path, overrides, every, trust)
-    alone = needing_no_run(measures)  # a part of its own: asked for later, it runs nothing again
-    parts = [part for part in (OF_A_RUN if needs_a_run(measures) else (), alone) if part]
+    alone = needing_no_run(
+        name for name in measures if name in UNITS
+    )  # a part of its own: asked for later, it runs nothing again
+    parts = [part for part in (OF_A_RUN if own or needs_a_run(measures) else (), alone) if part]
     failed: dict[str, str] = {}
     found: list[Mapping[str, Any]] = []
     with disk_errors(folder):
@@ -204,10 +217,21 @@ def _number(value: Any) -> float | None:
 def _write(result: Sweep, file: Path) -> None:
     with whole_file(file) as temporary, temporary.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow([*result.names, *(_heading(name) for name in result.measures)])
+        writer.writerow(
+            [*(heading(name, unit_of(name)) for name in result.names), *map(_heading, result.measures)]
+        )
         for number_, values in enumerate(result.values):
             writer.writerow([*values, *(column[number_] for column in result.measures.values())])
 
 
+def unit_of(name: str) -> str:
+    """Return the unit of what is swept: a key of the scene, or an element of the netlist by its letter."""
+    units = {key.path: key.unit for key in keys()}
+    last = name.rpartition(".")[2].lower()
+    if name in units or not _ELEMENT.fullmatch(last):
+        return units.get(name, "")
+    return _ELEMENTS[last[0]]
+
+
 def _heading(name: str) -> str:
-    return f"{name} [{UNITS[name]}]" if UNITS[name] else name
+    return heading(name, UNITS.get(name, ""))

@@ -1,0 +1,256 @@
+"""Nothing of the user's is ever overwritten or deleted, and what cannot be written is refused at once."""
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+from support import BOARD1, ROOT, SCENES, scene_of, simulate, slider
+
+from cosim import cli
+from cosim.errors import CosimError, InputError
+from cosim.results import FORMATS, Run
+from cosim.scene import load_scene
+from cosim.staging import own_file, writable_folder
+from cosim.terminal import printable
+from reports import write_report
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    folder = tmp_path_factory.mktemp("once")
+    tables = slider(duration_s=0.05, solver={"model": "linear"})
+    return simulate(scene_of(folder, tables), folder / "run")
+
+
+@pytest.fixture(scope="module")
+def whole(result: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = result.save(tmp_path_factory.mktemp("whole") / "out", formats=FORMATS)
+    write_report(Run.load(folder), folder / "report")
+    return folder
+
+
+@pytest.fixture
+def out(whole: Path, tmp_path: Path) -> Path:
+    """A result with all its forms and its page."""
+    return Path(shutil.copytree(whole, tmp_path / "out"))
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()
+    }
+
+
+# --- results
+
+
+def test_a_result_with_its_page_is_replaced(result: Run, out: Path) -> None:
+    result.save(out)
+    assert {path.name for path in out.iterdir()} == {
+        "run.json", "signals.raw", "signals.parquet", "samples.csv", "scene.toml",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "thesis.txt",
+        "report/notes.txt",
+        "deep/er/thesis.txt",
+        ".hidden",
+        "signals.csv.bak",
+        "report/figures/own.png",
+    ],
+)
+def test_a_file_of_the_users_in_a_result_is_kept(result: Run, out: Path, name: str) -> None:
+    (out / name).parent.mkdir(parents=True, exist_ok=True)
+    (out / name).write_text("years of work")
+    before = contents(out)
+    with pytest.raises(InputError, match="nothing was changed"):
+        result.save(out)
+    assert contents(out) == before
+
+
+@pytest.mark.parametrize(
+    "name", ["scene.toml", "samples.csv", "signals.csv", "report/report.html", "run.json"]
+)
+def test_a_file_that_was_edited_is_the_users(result: Run, out: Path, name: str) -> None:
+    with (out / name).open("a") as stream:
+        stream.write("# my own line\n")
+    before = contents(out)
+    with pytest.raises(InputError, match=f"holds {name.split('.')[0]}|holds "):
+        result.save(out)
+    assert contents(out) == before
+
+
+def test_a_link_in_a_result_is_kept(result: Run, out: Path, tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "thesis.txt").write_text("years of work")
+    (out / "link").symlink_to(tmp_path / "data")
+    with pytest.raises(InputError, match="holds link"):
+        result.save(out)
+    assert (out / "link" / "thesis.txt").read_text() == "years of work"
+
+
+def test_a_run_json_of_somebody_else_proves_nothing(result: Run, tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    folder.mkdir()
+    (folder / "run.json").write_text(json.dumps({"format": 2, "files": {"thesis.txt": "0"}}))
+    (folder / "thesis.txt").write_text("years of work")
+    with pytest.raises(InputError):
+        result.save(folder)
+    assert (folder / "thesis.txt").exists()
+
+
+def test_a_file_that_comes_while_the_run_ends_is_kept(
+    result: Run, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rename = Path.rename
+
+    def late(self: Path, target: Path) -> Path:
+        if self == out:  # between the look and the renaming
+            (out / "thesis.txt").write_text("years of work")
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", late)
+    with pytest.raises(InputError, match="moved aside"):
+        result.save(out)
+    kept = [path for path in out.parent.rglob("thesis.txt")]
+    assert [path.read_text() for path in kept] == ["years of work"]
+
+
+# --- pages
+
+
+def test_a_page_replaces_its_own_files_only(result: Run, tmp_path: Path) -> None:
+    page = write_report(result, tmp_path)
+    (tmp_path / "figures" / "own.png").write_text("mine")
+    (tmp_path / "thesis.txt").write_text("mine")
+    stale = sorted((tmp_path / "figures").glob("path.*"))
+    assert stale
+    write_report(result, tmp_path)
+    assert (tmp_path / "figures" / "own.png").read_text() == "mine"
+    assert (tmp_path / "thesis.txt").read_text() == "mine"
+    page.write_text(page.read_text() + "<!-- my remark -->")
+    with pytest.raises(InputError, match="nothing was changed"):
+        write_report(result, tmp_path)
+    assert "my remark" in page.read_text()
+
+
+@pytest.mark.parametrize("name", ["report.html", "figures/energy.svg"])
+def test_a_page_of_the_users_is_kept(result: Run, tmp_path: Path, name: str) -> None:
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(InputError, match="is in the way"):
+        write_report(result, tmp_path)
+    assert contents(tmp_path) == {name: b"mine"}
+
+
+# --- single files
+
+
+@pytest.mark.parametrize("command", ["export", "device"])
+@pytest.mark.parametrize("kind", ["scene", "board", "text"])
+def test_inputs_are_not_written_over(
+    tmp_path: Path, command: str, kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = tmp_path / "my.toml"
+    scene.write_text((SCENES / "press.toml").read_text().replace("../netlists", str(ROOT / "netlists")))
+    board = tmp_path / "board.cir"
+    board.write_text(BOARD1.read_text())
+    (tmp_path / "notes.txt").write_text("mine")
+    target = {"scene": scene, "board": board, "text": tmp_path / "notes.txt"}[kind]
+    before = contents(tmp_path)
+    assert cli.main([command, str(scene), "-o", str(target)]) == 2
+    assert "nothing was changed" in capsys.readouterr().err
+    assert contents(tmp_path) == before
+
+
+def test_an_export_is_written_over_an_export(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = scene_of(tmp_path, slider(duration_s=0.05, solver={"model": "linear"}))
+    deck = tmp_path / "my deck.cir"
+    for _ in range(2):
+        assert cli.main(["export", str(scene.file), "-o", str(deck)]) == 0
+        assert f"ngspice -b '{deck}'" in capsys.readouterr().out
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
+
+
+# --- at once
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        ["run", "no.toml"], ["report", "no"], ["sweep", "no.toml", "r12=1k,2k"], ["effects", "no.toml"],
+        ["stability", "no.toml"], ["compare", "a.cir", "b.cir", "no.toml"],
+    ],
+    ids=lambda given: given[0],
+)  # fmt: skip
+def test_a_place_that_cannot_be_written_is_told_before_anything_else(
+    given: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The scene does not even exist: the place is looked at first."""
+    (tmp_path / "file").write_text("mine")
+    assert cli.main([*given, "-o", str(tmp_path / "file" / "out")]) == 2
+    err = capsys.readouterr().err
+    assert f"{tmp_path / 'file'}: exists and is not a folder" in err
+    assert "no.toml" not in err
+
+
+@pytest.mark.parametrize("command", ["export", "device"])
+def test_a_file_that_cannot_be_written_is_told_at_once(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = str(SCENES / "press.toml")
+    assert cli.main([command, scene, "-o", str(tmp_path / "no" / "folder" / "x")]) == 2
+    assert "there is no such folder" in capsys.readouterr().err
+    assert cli.main([command, scene, "-o", str(tmp_path)]) == 2
+    assert "is no file" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_without_permission(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    try:
+        with pytest.raises(CosimError, match="cannot be written"):
+            writable_folder(tmp_path / "deeper" / "out")
+    finally:
+        tmp_path.chmod(0o700)
+
+
+def test_looking_leaves_nothing_behind(tmp_path: Path) -> None:
+    writable_folder(tmp_path / "a" / "b")
+    own_file(tmp_path / "x.csv", lambda head: False)
+    assert not list(tmp_path.iterdir())
+
+
+# --- what is echoed
+
+
+def test_a_scene_may_begin_with_a_mark(tmp_path: Path) -> None:
+    text = (SCENES / "press.toml").read_text().replace("../netlists", str(ROOT / "netlists"))
+    (tmp_path / "bom.toml").write_bytes(b"\xef\xbb\xbf" + text.encode())
+    assert load_scene(tmp_path / "bom.toml").title == "Static push on a wall"
+
+
+@pytest.mark.parametrize("mark", ["\x1b[2J\x1b]0;gone\x07", "\x9b2J", "\u202egnp", "\u2028", "\x7f\x08\r"])
+def test_no_file_steers_the_terminal(mark: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    tables = slider(title=f"a {mark} title", duration_s=0.05, solver={"model": "linear"})
+    scene = scene_of(tmp_path, tables)
+    assert cli.main(["plan", str(scene.file)]) == 0
+    assert cli.main(["plan", str(scene.file), "--set", f"title=b{mark}", "--json"]) in (0, 2)
+    assert cli.main(["plan", str(scene.file), "--set", f"operator.type={mark}x"]) == 2
+    said = "".join(capsys.readouterr())
+    assert not set(said) & set(mark) - set("[2J]0;gone p")
+    assert printable(f"a{mark}") in said or "a " in said
+
+
+def test_a_long_line_is_not_echoed_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    board = tmp_path / "board.cir"
+    board.write_text(BOARD1.read_text() + "\n.control " + "x" * 200_000 + "\n")
+    for more in ([], ["--json"]):
+        assert cli.main(["check", str(board), *more]) == 2
+        out, err = capsys.readouterr()
+        assert 0 < len(out + err) < 3000
