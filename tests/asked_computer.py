@@ -31,7 +31,7 @@ def record(method: Method, normal: Array, point: Array, **more: Any) -> Any:
     c = np.zeros((), COMPUTER)
     c["n"], c["method"], c["period"] = 2, method, 0.025
     c["kp"], c["kd"], c["k_dp"], c["k_dd"] = KP, KD, K_DP, K_DD
-    c["normal"], c["point"], c["joint_gain"] = normal, point, -1.0
+    c["normal"], c["point"], c["joint_gain"], c["joint_damper"] = normal, point, -1.0, -1.0
     c["path"] = CommandPath.CMD
     c["v_rad"], c["volts_per_stiffness"], c["volts_per_damping"], c["v_nm"] = (
         V_RAD,

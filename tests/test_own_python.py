@@ -102,7 +102,7 @@ def test_own_measures_are_measures(tmp_path: Path, capsys: pytest.CaptureFixture
         "value": float(np.min(run.signals["y"])), "unit": "m", "text": "lowest place of the tip",
     }  # fmt: skip
     assert run.measures["Plain"]["value"] == pytest.approx(K_FS * 0.025, rel=1e-12)
-    assert run.said[-1] == "asked with 9 samples"  # every 25 ms of 0.2 s, the first at 0
+    assert run.said[-1] == "asked with 8 samples"  # every 25 ms of 0.2 s; none at the very end
     alone = simulate(scene_of(tmp_path, tables(tmp_path, measures={"names": ["m.py:Plain"]})), tmp_path / "b")
     assert set(alone.measures) > {"Plain", "peak_force", "ledger_closure"}  # on top of the standard set
 
