@@ -78,7 +78,7 @@ def _text(found: "Sweep", table: Path, picture: Path | None) -> str:
     rows = [[*found.names, *found.measures]]
     for number, values in enumerate(found.values):
         cells = [
-            "-" if (v := column[number]) is None else quantity(v, UNITS[name], 5)
+            "-" if (v := column[number]) is None else quantity(v, UNITS.get(name, ""), 5)
             for name, column in found.measures.items()
         ]
         rows.append([*values, *cells])

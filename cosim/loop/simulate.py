@@ -179,8 +179,8 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         'ledger', 'sample_columns', 'constants', 'stats', 'peaks' (largest |v| of each node), 'clipped_s' (how
         long it was at its limit), 'swings' (output limits by node), 'end' (volts of
         'nodes' and 'pins' at the last point, 'speed_rad_per_s' of the fastest joint), 'ngspice' (version),
-        'said' (what the law printed), 'component_noise' (as `ComponentGrid.about`); signals.raw and samples.f64
-        are in the folder
+        'said' (what the law printed), 'component_noise' (as `ComponentGrid.about`); signals.raw and
+        samples.f64 are in the folder
     """
     asked: Tolerances = payload["tolerances"]
     return aided(asked, lambda aid: _simulate(payload, report, aid))
