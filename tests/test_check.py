@@ -2,6 +2,7 @@
 
 import json
 import math
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -88,18 +89,18 @@ def textbook(folder, poles_hz, gbw_hz, feedback, ro=1e-3):
     return loop
 
 
-def opened(tmp_path, poles, gbw, feedback="xamp pot1 out out amp\n", ro=1e-3):
+def opened(poles, gbw, feedback="xamp pot1 out out amp\n", ro=1e-3):
     """Measure a textbook loop in a process of its own."""
-    return call("test_check:loop_of", (str(tmp_path), poles, gbw, feedback, ro), time_limit_s=60)
+    return call("test_check:loop_of", (poles, gbw, feedback, ro), time_limit_s=60)
 
 
 def loop_of(payload, report):
-    folder, *rest = payload
-    return textbook(Path(folder), *rest)
+    with tempfile.TemporaryDirectory() as folder:  # the child's own: it writes nowhere else
+        return textbook(Path(folder), *payload)
 
 
-def test_margin_of_a_follower_with_a_second_pole(tmp_path):
-    loop = opened(tmp_path, [10e6], 3e6)
+def test_margin_of_a_follower_with_a_second_pole():
+    loop = opened([10e6], 3e6)
     crossover, margin = margins(3e6, 10e6)
     assert loop.dc_gain == pytest.approx(1e6, rel=1e-2)  # 0.1 Hz is 1/30 of its pole
     assert loop.crossover_hz == pytest.approx(crossover, rel=LEVEL)
@@ -109,9 +110,9 @@ def test_margin_of_a_follower_with_a_second_pole(tmp_path):
 
 
 @pytest.mark.parametrize("pole", [5e6, 1e6])
-def test_gain_margin_of_an_integrator_with_two_poles(tmp_path, pole):
+def test_gain_margin_of_an_integrator_with_two_poles(pole):
     # phase -180 deg at the double pole itself, where |T| = gbw/(2 pole)
-    loop = opened(tmp_path, [pole, pole], 3e6)
+    loop = opened([pole, pole], 3e6)
     _, margin = margins(3e6, pole, pole)
     assert loop.gain_margin_db == pytest.approx(
         20 * math.log10(2 * pole / 3e6), abs=20 * math.log10(1 + LEVEL)
@@ -121,18 +122,18 @@ def test_gain_margin_of_an_integrator_with_two_poles(tmp_path, pole):
     assert (loop.phase_margin_deg > 0) == loop.stable
 
 
-def test_feedback_divider_loads_the_output(tmp_path):
+def test_feedback_divider_loads_the_output():
     # 1 kOhm of output resistance into 9 k + 1 k: T = A * 1k/(11k)
     feedback = "xamp pot1 inn out amp\nR1 out inn 9k\nR2 inn 0 1k\n"
-    loop = opened(tmp_path, [], 11e6, feedback, ro=1e3)
+    loop = opened([], 11e6, feedback, ro=1e3)
     assert loop.crossover_hz == pytest.approx(1e6, rel=LEVEL)
     assert loop.phase_margin_deg == pytest.approx(90.0, abs=PHASE_DEG)
 
 
-def test_load_capacitance_eats_the_margin(tmp_path):
+def test_load_capacitance_eats_the_margin():
     # 100 Ohm and 10 nF: a pole at 159 kHz in a follower of 1 MHz
     feedback = "xamp pot1 out out amp\nCload out 0 10n\n"
-    loop = opened(tmp_path, [], 1e6, feedback, ro=100.0)
+    loop = opened([], 1e6, feedback, ro=100.0)
     crossover, margin = margins(1e6, 1 / (2 * math.pi * 100 * 10e-9))
     assert loop.crossover_hz == pytest.approx(crossover, rel=LEVEL)
     assert loop.phase_margin_deg == pytest.approx(margin, abs=PHASE_DEG)
