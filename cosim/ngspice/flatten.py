@@ -154,7 +154,8 @@ class Reader:
         allowed = (self.root, *_granted.get())
         inside = any(target.resolve().is_relative_to(each.resolve()) for each in allowed)
         if not fault and not self.trust and not inside:
-            fault = f"include leaves the project's folder {self.root} (--include {target.parent} or --trust allows it)"
+            lifted = f"--include {target.parent} or --trust allows it"
+            fault = f"include leaves the project's folder {self.root} ({lifted})"
         elif not fault and not target.is_file():
             there = [entry.name for entry in target.parent.iterdir()] if target.parent.is_dir() else []
             near = nearest(target.name, there)
