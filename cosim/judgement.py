@@ -10,16 +10,18 @@ import numpy as np
 
 from cosim import effects
 from cosim.caution import Caution
+from cosim.circuits import motor_response
 from cosim.circuits.port import DesignConstants
 from cosim.circuits.spice import SUPPLY_V
 from cosim.circuits.stability_verdict import Question, Verdict, keep, known
-from cosim.loop.setup import mechanism, start
+from cosim.coupled import growing, hidden
+from cosim.loop.setup import mechanism, operator, start
 from cosim.ngspice.child import Child, call
 from cosim.ngspice.deck import Deck, load_deck
 from cosim.plan import Plan, swaps
-from cosim.scene import Level, Method, PartFile, Scene
+from cosim.scene import Level, Method, PartFile, PythonOperator, Scene
 
-__all__ = ["FINITE", "commanded", "latched", "question", "verdict"]
+__all__ = ["FINITE", "commanded", "coupled", "latched", "question", "verdict"]
 
 #: Levels at which a board is judged: every amplifier has its bandwidth, the winding its inductance.
 FINITE: Mapping[str, str] = {
@@ -108,6 +110,29 @@ def verdict(asked: Question, path: Path, child: Child | None = None, time_limit_
         )
         keep(asked, found)
     return found
+
+
+def coupled(plan: Plan, child: Child | None = None) -> list[Caution]:
+    """Say where board and linkage together grow within a step of the run, at no gain and as commanded."""
+    scene, board = plan.scene, _finite(plan, vendors=True)
+    constants = plan.stated()
+    response = motor_response.known(board)
+    if response is None:
+        response = call(
+            "cosim.circuits.motor_response:measure", {"board": board},
+            time_limit_s=scene.solver.time_limit_s, deck=str(plan.board.path), child=child,
+        )  # fmt: skip
+        motor_response.keep(board, response)
+    linkage = mechanism(scene, constants.gear)
+    # a user's operator is loaded where it runs; without its mass the device is lighter, and faster to grow
+    person = None if isinstance(scene.operator, PythonOperator) else operator(scene)
+    mass = linkage.mass_matrix(start(scene, linkage)[0], person)
+    viscosity = np.diag(linkage.pack()[0]["viscous"][: scene.joints])
+    found: dict[Caution, None] = {}
+    for volts in ({}, commanded(scene, constants)):
+        poles = growing(response, volts, mass, viscosity, constants.torque_per_amp, constants.gear)
+        found |= dict.fromkeys(hidden(poles, scene.solver.max_step_s))
+    return list(found)
 
 
 def latched(

@@ -17,7 +17,7 @@ from cosim import plausibility
 from cosim.caution import Caution, collected, warn
 from cosim.circuits.port import DesignConstants
 from cosim.errors import InputError, Problem
-from cosim.judgement import latched, question, verdict
+from cosim.judgement import coupled, latched, question, verdict
 from cosim.measures import chosen, headroom, own_measures, standard
 from cosim.ngspice import stored
 from cosim.ngspice.child import OUTBOX, Child, call
@@ -101,6 +101,8 @@ def _run(
     if not scene.solver.allow_unstable:
         judged.require(str(plan.board.path))
     warn(*judged.cautions())
+    if not judged.unjudged:
+        warn(*coupled(plan, child))
     target = Path(out) if out is not None else Path(tempfile.gettempdir()) / f"cosim-run-{uuid.uuid4().hex}"
     with Staging(target, written_files) as stage:
         got = call(

@@ -28,6 +28,7 @@ FLOORS = {
     "cosim.effects": 2,
     "cosim.plan": 2,
     "cosim.judgement": 2,
+    "cosim.coupled": 2,
     "cosim.catalogue": 0,
     "cosim.plausibility": 2,
     "cosim.measures": 2,

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["HELD_OHM", "SWEEP", "Impedances", "alike", "count", "independent", "measure", "winding"]
+__all__ = ["HELD_OHM", "SWEEP", "Impedances", "alike", "count", "independent", "measure", "pivots", "winding"]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -59,15 +59,15 @@ def independent(seen: Impedances) -> list[int]:
         own = np.abs(seen.z[:, port, port])
         if own.max() <= HELD_OHM:
             continue
-        left = _shown(seen.of([*kept, port]))[:, -1] if kept else seen.z[:, port, port]
+        left = pivots(seen.of([*kept, port]).z)[:, -1] if kept else seen.z[:, port, port]
         if (np.abs(left) > _TIED * own).any():
             kept.append(port)
     return kept
 
 
-def _shown(seen: Impedances) -> Complex:
+def pivots(z: Complex) -> Complex:
     """Return what each port shows while those before it are grounded [F, N]: the pivots of elimination."""
-    left = seen.z.copy()
+    left = z.copy()
     out = np.empty(left.shape[:2], complex)
     for k in range(left.shape[1]):
         out[:, k] = left[:, k, k]
@@ -95,7 +95,7 @@ def measure(ask: Ask, ports: list[int] | None = None) -> tuple[Impedances, list[
     seen = Impedances(*ask(SWEEP))
     chosen = independent(seen) if ports is None else ports
     for _ in range(_ROUNDS):
-        wide = _wide(seen.hz, _shown(seen.of(chosen))) if chosen else []
+        wide = _wide(seen.hz, pivots(seen.of(chosen).z)) if chosen else []
         if not wide:
             break
         more = []
@@ -122,7 +122,7 @@ def _wide(hz: Array, shown: Complex) -> list[int]:
 
 def count(seen: Impedances) -> int:
     """Return how many poles the network has in the right half plane; `seen` as `measure` leaves it."""
-    shown = _shown(seen)
+    shown = pivots(seen.z)
     return round(sum(winding(seen.hz, shown[:, k]) for k in range(shown.shape[1])))
 
 
@@ -140,5 +140,5 @@ def winding(hz: Array, h: Complex) -> float:
 def alike(first: Impedances, second: Impedances) -> bool:
     """Whether ports show the same in two states of a network: then no loop passes what was changed."""
     _, at, there = np.intersect1d(first.hz, second.hz, return_indices=True)
-    ratio = _shown(first)[at] / _shown(second)[there]
+    ratio = pivots(first.z)[at] / pivots(second.z)[there]
     return bool((np.abs(ratio - 1.0) < _ALIKE).all())
