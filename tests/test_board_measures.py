@@ -23,6 +23,7 @@ from support import (
 )
 
 from cosim.catalogue import MEASURES, NAMES, OF_A_RUN
+from cosim.circuits.delay import spring_delays
 from cosim.cli import main
 from cosim.plan import resolve
 from cosim.results import Run
@@ -86,6 +87,22 @@ def test_limits_of_an_analog_spring_behind_the_windings_lag(tmp_path: Path) -> N
         assert found[name] * SPRING_TRUE / K_FS == pytest.approx(limit, rel=1e-5), name
     # the delay is read at a phase of 1e-3: its cube is 1e-6 of it
     assert found["eta"] == pytest.approx(100.0 / limit, rel=1e-5)
+
+
+def test_eta_is_of_the_slowest_path() -> None:
+    """A summing amplifier at a noise gain of hundreds makes the paths to motor 2 some 20 us later."""
+    plan = resolve(load_scene(SLOPE, ["device.values.xsum2.r31=1meg", "solver.model=linear"]))
+    totals = [path.total_s for path in spring_delays(plan.board, shared_child())]
+    assert max(totals) > min(totals) + 1e-5
+    scene = plan.scene
+    assert scene.wall is not None
+    assert scene.device.chain is not None
+    l1, l2 = scene.device.chain.lengths_m
+    arm = Arm(l1, l2, 0, 0, 0, 0, 0, 0, 0)
+    w = arm.jacobian(arm.inverse(np.array(scene.wall.point_m))).T @ np.array(scene.wall.normal)
+    b = (EMF_TRUE + scene.device.chain.viscous_n_m_s[0]) / float(w @ w)  # both joints alike
+    found = measured(plan, "eta")["eta"]
+    assert found == pytest.approx(100.0 * max(totals) / b, rel=1e-3)
 
 
 def test_what_no_viscosity_and_no_lag_leave(tmp_path: Path) -> None:
