@@ -26,6 +26,7 @@ from cosim.plan import Plan
 from cosim.scene import Method
 from cosim.studies.border_map import pencil
 from cosim.studies.contact import law_point
+from cosim.studies.eta import slowest_s
 from cosim.studies.limits import RANGE, largest_passive, varied
 from cosim.studies.model import circuit_of
 from cosim.studies.poses import joint_area
@@ -130,7 +131,7 @@ class BoardMeasures:
         """Share of the viscosity along the normal that the slowest spring path eats."""
         c = self._scene.computer
         k = 0.0 if c.method is Method.DISCRETE else c.analog_stiffness_n_per_m
-        late = max(path.total_s for path in spring_delays(self._plan.board, self._child))
+        late = slowest_s(spring_delays(self._plan.board, self._child))
         return k * late / self._tip.viscosity()
 
     def curl(self) -> float:

@@ -26,7 +26,7 @@ from cosim.studies.stability import border, held, with_computer
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 from cosim.studies.tip import Case, Tip, reached, row, tip_of
 
-__all__ = ["STUDY", "EtaParameters", "active_from", "block_delays", "unstable_from"]
+__all__ = ["STUDY", "EtaParameters", "active_from", "block_delays", "slowest_s", "unstable_from"]
 
 Array = NDArray[np.float64]
 
@@ -52,6 +52,11 @@ def block_delays(paths: list[SpringDelay]) -> dict[str, float]:
     """Return the delay of every kind of block [s], of the path through which it is largest."""
     names = dict.fromkeys(step.block for path in paths for step in path.steps)
     return {name: max(path.of(name) for path in paths) for name in names}
+
+
+def slowest_s(paths: list[SpringDelay]) -> float:
+    """Return the delay of the slowest path [s]: it eats most of the damping that it acts on."""
+    return max(path.total_s for path in paths)
 
 
 def with_spring(scene: Scene, stiffness: float) -> Scene:
@@ -161,7 +166,7 @@ def _case(spec: StudyFile, case: Case, with_poses: bool, child: Child) -> dict[s
         for column, value in zip(spread.values(), (*place, there.viscosity()), strict=True):
             column.append(float(value))
     return {
-        "blocks": block_delays(paths), "total": max(path.total_s for path in paths), "b": b,
+        "blocks": block_delays(paths), "total": slowest_s(paths), "b": b,
         "active": active if np.isfinite(active) else None,
         "unstable": unstable if np.isfinite(unstable) else None, "workspace": spread,
     }  # fmt: skip
