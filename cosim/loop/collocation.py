@@ -75,6 +75,7 @@ class Bench(NamedTuple):
     work : [6] J by worker, of the step on trial; total : accepted
     scale : [0] h of the accepted step
     holds : [4, NMAX] torques that hold joints at rest, at the nodes and the end of the step on trial
+    low : [NMAX] what rounding has left out of the angles [rad]: a stop away from zero is met by far less
     hit : [NMAX] -1, 0, +1: the joint that hits a stop which does not give
     clamp : [n] -1, 0, +1: the motor that is at its lowest or highest current
     current : [n] motor currents at the accepted point, not clamped
@@ -96,6 +97,7 @@ class Bench(NamedTuple):
     total: Vector
     scale: Vector
     holds: Matrix
+    low: Vector
     hit: Ints
     clamp: Vector
     current: Vector
@@ -110,7 +112,7 @@ def bench(k: Plan, states: Array) -> Bench:
         moved=np.zeros(k.moving), a=np.zeros((3, NMAX)), new=np.zeros((3, NMAX)), a_new=np.zeros(NMAX),
         error=np.zeros(5), last=np.zeros((3, NMAX)),
         work=np.zeros(6), total=np.zeros(6), scale=np.zeros(1), holds=np.zeros((4, NMAX)),
-        hit=np.zeros(NMAX, np.int64), clamp=np.zeros(n), current=np.zeros(n),
+        low=np.zeros(NMAX), hit=np.zeros(NMAX, np.int64), clamp=np.zeros(n), current=np.zeros(n),
     )  # fmt: skip
 
 
@@ -330,12 +332,28 @@ def clamped(k: Any, b: Bench, joint: int, current: float) -> float:
     return float(k.limit[joint, 1] if side > 0.0 else k.limit[joint, 0])
 
 
+@njit(cache=True, error_model="numpy")
+def _keep_rounding(s: Record, b: Bench, h: float) -> None:
+    """Add the steps of the angles with what rounding has left out of them so far (Knuth's two-sum)."""
+    for j in range(s.coordinates):
+        twice = 0.0
+        for i in range(3):
+            twice += _TO_END[i] * b.a[i, j]
+        step = h * (s.v[j] + h * twice) + b.low[j]
+        q = s.q[j] + step
+        part = q - s.q[j]
+        b.low[j] = (s.q[j] - (q - part)) + (step - part)
+        s.q_trial[j] = q
+
+
 @njit(cache=True, error_model="numpy", forceinline=True)
 def accept(s: Record, k: Any, b: Bench, t: float, h: float) -> None:
     """Make the step on trial, of length `h` [s], the present point at `t` [s]."""
     n = s.n
     for j in range(n):
         b.current[j] = b.results[3 * n + j]
+    if s.w.located:
+        _keep_rounding(s, b, h)
     for j in range(s.coordinates):
         s.q[j], s.v[j], s.a[j] = s.q_trial[j], s.v_trial[j], s.a_trial[j]
         for i in range(3):

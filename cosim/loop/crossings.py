@@ -25,8 +25,9 @@ Record = Any
 _PUSHED, _INSIDE, _RESTING = int(Touch.PUSHED), int(Touch.INSIDE), int(Touch.RESTING)
 #: Where a held joint slips is found by halving.
 _HALF = 0.75
-#: A joint rests on a stop that does not give when its next flight were shorter than this share of the period.
-_FLIGHT = 1e-6
+#: A joint rests on a stop that does not give when its next flight were shorter than this share of the period
+#: or than this time [s]: sixteen times what instants are found to (`cosim.loop.propagation`).
+_FLIGHT, _FLIGHT_S = 2.0**-32, 1.6e-11
 _BISECTIONS = 60
 
 
@@ -135,7 +136,7 @@ def first_crossing(s: Record, b: Any, h: float) -> float:
             sign = side if inside else -side
             for i in range(5):
                 guard[i] = sign * q[i]
-            guard[0] -= sign * stop
+            guard[0] = sign * ((s.q[j] - stop) + b.low[j])
             first = min(first, below(guard, still, rests))
             if inside and p.stop_damping > 0.0:
                 sign = 1 if abs(w.touch[j]) == _PUSHED else -1
@@ -145,6 +146,17 @@ def first_crossing(s: Record, b: Any, h: float) -> float:
                 guard[4] = 0.0
                 first = min(first, below(guard, fast, extremes))
     return min(first, first_change(s, b, h)) if p.backlash_on else first
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _put_back(s: Record, b: Any, j: int, stop: float) -> None:
+    """Put a joint on the surface that it has crossed, with the speed that it had there."""
+    late = ((s.q[j] - stop) + b.low[j]) / s.v[j]
+    # a bounce would gain as much at every impact, and never end
+    if abs(s.a[j] * late) < 0.5 * abs(s.v[j]):
+        s.v[j] -= s.a[j] * late
+    s.q[j] = stop
+    b.low[j] = 0.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -172,17 +184,18 @@ def strike(s: Record, b: Any) -> bool:
             continue
         for side in (-1, 1):
             stop = p.stop_low[j] if side < 0 else p.stop_high[j]
-            deep = side * (s.q[j] - stop)
+            deep = side * ((s.q[j] - stop) + b.low[j])
             if side * w.touch[j] > 0:
                 pushing = p.stop_stiffness + side * p.stop_damping * s.v[j]
                 if deep < 0.0:
-                    w.touch[j], s.q[j] = 0, stop
+                    _put_back(s, b, j, stop)
+                    w.touch[j] = 0
                     changed = True
                 elif (abs(w.touch[j]) == _PUSHED) != (pushing >= 0.0):
                     w.touch[j] = side * (_PUSHED if pushing >= 0.0 else _INSIDE)
                     changed = True
             elif deep > 0.0:
-                s.q[j] = stop
+                _put_back(s, b, j, stop)
                 changed = True
                 if p.rigid == 0:
                     w.touch[j] = side * _PUSHED
@@ -212,7 +225,8 @@ def find(s: Record, b: Any) -> None:
             continue
         back = side * s.a[j]
         # too slow to fly, or driven in by what rounding leaves
-        if side * s.v[j] >= 0.0 or (back > 0.0 and 2.0 * abs(s.v[j]) < back * _FLIGHT * s.c.period):
+        shortest = max(_FLIGHT * s.c.period, _FLIGHT_S)
+        if side * s.v[j] >= 0.0 or (back > 0.0 and 2.0 * abs(s.v[j]) < back * shortest):
             s.v[j] = 0.0
             s.w.touch[j] = side * _RESTING
             again = True

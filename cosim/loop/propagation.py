@@ -36,7 +36,7 @@ _WATCH_STEPS = 64.0
 #: ... and the instants at which a motor reaches or leaves its limit are found to 2^-_LOCATED of an interval.
 _LOCATED = 18
 #: What friction and stops do is found to 2^-_FINEST of an interval, but not below _RESOLUTION_S.
-_FINEST, _RESOLUTION_S = 30, 1e-12
+_FINEST, _RESOLUTION_S = 36, 1e-12
 #: Steps below this share of the period, on the way to such an instant and from it, are no rows.
 _ROW_SHARE = 2.0**-12
 _NEVER = math.inf
