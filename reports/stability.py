@@ -54,7 +54,7 @@ def write_stability(
 def over_period(
     scene: Scene, constants: DesignConstants, circuit: LinearCircuit
 ) -> list[dict[str, float | None]]:
-    """Return border, passive and Gil and Hulin's stiffness [N/m] for periods about the scene's [s]."""
+    """Return border, passive, Gil and Hulin's and the board's stiffness [N/m] for periods about the scene's."""
     rows: list[dict[str, float | None]] = []
     for share in _PERIODS:
         period = float(share) * scene.computer.period_s
@@ -65,6 +65,7 @@ def over_period(
                 "border_n_per_m": each["border_n_per_m"],
                 "passive_n_per_m": each["passive_n_per_m"],
                 "gil_hulin_n_per_m": each["gil_hulin_n_per_m"],
+                "board_n_per_m": each["board_n_per_m"],
             }
         )
     return rows
@@ -140,7 +141,12 @@ def _over(over: "Axes", rows: list[dict[str, float | None]], scene: Scene, found
 
     over.loglog(period, column("border_n_per_m"), "o-", color=LIMIT, label="exact border", markersize=4)
     over.loglog(period, column("passive_n_per_m"), "s-", color=JOINTS[0], label="passive", markersize=4)
-    over.loglog(period, column("gil_hulin_n_per_m"), "--", color=JOINTS[2], label="Gil and Hulin")
+    for name, line, shade, label in (
+        ("gil_hulin_n_per_m", "--", JOINTS[2], "Gil and Hulin"),
+        ("board_n_per_m", ":", "#222222", "board's range"),
+    ):
+        if rows[0][name] is not None:
+            over.loglog(period, column(name), line, color=shade, label=label)
     if found.stiffness > 0.0:
         over.plot([1e3 * scene.computer.period_s], [found.stiffness], "x", color="#222222", label="scene")
     ticks = [m * 10.0**d for d in range(-3, 4) for m in (1, 2, 5)]

@@ -1,6 +1,7 @@
 """``cosim stability``: how stiff the scene's wall may be, exactly, and by passivity."""
 
 import argparse
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -53,9 +54,11 @@ def describe(found: "Limits") -> str:
     critical = found.stability.critical
     if critical is not None:
         verdict = "stable" if found.stability.stable else "UNSTABLE"
+        goes = "grows" if critical.growth > 1.0 else "decays"
         lines.append(
-            f"  {verdict} at {found.stiffness:.5g} N/m {name}: critical mode grows x {critical.growth:.6f}, "
-            f"{critical.frequency_hz:.4g} Hz, damping ratio {critical.damping:.3g}"
+            f"  {verdict} at {found.stiffness:.5g} N/m {name}: critical mode {goes} x {critical.growth:.6f} a "
+            f"period, {critical.frequency_hz:.4g} Hz, damping ratio {critical.damping:.3g}"
+            + (" (ambiguous: sampling folds it onto another frequency)" if critical.ambiguous else "")
         )
     if facts["border_n_per_m"] is not None and found.border.value > 0.0:
         lines.append(
@@ -69,7 +72,10 @@ def describe(found: "Limits") -> str:
         lines.append(f"  passive up to      {found.passive_n_per_m:10.5g} N/m")
     elif found.least_damping_n_m_s < 0.0:
         lines.append("  passive            never: the analog part alone is active at some frequency")
-    lines.append(f"  Gil and Hulin      {found.gil_hulin_n_per_m:10.5g} N/m (rule of thumb)")
+    if found.gil_hulin_n_per_m is not None:
+        lines.append(f"  Gil and Hulin      {found.gil_hulin_n_per_m:10.5g} N/m (rule of thumb)")
+    if found.board_n_per_m is not None:
+        lines.append(f"  board's range      {found.board_n_per_m:10.5g} N/m, its gain DACs at full scale")
     lines.append(
         f"  device's damping   {found.viscosity_n_s_per_m:10.5g} N s/m along the normal"
         + (
@@ -78,9 +84,33 @@ def describe(found: "Limits") -> str:
             else ""
         )
     )
+    lines.append(f"  design for         {_advice(found)}")
     if found.stability.free:
         lines.append(f"  free directions    {found.stability.free} (nothing holds the tip along the wall)")
     return "\n".join([*lines, *(f"  left out: {note}" for note in found.stability.notes)])
+
+
+def _advice(found: "Limits") -> str:
+    """Return which limit to design for, and why the others differ."""
+    value, which = found.design
+    if value == 0.0:
+        return "nothing: no stiffness is stable with this circuit and period"
+    if math.isinf(value):
+        return "any stiffness up to 1e7 N/m"
+    said = f"{value:10.5g} N/m, {which}: "
+    if which == "the board's range":
+        said += "no stiffness beyond it can be commanded, and up to it this scene is stable"
+    elif which == "the largest passive stiffness":
+        said += "stable whoever holds the device, at rest or moving"
+    elif found.passive_n_per_m is None:
+        said += "for this operator and pose, contact held; another hand or pose has another border"
+    else:
+        said += "this operator or pose is worse than the device held by nobody"
+    if which != "the exact border" and found.border.value > value:
+        said += "; the exact border is for this operator and pose, contact held"
+    if found.gil_hulin_n_per_m is not None:
+        said += "; Gil and Hulin's rule knows the device's damping and the delay alone, no mass and no circuit"
+    return said
 
 
 COMMAND = Command(

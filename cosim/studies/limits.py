@@ -12,12 +12,23 @@ from scipy.optimize import brentq
 
 from cosim.circuits.linear import LinearCircuit
 from cosim.circuits.port import DesignConstants
+from cosim.loop.setup import mechanism
 from cosim.scene import Method, Scene
+from cosim.studies.contact import law_point
 from cosim.studies.energy import device_of, law_of
 from cosim.studies.lifted import Lifted
 from cosim.studies.passivity import Device, least_damping, needed_damping, share_used
 from cosim.studies.rules import gil_hulin
-from cosim.studies.stability import Border, Stability, border, held, stability, touching, with_computer
+from cosim.studies.stability import (
+    Border,
+    Stability,
+    border,
+    held,
+    monodromy,
+    stability,
+    touching,
+    with_computer,
+)
 
 __all__ = ["RANGE", "Limits", "largest_passive", "limits", "locus", "varied"]
 
@@ -57,7 +68,10 @@ class Limits:
     passive_n_per_m
         Largest passive discrete stiffness on this device, None without a discrete part.
     gil_hulin_n_per_m
-        Rule of thumb (b + B)/(T/2 + t_d), for b T/m well below one.
+        Rule of thumb (b + B)/(T/2 + t_d) for a sampled wall, for b T/m well below one; None for an analog one.
+    board_n_per_m
+        Analog stiffness at which a spring gain is at the range of its DAC; None where the border is that of
+        the discrete stiffness, or the scene states the joints' gains.
     """
 
     key: str
@@ -68,7 +82,20 @@ class Limits:
     least_damping_n_m_s: float
     needed_n_s_per_m: float | None
     passive_n_per_m: float | None
-    gil_hulin_n_per_m: float
+    gil_hulin_n_per_m: float | None
+    board_n_per_m: float | None
+
+    @property
+    def design(self) -> tuple[float, str]:
+        """The stiffness to design for [N/m], and which limit it is; 0 where nothing is stable."""
+        known = {
+            "the exact border": self.border.value,
+            "the largest passive stiffness": self.passive_n_per_m,
+            "the board's range": self.board_n_per_m,
+        }
+        finite = {name: value for name, value in known.items() if value is not None}
+        name = min(finite, key=lambda each: finite[each])
+        return finite[name], name
 
     def as_dict(self) -> dict[str, Any]:
         """Return it JSON-ready; what is infinite or missing is None."""
@@ -76,10 +103,12 @@ class Limits:
             {
                 "re": mode.z.real, "im": mode.z.imag, "growth": mode.growth,
                 "frequency_hz": mode.frequency_hz, "damping": mode.damping,
+                "ambiguous": mode.ambiguous,
             }
             for mode in self.stability.modes
         ]  # fmt: skip
         edge, critical = self.border, self.stability.critical
+        design, which = self.design
         at_edge = edge.stability.critical if edge.stability is not None else None
         return {
             "key": f"computer.{self.key}",
@@ -97,6 +126,9 @@ class Limits:
             "needed_n_s_per_m": self.needed_n_s_per_m,
             "passive_n_per_m": self.passive_n_per_m,
             "gil_hulin_n_per_m": self.gil_hulin_n_per_m,
+            "board_n_per_m": self.board_n_per_m,
+            "design_for_n_per_m": design if math.isfinite(design) else None,
+            "design_for": which,
             "left_out": list(self.stability.notes),
         }
 
@@ -148,7 +180,10 @@ def limits(
         least_damping_n_m_s=least,
         needed_n_s_per_m=None if law.lag_s else needed_damping(law).value,
         passive_n_per_m=passive,
-        gil_hulin_n_per_m=gil_hulin(viscosity, c.period_s, damping, late),
+        gil_hulin_n_per_m=gil_hulin(viscosity, c.period_s, damping, late)
+        if key == "discrete_stiffness_n_per_m"
+        else None,
+        board_n_per_m=_board_range(scene, constants, pose) if key == "analog_stiffness_n_per_m" else None,
     )
 
 
@@ -176,6 +211,18 @@ def largest_passive(scene: Scene, constants: DesignConstants, circuit: LinearCir
     if left(high) > 0.0:
         return math.inf
     return math.exp(brentq(lambda x: left(math.exp(x)), math.log(low), math.log(high), rtol=1e-12))
+
+
+def _board_range(scene: Scene, constants: DesignConstants, q: Array) -> float | None:
+    """Return the analog stiffness [N/m] at which the largest spring gain is at the range of its DAC."""
+    n, dac = scene.joints, scene.computer.dac
+    if scene.computer.joint_stiffness_n_m_per_rad:
+        return None
+    one = law_point(
+        with_computer(scene, analog_stiffness_n_per_m=1.0), constants, mechanism(scene, constants.gear), q
+    )
+    volts = float(np.abs(one.volts[n : n + n * n]).max())
+    return (dac.range_v if dac.range_v is not None else constants.dac_v) / volts
 
 
 def _delay(scene: Scene) -> float:
@@ -210,7 +257,7 @@ def locus(
     found = []
     for value in values:
         z = np.linalg.eigvals(
-            held(with_computer(scene, **{key: float(value)}), constants, circuit, pose).period()
+            monodromy(held(with_computer(scene, **{key: float(value)}), constants, circuit, pose))
         )
         found.append(z[np.abs(z) > 1e-6].astype(complex))
     return found

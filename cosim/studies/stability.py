@@ -19,10 +19,11 @@ from cosim.circuits.linear import LinearCircuit
 from cosim.circuits.port import DesignConstants
 from cosim.errors import InputError, Problem
 from cosim.scene import Scene
+from cosim.studies.floquet import exponents
 from cosim.studies.lifted import Lifted, lift
 from cosim.studies.linearise import linearise
 
-__all__ = ["Border", "Mode", "Stability", "border", "held", "stability", "touching", "with_computer"]
+__all__ = ["Border", "Mode", "Stability", "border", "held", "monodromy", "stability", "touching", "with_computer"]
 
 Array = NDArray[np.float64]
 
@@ -42,7 +43,11 @@ class Mode:
     z
         Growth a period is its modulus.
     frequency_hz, damping
-        Of the mode s = ln(z)/T: |Im s|/(2 pi), aliased below half the sampling rate, and -Re s/|s|.
+        Of the exponent s, z = exp(s T), that tells the motion between the samples
+        (`cosim.studies.floquet`): |Im s|/(2 pi) and -Re s/|s|.
+    share
+        Of the motion that goes by exp(s t): below one half another frequency tells it as well; not a number
+        where the circuit swings too fast for the period to tell.
     shape
         Part of each joint angle [rad], largest one 1.
     """
@@ -50,12 +55,18 @@ class Mode:
     z: complex
     frequency_hz: float
     damping: float
+    share: float
     shape: NDArray[np.complex128]
 
     @property
     def growth(self) -> float:
         """Factor by which the mode grows in a period."""
         return abs(self.z)
+
+    @property
+    def ambiguous(self) -> bool:
+        """Whether sampling leaves open which frequency and damping the mode has."""
+        return not self.share >= 0.5
 
 
 @dataclass(frozen=True)
@@ -148,13 +159,13 @@ def touching(scene: Scene, constants: DesignConstants) -> Array:
 
 def stability(lifted: Lifted) -> Stability:
     """Return the modes of a lifted scene."""
-    period = lifted.system.period_s
-    z, vectors = np.linalg.eig(lifted.period())
+    z, vectors = np.linalg.eig(monodromy(lifted))
+    order = np.argsort(-np.abs(z), kind="stable")
+    order = order[(np.abs(z[order]) >= 1e-6) & (z[order].imag >= 0.0)]
+    exponent, share = exponents(lifted, z[order], vectors[:, order])
     modes = []
-    for k in np.argsort(-np.abs(z), kind="stable"):
-        if abs(z[k]) < 1e-6 or z[k].imag < 0.0:
-            continue
-        s = np.log(complex(z[k])) / period
+    for at, k in enumerate(order):
+        s = exponent[at]
         shape = vectors[: lifted.system.joints, k]
         top = shape[int(np.argmax(np.abs(shape)))]
         modes.append(
@@ -162,12 +173,35 @@ def stability(lifted: Lifted) -> Stability:
                 complex(z[k]),
                 abs(s.imag) / (2.0 * math.pi),
                 -s.real / abs(s) if s != 0 else 0.0,
+                float(share[at]),
                 shape / top if top != 0 else shape,
             )
         )
     held = [mode for mode in modes if abs(mode.z - 1.0) > FREE]
     stable = all(mode.growth < 1.0 for mode in held)
     return Stability(tuple(modes), len(modes) - len(held), stable, lifted.system.notes)
+
+
+def monodromy(lifted: Lifted) -> Array:
+    """Return the map of one period.
+
+    Raises
+    ------
+    InputError
+        Where it is beyond what numbers hold: something grows by more than 1e300 within a period.
+    """
+    found = lifted.period()
+    if not np.isfinite(found).all():
+        raise InputError(
+            Problem(
+                "the loop cannot be studied over one period: between two samples it grows beyond all numbers; "
+                "shorten the period, or look for an unstable circuit (cosim check)",
+                key="computer.period_s",
+                value=lifted.system.period_s,
+                unit="s",
+            )
+        )
+    return found
 
 
 def with_computer(scene: Scene, **changes: Any) -> Scene:
@@ -196,7 +230,7 @@ def border(at: Callable[[float], Lifted], low: float, high: float, *, rtol: floa
     free = min(stability(at(value)).free for value in (low, 1.5 * low))
 
     def over(value: float) -> float:
-        z = np.linalg.eigvals(at(value).period())
+        z = np.linalg.eigvals(monodromy(at(value)))
         z = z[np.argsort(np.abs(z - 1.0), kind="stable")][free:]
         return float(np.abs(z).max(initial=0.0)) - 1.0
 

@@ -1,0 +1,136 @@
+"""Which oscillation a mode of the sampled loop is: frequency and damping do not depend on the period."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import BOARD2, SCENES, merge, scene_of, slider
+from test_propagation import CONSTANTS, ideal
+
+from cosim.circuits.linear import LinearCircuit
+from cosim.circuits.port import DesignConstants
+from cosim.commands.stability import describe
+from cosim.plan import resolve
+from cosim.scene import Scene, load_scene
+from cosim.studies.limits import limits
+from cosim.studies.model import circuit_of
+from cosim.studies.stability import held, stability, with_computer
+
+Board = tuple[Scene, LinearCircuit, DesignConstants]
+
+
+@pytest.fixture(scope="module")
+def press() -> Board:
+    assert BOARD2.is_file()
+    scene = load_scene(SCENES / "press.toml")
+    return scene, *circuit_of(resolve(scene))
+
+
+@pytest.mark.parametrize("period", [0.1, 0.025, 0.02, 0.003, 0.001])
+def test_a_mode_that_nothing_samples_keeps_its_frequency(press: Board, period: float) -> None:  # 52
+    """An analog wall near its border rings at 41.4 Hz: eigenvalues of continuous time, at any period."""
+    scene, circuit, constants = press
+    stiff = with_computer(scene, analog_stiffness_n_per_m=50e3, period_s=period)
+    lifted = held(stiff, constants, circuit)
+    poles = np.linalg.eigvals(lifted.system.a)
+    slow = poles[(poles.imag > 1.0) & (np.abs(poles) < 1e3)]
+    assert len(slow) == 2
+    assert slow.imag.max() / (2 * math.pi) == pytest.approx(41.0, abs=1.0)  # beyond half the rate of 25 ms
+    modes = [mode for mode in stability(lifted).modes if mode.frequency_hz > 1.0]
+    found = sorted((mode.frequency_hz, mode.damping) for mode in modes)
+    expected = sorted((s.imag / (2 * math.pi), -s.real / abs(s)) for s in slow)
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+    assert not any(mode.ambiguous for mode in modes)
+
+
+def test_the_border_tells_the_same_frequency_at_every_period(press: Board) -> None:  # 52
+    scene, circuit, constants = press
+    told = []
+    for period in (0.025, 0.02, 0.001):
+        found = limits(with_computer(scene, period_s=period), constants, circuit)
+        assert found.border.stability is not None
+        assert found.border.stability.critical is not None
+        told.append((found.border.value, found.border.stability.critical.frequency_hz))
+    np.testing.assert_allclose(told, [told[0]] * 3, rtol=1e-6)
+
+
+def test_a_sampled_swing_has_the_frequency_that_its_samples_show(tmp_path: Path) -> None:
+    """21: m x'' = -k x_k, held: z = 1 - k T^2/(4 m) +- ..., |z|^2 = 1 + k T^2/(2 m), no other turn is near."""
+    mass, period = 0.2, 0.003
+    tables = slider(
+        computer={"period_s": period, "method": "discrete", "analog_stiffness_n_per_m": 0.0,
+                  "discrete_stiffness_n_per_m": 1000.0},
+        device={"slider": {"mass_kg": mass}},
+    )  # fmt: skip
+    scene = scene_of(tmp_path, tables)
+    critical = stability(held(scene, CONSTANTS, ideal(1, emf=False))).critical
+    assert critical is not None
+    z = 1 - 1000.0 * period**2 / (4 * mass)
+    turn = math.atan2(math.sqrt(1 + 1000.0 * period**2 / (2 * mass) - z**2), z)
+    assert critical.growth == pytest.approx(math.sqrt(1 + 1000.0 * period**2 / (2 * mass)), rel=1e-5)
+    assert critical.frequency_hz == pytest.approx(turn / (2 * math.pi * period), rel=1e-5)
+    assert critical.share > 0.99
+
+
+def test_a_swing_of_nearly_half_the_rate_is_two_at_once(tmp_path: Path) -> None:
+    """A loop whose samples change sign every time moves at + and - half its rate alike: x(t) is real.
+
+    k T^2/(2 m) = 7.975 turns them by 0.488 of a turn and trebles them, s T = 1.10 + 3.07i or 1.10 - 3.22i. With
+    x'' constant in between, the mean of exp(-s t) x(t) falls as 1/s^3: squared 1.3 to 1.
+    """
+    mass, period = 0.2, 0.1
+    tables = slider(
+        computer={"period_s": period, "method": "discrete", "analog_stiffness_n_per_m": 0.0,
+                  "discrete_stiffness_n_per_m": 319.0},
+        device={"slider": {"mass_kg": mass}},
+    )  # fmt: skip
+    scene = scene_of(tmp_path, tables)
+    critical = stability(held(scene, CONSTANTS, ideal(1, emf=False))).critical
+    assert critical is not None
+    assert critical.frequency_hz == pytest.approx(0.488 / period, rel=2e-3)
+    assert critical.share == pytest.approx(1.3 / 2.3, abs=0.05)
+
+
+def test_the_words_name_the_limit_to_design_for(press: Board) -> None:
+    """The board's gain DACs end at 612 N/m, far below the border: full scale over the largest w_i w_j."""
+    scene, circuit, constants = press
+    found = limits(scene, constants, circuit)
+    text = describe(found)
+    assert "decays x" in text
+    assert "grows" not in text
+    assert found.gil_hulin_n_per_m is None  # a rule for sampled walls
+    assert "Gil" not in text
+    assert found.board_n_per_m is not None
+    jac_normal = _lever(scene, constants)
+    full = constants.k_fs * constants.dac_v / constants.v_fs
+    assert found.board_n_per_m == pytest.approx(full / np.abs(np.outer(jac_normal, jac_normal)).max(), rel=1e-9)
+    assert found.design == (found.board_n_per_m, "the board's range")
+    assert "design for" in text
+
+
+def _lever(scene: Scene, constants: DesignConstants):
+    from cosim.loop.setup import mechanism
+    from cosim.studies.stability import touching
+
+    assert scene.wall is not None
+    jac = mechanism(scene, constants.gear).jacobian(touching(scene, constants))
+    return jac.T @ np.array(scene.wall.normal)
+
+
+def test_a_sampled_wall_is_designed_for_passivity(tmp_path: Path) -> None:
+    tables = merge(
+        slider(),
+        {
+            "computer": {"method": "discrete", "analog_stiffness_n_per_m": 0.0,
+                         "discrete_stiffness_n_per_m": 20.0, "period_s": 0.01},
+            "device": {"slider": {"viscous_n_m_s": 0.01}},
+            "effects": {"viscous": True},
+        },
+    )  # fmt: skip
+    found = limits(scene_of(tmp_path, tables), CONSTANTS, ideal(1, emf=False))
+    value, which = found.design
+    assert which == "the largest passive stiffness"
+    assert value == found.passive_n_per_m
+    assert found.board_n_per_m is None
+    assert "Gil and Hulin's rule knows" in describe(found)
