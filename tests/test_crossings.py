@@ -432,6 +432,25 @@ def test_a_stop_that_gives_takes_what_hunt_and_crossley_say(tmp_path: Path, side
     assert made.bench.total[4] == pytest.approx(-0.5 * INERTIA * (speed**2 - out**2), rel=1e-9)
 
 
+@pytest.mark.parametrize("e", [0.0, 0.6])
+def test_the_ledger_closes_over_impacts_with_a_mass_at_the_tip(tmp_path: Path, e: float) -> None:
+    # the device's energy changes by the works: what the operator's mass loses in an impact passes through it
+    chain = {"stops_rad": [[-1.3, 0.4], [0.1, 1.2]], "stop_restitution": e}
+    device = {
+        "board": str(BOARD2), "chain": chain,
+        "start": {"q_rad": [-0.5, 0.9], "v_rad_per_s": [2.0, -8.0]},
+    }  # fmt: skip
+    more = {"duration_s": 0.5, "effects": {"end_stops": True}, "device": device}
+    tables = merge(slider(**FREE), merge(ARM, {**more, "operator": {"type": "mass", "mass_kg": 0.4}}))
+    scene = scene_of(tmp_path, tables)
+    made = propagate(scene, ideal(2, emf=False), tol=1e-11)
+    p, nobody = mechanism(scene, GEAR).pack()[0], NoOperator().pack()[0]
+    q, v = (np.stack([rows(made, f"{k}{j}") for j in (1, 2)], axis=1) for k in ("q", "v"))
+    assert ((q[:, 1] == 0.1) | (q[:, 0] == 0.4)).any()
+    held = [sum(energy(p, nobody, q[at], v[at])) for at in (0, -1)]
+    assert held[1] - held[0] == pytest.approx(made.bench.total.sum(), rel=1e-6, abs=1e-9)
+
+
 @pytest.mark.parametrize("e", [None, 0.0, 0.6, 1.0])
 def test_an_arm_on_its_stops_never_gains_energy(tmp_path: Path, e: float | None) -> None:  # 20
     chain: dict[str, Any] = {"stops_rad": [[-1.3, 0.4], [0.1, 1.2]], "coulomb_n_m": [1e-3, 1e-3]}

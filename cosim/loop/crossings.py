@@ -26,8 +26,10 @@ _PUSHED, _INSIDE, _RESTING = int(Touch.PUSHED), int(Touch.INSIDE), int(Touch.RES
 #: Where a held joint slips is found by halving.
 _HALF = 0.75
 #: A joint rests on a stop that does not give when its next flight were shorter than this share of the period
-#: or than this time [s]: sixteen times what instants are found to (`cosim.loop.propagation`).
-_FLIGHT, _FLIGHT_S = 2.0**-32, 1.6e-11
+#: or than this time [s]: sixty-four and some thousand times what instants are found to
+#: (`cosim.loop.propagation`). Two joints on their stops at once take turns for ever at flights of some twenty
+#: times it: each impact moves both, and comes late for the other.
+_FLIGHT, _FLIGHT_S = 2.0**-30, 1e-9
 _BISECTIONS = 60
 
 
@@ -160,6 +162,16 @@ def _put_back(s: Record, b: Any, j: int, stop: float) -> None:
 
 
 @njit(cache=True, error_model="numpy")
+def _carried(s: Record) -> float:
+    """Kinetic energy of the operator's mass [J]."""
+    x = y = 0.0
+    for j in range(s.n):
+        x += s.w.jac[0, j] * s.v[j]
+        y += s.w.jac[1, j] * s.v[j]
+    return float(0.5 * s.op.mass * (x * x + y * y))
+
+
+@njit(cache=True, error_model="numpy")
 def strike(s: Record, b: Any) -> bool:
     """Change what is due at the accepted point; whether there was anything.
 
@@ -206,7 +218,9 @@ def strike(s: Record, b: Any) -> bool:
         for j in range(s.n):
             if abs(w.touch[j]) == _RESTING:
                 b.hit[j] = -1 if w.touch[j] < 0 else 1
+        carried = _carried(s)
         b.total[4] -= impact(p, w, s.v, b.hit)
+        b.total[1] += carried - _carried(s)  # what the operator's mass has given up went through the device
         for j in range(s.n):
             if abs(w.touch[j]) == _RESTING:
                 w.touch[j] = 0
@@ -217,21 +231,26 @@ def strike(s: Record, b: Any) -> bool:
 def find(s: Record, b: Any) -> None:
     """Find the accelerations just behind the accepted point, the torques given, and who is held there."""
     settle(s.p, s.op, s.t, s.q, s.v, s.tau, s.a, s.w)
-    again = False
-    for j in range(s.n):
-        side = b.hit[j]
-        b.hit[j] = 0
-        if side == 0:
-            continue
-        back = side * s.a[j]
-        # too slow to fly, or driven in by what rounding leaves
-        shortest = max(_FLIGHT * s.c.period, _FLIGHT_S)
-        if side * s.v[j] >= 0.0 or (back > 0.0 and 2.0 * abs(s.v[j]) < back * shortest):
-            s.v[j] = 0.0
-            s.w.touch[j] = side * _RESTING
-            again = True
-    if again:
+    shortest = max(_FLIGHT * s.c.period, _FLIGHT_S)
+    # once more for every joint that comes to rest: it changes what drives the others
+    for _ in range(s.n):
+        again = False
+        for j in range(s.n):
+            side = b.hit[j]
+            if side == 0:
+                continue
+            back = side * s.a[j]
+            # too slow to fly, or driven in by what rounding leaves
+            if side * s.v[j] >= 0.0 or (back > 0.0 and 2.0 * abs(s.v[j]) < back * shortest):
+                s.v[j] = 0.0
+                s.w.touch[j] = side * _RESTING
+                b.hit[j] = 0
+                again = True
+        if not again:
+            break
         settle(s.p, s.op, s.t, s.q, s.v, s.tau, s.a, s.w)
+    for j in range(s.n):
+        b.hit[j] = 0
 
 
 @njit(cache=True, error_model="numpy")
