@@ -35,13 +35,13 @@ def test_predictor_is_exact_to_its_degree(history, degree):
 def test_corrector_is_exact_to_its_degree(history, degree):
     acceleration = np.polynomial.Polynomial([40.0, 3e4, -2e7][: degree + 1])
     s = at(acceleration, history)
-    correct(s, H, np.array([acceleration(H)]))
+    correct(s, H, np.array([acceleration(H)]), H, True)
     assert (s["q"][0], s["v"][0]) == pytest.approx(moved(acceleration, H), rel=1e-14)
 
 
 def test_behind_a_jump_the_corrector_holds_the_new_acceleration():
     s = at(np.polynomial.Polynomial([40.0]), 0)
-    correct(s, H, np.array([-500.0]))
+    correct(s, H, np.array([-500.0]), H, True)
     assert (s["q"][0], s["v"][0]) == pytest.approx(moved(np.polynomial.Polynomial([-500.0]), H), rel=1e-14)
 
 
@@ -51,7 +51,7 @@ def test_defect_is_what_the_predictor_got_wrong():
     q, v = np.zeros(1), np.zeros(1)
     predict(s, H, q, v)
     s["q_trial"][0], s["v_trial"][0] = q[0], v[0]
-    defect = correct(s, H, np.array([acceleration(H)]))
+    defect = correct(s, H, np.array([acceleration(H)]), H, True)
     exact = moved(acceleration, H)
     # as accurate as the difference of two numbers of order one
     assert defect == pytest.approx(abs(exact[0] - q[0]) + H * abs(exact[1] - v[0]), abs=1e-15)

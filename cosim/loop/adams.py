@@ -33,10 +33,10 @@ def predict(s: Record, h: float, q_out: Vector, v_out: Vector) -> None:
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def correct(s: Record, h: float, a_new: Vector) -> float:
-    """Take q and v over the step `h` with `a_new` [rad/s^2] at its end; returns the defect [rad].
+def correct(s: Record, h: float, a_new: Vector, weight: float, take: bool) -> float:
+    """Return the defect [rad] of the step `h` with `a_new` [rad/s^2] at its end, and `take` q and v there.
 
-    The defect is the largest |predicted - corrected| of any joint, speeds weighted with the step.
+    The defect is the largest |predicted - corrected| of any joint, speeds weighted with a time `weight` [s].
     """
     defect = 0.0
     first = s.history == 0
@@ -53,9 +53,10 @@ def correct(s: Record, h: float, a_new: Vector) -> float:
             b = right - c * h
             q = s.q[j] + h * (s.v[j] + h * (s.a[j] / 2 + h * (b / 6 + h * c / 12)))
             v = s.v[j] + h * (s.a[j] + h * (b / 2 + h * c / 3))
-        e = abs(q - s.q_trial[j]) + h * abs(v - s.v_trial[j])
+        e = abs(q - s.q_trial[j]) + weight * abs(v - s.v_trial[j])
         if not e <= defect:  # a NaN gets through, and is seen
             defect = e
-        s.q[j] = q
-        s.v[j] = v
+        if take:
+            s.q[j] = q
+            s.v[j] = v
     return defect

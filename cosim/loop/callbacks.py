@@ -13,7 +13,7 @@ from typing import Any
 import numba
 from numba import carray, cfunc, njit, types
 
-from cosim.loop import runge
+from cosim.loop import runge, surfaces
 from cosim.loop.lockstep import (
     advance,
     announce,
@@ -22,6 +22,7 @@ from cosim.loop.lockstep import (
     fill,
     name_hash,
     process_events,
+    shortened,
     write_row,
 )
 from cosim.loop.native import call_plain, doubles_at, vector_value
@@ -76,9 +77,18 @@ def source(voltage: Any, t: float, name: Any, ident: int, user: Any) -> int:
 
 @cfunc(_i4(_f8, types.CPointer(_f8), _f8, _i4, _i4, _i4, types.CPointer(_record)), cache=True)
 def synchronise(t: float, delta: Any, old: float, redo: int, ident: int, where: int, user: Any) -> int:
-    """GetSyncData: before a step (0) set its length; after one (1) count what ngspice rejected."""
+    """GetSyncData: before a step (0) set its length; after one (1) have it redone where it is wrong.
+
+    There `redo` says whether ngspice itself has rejected it; `t` is the end of a step that it has not.
+    """
     s = carray(user, 1)[0]
     if where == 1:
+        if redo == 0 and s.fault == 0 and s.running != 0 and t == s.t_trial and t > s.t:
+            h = shortened(s, t - s.t)
+            if h < t - s.t:
+                delta[0] = h
+                s.rejected += 1
+                return 1
         s.rejected += redo
         return 0
     h = delta[0]
@@ -90,6 +100,8 @@ def synchronise(t: float, delta: Any, old: float, redo: int, ident: int, where: 
     h = min(h, s.h_max, s.h_couple, s.h_pole)
     if s.p.backlash_on:
         h = runge.edge(s, h)
+    if s.p.stops_on:
+        h = surfaces.edge(s, h)
     rest = s.t_event - t
     if rest > 0.0:
         if h > 0.999 * rest:

@@ -9,7 +9,7 @@ from typing import Any
 
 from numba import carray, njit
 
-from cosim.loop import runge
+from cosim.loop import runge, surfaces
 from cosim.loop.adams import correct, predict
 from cosim.loop.computer import law, read_encoders, to_volts
 from cosim.loop.native import call_plain, call_with_time, doubles_at
@@ -25,6 +25,8 @@ _DIVERGENCE_RAD = 0.5
 RUNAWAY_RAD_PER_S = 1e5
 #: The next step aims at this share of the tolerance, and grows at most this much.
 _SAFETY, _GROWTH = 0.8, 4.0
+#: A step whose defect is so many times the tolerance is taken again, at least this much shorter.
+_REDONE, _SHORTER = 4.0, 0.1
 #: Share of the time constant of the coupled pole that a step may be.
 _POLE_SHARE = 0.5
 
@@ -306,15 +308,28 @@ def bound_by_pole(s: Record) -> None:
     s.h_pole = min(s.h_max, _POLE_SHARE / rates) if rates > 0.0 else s.h_max
 
 
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _weight(s: Record, h: float, inside: int) -> float:
+    """Time [s] by which an error of the speed counts as one of the angle: the step, in a stop the period.
+
+    A joint leaves its stop with the speed that the stop has given it, and nothing corrects that in flight.
+    """
+    return float(max(h, s.c.period)) if inside != 0 else h
+
+
 @njit(cache=True, error_model="numpy")
 def advance(s: Record, t: float) -> None:
     """Take the linkage to the accepted time `t`, the motors' torques there being in `s.tau`."""
     h = t - s.t
+    inside = surfaces.inside(s) if s.p.stops_on else 0
     if s.p.shaft_on:
         s.defect = runge.advance(s, h)
     else:
         evaluate(s, t, s.q_trial, s.v_trial, s.a_trial)
-        s.defect = correct(s, h, s.a_trial)
+        s.defect = correct(s, h, s.a_trial, _weight(s, h, inside), True)
+        for j in range(s.n):
+            s.tau_old[1, j] = s.tau_old[0, j]
+            s.tau_old[0, j] = s.tau[j]
     for j in range(s.coordinates):
         s.a_old[j] = s.a[j]
     s.used = s.history
@@ -324,6 +339,8 @@ def advance(s: Record, t: float) -> None:
         s.work[5] -= lost
         if changed:
             s.history = min(s.history, 1)
+    if s.p.stops_on and surfaces.inside(s) != inside:
+        s.history = min(s.history, 1)  # the stop's torque has a kink there, not a jump
     evaluate(s, t, s.q, s.v, s.a)
     s.t = t
     s.h_old = h
@@ -340,6 +357,27 @@ def advance(s: Record, t: float) -> None:
     s.h_couple = h * grow
     if s.speeds > 0 or s.p.shaft_on:
         bound_by_pole(s)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def shortened(s: Record, h: float) -> float:
+    """Return the step [s] with which the trial step `h` should be taken again; `h` where it is good.
+
+    What is nonlinear in the mechanics, a stop or friction, can make a step wrong that looked good from its
+    start. The circuit's torque at the end is not to be had before the point is accepted: it is extrapolated
+    along its last slope. Behind a jump the acceleration at the start is of no use, and the step short anyway.
+    """
+    if s.p.shaft_on or s.history == 0:
+        return h
+    for j in range(s.n):
+        slope = (s.tau_old[0, j] - s.tau_old[1, j]) / s.h_old if s.history > 1 else 0.0
+        s.tau[j] = s.tau_old[0, j] + h * slope
+    evaluate(s, s.t_trial, s.q_trial, s.v_trial, s.a_trial)
+    inside = surfaces.inside(s) if s.p.stops_on else 0
+    share = correct(s, h, s.a_trial, _weight(s, h, inside), False) / (_SAFETY * s.tol)
+    if not share > _REDONE / _SAFETY:
+        return h
+    return float(max(h * max(share ** (-1.0 / 3.0), _SHORTER), s.delta_min))
 
 
 @njit(cache=True, error_model="numpy")
