@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +14,9 @@ from numpy.typing import NDArray
 from cosim.catalogue import MEASURES, NAMES, UNITS
 from cosim.circuits.port import DesignConstants
 from cosim.errors import InputError, Problem, nearest
-from cosim.scene import Scene
+from cosim.loop.driven import channels
+from cosim.scene import PotNoise, Scene
+from cosim.traces import Trace, changes, together
 
 Signals = Mapping[str, NDArray[np.float64]]
 #: An amplifier that saturates softly stops short of its stated limit by so much.
@@ -69,39 +72,44 @@ def standard(
         out[name] = {"value": float(value), "unit": UNITS[name], "text": text or MEASURES[name].text}
 
     t = np.asarray(signals["time"])
-    late = t >= t[-1] - _STEADY * (t[-1] - t[0])
-    force = np.hypot(signals["fx"], signals["fy"])
-    add("peak_force", force.max())
+    span = float(t[-1] - t[0])
+    trace = _tracer(scene, signals)
+    force = trace(np.hypot(signals["fx"], signals["fy"]))
+    add("peak_force", force.peak())
     if scene.wall is not None:
         frame = wall_frame(scene, signals)
-        pen, normal, tangent = frame["penetration"], frame["normal"], frame["tangent"]
-        add("max_penetration", max(float(pen.max()), 0.0))
-        inside = pen > 0.0
-        add("contact_share", time_mean(t, inside.astype(float)))
-        if inside.any():
-            add("peak_normal_force", normal[inside].max())
-            held = np.where(inside, normal, 0.0)
-            mean = time_mean(t, held) / time_mean(t, inside.astype(float))
-            add("mean_normal_force", mean)
-        steady = late & inside
-        if steady.sum() > 2 and inside[late].all():
-            sink, push = time_mean(t[late], pen[late]), time_mean(t[late], normal[late])
-            drag = time_mean(t[late], tangent[late])
+        pen = trace(frame["penetration"], -_tip_speed(scene, signals))
+        normal = trace(frame["normal"])
+        add("max_penetration", max(pen.peak(), 0.0))
+        contact = pen.above(0.0)
+        add("contact_share", contact.length / span if span else 0.0)
+        if contact.length > 0.0:
+            add("peak_normal_force", normal.peak(contact))
+            add("mean_normal_force", normal.mean_over(contact))
+        late = float(t[-1] - _STEADY * span), float(t[-1])
+        if len(contact.end) and contact.begin[-1] <= late[0] and contact.end[-1] >= late[1]:
+            sink, push = pen.cut(*late).mean(), normal.cut(*late).mean()
+            drag = trace(frame["tangent"]).cut(*late).mean()
             add("steady_penetration", sink)
             add("steady_normal_force", push)
             add("steady_tangential_force", drag)
-            rendered = time_mean(t[late], frame["push"][late]) / sink
+            rendered = trace(frame["push"]).cut(*late).mean() / sink
             add("rendered_stiffness", rendered)
             if push != 0.0:  # a device that nobody holds
                 add("tangential_ratio", abs(drag / push))
-            ripple = normal[late] - push
-            add("force_ripple", float(np.sqrt(time_mean(t[late], ripple**2))))
-    n = scene.joints
-    current = np.max(np.abs(np.stack([signals[f"imot{j}"] for j in range(1, n + 1)])), axis=0)
-    add("peak_current", current.max())
-    add("rated_share", current.max() / constants.i_rated)
-    add("over_rated", time_mean(t, (current > constants.i_rated).astype(float)))
-    add("heat", _heat(t, signals, n))
+            ripple = trace(frame["normal"] - push).cut(*late).mean_square()
+            add("force_ripple", math.sqrt(ripple))
+    currents = [np.asarray(signals[f"imot{j}"]) for j in range(1, scene.joints + 1)]
+    both = [trace(sign * current) for current in currents for sign in (1.0, -1.0)]
+    peak = max(each.peak() for each in both)
+    add("peak_current", peak)
+    add("rated_share", peak / constants.i_rated)
+    over = (
+        together([each.above(constants.i_rated) for each in both]).length if peak > constants.i_rated else 0.0
+    )
+    add("over_rated", over / span if span else 0.0)
+    heat = span * sum(each.mean_square() for each in both[::2])
+    add("heat", heat)
     add("dac_saturations", float(samples["saturated"].sum()))
     add("unreachable_samples", float(samples["unsolved"].sum()))
     tightest = headroom(amplifiers)
@@ -114,9 +122,40 @@ def standard(
     return out
 
 
-def _heat(t: NDArray[np.float64], signals: Signals, n: int) -> float:
-    squares = np.sum([np.square(signals[f"imot{j}"]) for j in range(1, n + 1)], axis=0)
-    return float(np.trapezoid(squares, t))
+def _tracer(scene: Scene, signals: Signals) -> Callable[..., Trace]:
+    """Return what makes traces of the run's signals: (values, rate of change where it is known)."""
+    t, effects = np.asarray(signals["time"]), scene.effects
+    dacs = [np.asarray(signals[name]) for name in channels(scene.joints) if name in signals]
+    changed = changes(dacs, len(t))
+    edges = np.diff(changed, prepend=False, append=False)
+    # a DAC that settles ramps: what follows it has kinks where the ramp begins and ends, and nothing jumps
+    jumped, kinks = (np.zeros_like(changed), edges) if effects.dac_settling else (changed, None)
+    bent = effects.pot_noise is not PotNoise.NONE or effects.component_noise
+
+    def trace(y: NDArray[np.float64], rate: NDArray[np.float64] | None = None) -> Trace:
+        return Trace(t, y, jumped, kinks=kinks, slope=rate, bent=bent and rate is None)
+
+    return trace
+
+
+def _tip_speed(scene: Scene, signals: Signals) -> NDArray[np.float64]:
+    """Speed of the tip along the wall's normal [m/s]."""
+    assert scene.wall is not None
+    nx, ny = scene.wall.normal
+    device = scene.device
+    if scene.is_slider:
+        assert device.slider is not None
+        dx, dy = device.slider.direction
+        along = (dx * nx + dy * ny) / math.hypot(dx, dy) * device.slider.radius_m
+        return np.asarray(along * np.asarray(signals["v1"]))
+    assert device.chain is not None
+    total = np.zeros(len(np.asarray(signals["time"])))
+    phi, rate = np.zeros_like(total), np.zeros_like(total)
+    for j, length in enumerate(device.chain.lengths_m, start=1):
+        phi = phi + signals[f"q{j}"]
+        rate = rate + signals[f"v{j}"]
+        total += length * rate * (ny * np.cos(phi) - nx * np.sin(phi))
+    return total
 
 
 def own_measures(scene: Scene) -> list[str]:

@@ -64,17 +64,19 @@ def leaps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
     s.history = 0
     b.scale[0] = 0.0
     t0, length, position = s.t, s.t_event - s.t, 0
-    wish = s.h_max
+    wish, jump = s.h_max, -math.inf
     while s.fault == 0:
         if s.t_event <= s.t + s.delta_min:
             if s.t >= s.t_end - s.delta_min:
                 return True
             if process_events(s, s.t) and first > 0.0:
-                wish = min(wish, first)
+                wish, jump = min(wish, first), s.t
             t0, length, position = s.t, s.t_event - s.t, 0
             if s.t_event <= s.t + s.delta_min:  # the run has come to rest
                 continue
         longest, ramp = min(wish, s.h_max), 0.0
+        if s.t - jump < s.fresh:
+            longest = min(longest, max(first, s.t - jump))
         if s.ramping:
             if gains_ramp(s):
                 longest = min(longest, ramp_step(s))

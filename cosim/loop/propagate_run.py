@@ -37,8 +37,11 @@ from cosim.ngspice.simulator import Simulator
 from cosim.results import RAW
 from cosim.scene import PythonOperator, Scene
 
-#: First step behind a jump of the DACs, as a share of the period, when rows are recorded.
-FIRST_ROW_SHARE = 2.0**-11
+#: First step behind a jump of the DACs, as a share of the period, when rows are recorded; or as a share of
+#: the time in which the circuit settles, where that is longer.
+FIRST_ROW_SHARE, _FIRST_OF_FRESH = 2.0**-11, 1.0 / 24.0
+#: So many of its slowest time constants behind a jump a circuit has settled: rows need not follow it.
+_SETTLED = 3.0
 
 
 class _Clock:
@@ -140,11 +143,20 @@ def prepare(
     )  # fmt: skip
     state["speeds"] = 0  # the pins vel are no part of a row
     desk = bench(maps, np.zeros(maps.before + maps.after))
-    first = FIRST_ROW_SHARE * scene.computer.period_s if record and dense else 0.0
+    first = 0.0
+    if record and dense:
+        state["fresh"] = _SETTLED * _slowest(whole.a_post)
+        first = max(FIRST_ROW_SHARE * scene.computer.period_s, _FIRST_OF_FRESH * float(state["fresh"]))
     failures: list[Exception] = []
     leaps, callback = exact(state, whole, memory.knots, failures)
     tables = propagation.Tables(memory.state, maps, desk, leaps)
     return Propagation(memory, circuit, maps, desk, leaps, callback, failures, first, tables)
+
+
+def _slowest(a: NDArray[np.float64]) -> float:
+    """Return the slowest time constant [s] of a stable system; 0 without states."""
+    rates = np.abs(np.linalg.eigvals(a).real)
+    return float(1.0 / rates.min()) if len(rates) and rates.min() > 0.0 else 0.0
 
 
 def rest(

@@ -140,7 +140,7 @@ def _steps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
     t0, length, position = s.t, s.t_event - s.t, 0
     whole = _WHOLE
     finest, until = _finest(length), _NEVER
-    wish = s.h_max
+    wish, jump = s.h_max, -_NEVER
     watch = behind = False
     while s.fault == 0:
         if s.t_event <= s.t + s.delta_min:
@@ -151,7 +151,7 @@ def _steps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
             if process_events(s, s.t):
                 s.history = 0
                 if first > 0.0:
-                    wish = min(wish, first)
+                    wish, jump = min(wish, first), s.t
             if watch or s.w.located:
                 _right_hand(s, k, b)
             if watch:
@@ -160,6 +160,8 @@ def _steps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
             finest, until = _finest(length), _NEVER
             behind = True
         longest = min(wish, s.h_max)
+        if s.t - jump < s.fresh:
+            longest = min(longest, max(first, s.t - jump))
         if watch:
             longest = min(longest, s.c.period / _WATCH_STEPS)
         if gains_ramp(s):

@@ -102,6 +102,7 @@ STATE = np.dtype(
         # step control
         ("h_max", "f8"),
         ("h_first", "f8"),
+        ("fresh", "f8"),  # s behind a jump over which rows show how the circuit settles; 0 without rows
         ("h_couple", "f8"),
         ("h_pole", "f8"),
         ("b_emf", "f8", (NMAX, NMAX)),  # N m s/rad at the joints: what the motors' back-EMF brakes with
