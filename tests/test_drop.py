@@ -11,7 +11,7 @@ from cosim.loop.propagate_run import prepare
 from cosim.loop.setup import shift_samples
 from cosim.plan import resolve
 from cosim.scene import load_scene
-from cosim.studies.drop import Falls, Job, Rest, displayed, jobs, scan
+from cosim.studies.drop import Falls, Job, Rest, displayed, friction_balance, jobs, scan
 from cosim.studies.drop_curves import Family, slope, verdicts
 from cosim.studies.limits import limits
 from cosim.studies.model import circuit_of
@@ -187,3 +187,59 @@ set = ["computer.method=combined", "computer.analog_damping_n_s_per_m=0.11"]
     passive = result.table("passive").columns["stiffness [N/m]"]
     exact = limits_found["exact, contact held [N/m]"][:3]
     assert all(p < k for p, k in zip(passive, exact, strict=True))  # passive is stricter than stable
+
+
+UNDAMPED = ("effects.viscous=false", "effects.motor=ideal")
+FRICTION = (*UNDAMPED, "effects.coulomb=true", "device.slider.coulomb_n_m=0.004")
+
+
+def test_friction_alone_takes_what_a_held_spring_gives():
+    """k T v = 8 f_c/pi, v the speed of the fall's end: sqrt(2 g h) of the scene."""
+    scene, circuit, constants = ideal_drop("computer.period_s=0.01", *FRICTION)
+    job = Job(scene, constants, circuit, Rest(2.0, 1e-3, 0.5, 0.95, 1, 0.8, 1.05))
+    slider = scene.device.slider
+    speed = math.sqrt(2.0 * 9.81 * 0.01)
+    expected = 8.0 * (0.004 / slider.radius_m) / (math.pi * 0.01 * speed)
+    assert friction_balance(job) == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_curve_without_a_limit_is_told_and_the_others_go_on(tmp_path):
+    """Coulomb friction alone: drops rest, linear theory knows no border; without it nothing rests."""
+    file = tmp_path / "drop.toml"
+    families = {"plain": (), "friction alone": FRICTION, "nothing": UNDAMPED}
+    tables = "".join(
+        f'[[parameters.families]]\nname = "{name}"\nset = [{", ".join(repr(text) for text in set_)}]\n'
+        for name, set_ in families.items()
+    )
+    file.write_text(
+        f"""
+study = "drop"
+title = "Three curves"
+scene = "{SCENES / "drop.toml"}"
+set = ["solver.model=auto", {", ".join(f'"{text}"' for text in QUIET)}]
+[parameters]
+periods_s = [0.01, 0.02, 0.04]
+phases = 1
+window_s = 4.0
+rest_time_s = 0.3
+from_share = 0.9
+ratio = 1.2
+{tables}""",
+        encoding="utf-8",
+    )
+    result = run_study(load_study(file), tmp_path / "out")
+    columns = result.table("limits").columns
+    exact = dict(zip(zip(columns["curve"], columns["period [ms]"], strict=True),
+                     columns["exact, contact held [N/m]"], strict=True))  # fmt: skip
+    assert all(exact["plain", t] for t in (10.0, 20.0, 40.0))
+    assert exact["friction alone", 10.0] is None
+    assert exact["nothing", 10.0] is None
+    told = {verdict.claim: verdict for verdict in result.verdicts}
+    assert told["k_max ~ 1/T: plain"].holds is not None
+    for name in ("friction alone", "nothing"):
+        verdict = told[f"k_max ~ 1/T: {name}"]
+        assert verdict.holds is None
+        assert "linear theory knows no limit" in verdict.found
+    from reports.studies import drop as pictures
+
+    assert [name for name, _, _ in pictures.draw(result)] == ["limits", "shares"]

@@ -312,6 +312,18 @@ def test_budgets_have_the_sizes_of_their_data_sheets(arm):
     assert mrad["DAC of u, a code"] == pytest.approx(1.449 / np.sqrt(12.0), rel=1e-3)  # 12 bit of 20 V
     # 100 Ohm and a quarter of 10 kOhm, 30 pA of a TL072, 3.37 V/rad
     assert mrad["wiper loading, bias current"] == pytest.approx(1e3 * 2600 * 30e-12 / 3.37034, rel=1e-6)
+    # at the tip: random errors as squares, the largest one of each joint at once, the same one with its sign
+    millimetres = dict(zip(errors["source"], errors["all joints, along the normal [mm]"], strict=True))
+    lever, pot = arm.torques, arm.scene.device.potentiometer
+    assert millimetres["noise, white"] == pytest.approx(6.0 * np.hypot(*lever), rel=1e-12)
+    assert millimetres["linearity"] == pytest.approx(1e3 * pot.linearity_rad * np.abs(lever).sum(), rel=1e-12)
+    assert millimetres["linearity"] == pytest.approx(1.32, abs=0.005)
+    assert millimetres["calibration, zero"] == pytest.approx(1e3 * pot.zero_rad * abs(lever.sum()), rel=1e-12)
+    assert millimetres["calibration, zero"] == pytest.approx(1.100, abs=0.0005)
+    gain = 1e3 * pot.gain_error * abs(lever @ arm.q)  # what (1 + g) q shows for q moves the tip by
+    assert millimetres["calibration, gain"] == pytest.approx(gain, rel=1e-12)
+    # 1.627 at q = (0.6, 1.1); the wall is touched a little beside it
+    assert millimetres["calibration, gain"] == pytest.approx(1.627, abs=0.01)
     newtons = dict(zip(forces["source"], forces["force [N rms]"], strict=True))
     w, motion = np.linalg.norm(arm.torques), np.linalg.norm(arm.motion)
     assert newtons["white, tip held"] == pytest.approx(0.006 * 100.0 * w, rel=0.02)  # the winding takes 1 %

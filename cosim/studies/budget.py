@@ -40,11 +40,16 @@ class BudgetParameters(Parameters):
 
 @dataclass(frozen=True)
 class Error:
-    """One source: its size at a joint [rad], and how it is meant (rms, largest, ...)."""
+    """One source: its size at a joint [rad], how it is meant (rms, largest, ...), all joints' at the tip [m].
+
+    At the tip it is along the wall's normal: sqrt(sum w^2) for errors that are independent and random,
+    sum |w| for the largest that each may have, and the signed sum where the same error is in every joint.
+    """
 
     source: str
     meant: str
     rad: float
+    tip_m: float
 
 
 def loaded(track_ohm: float, load_ohm: float, travel_rad: float) -> float:
@@ -60,30 +65,40 @@ def loaded(track_ohm: float, load_ohm: float, travel_rad: float) -> float:
 
 def position_errors(tip: Tip, stated: Stated, load_ohm: float | None) -> list[Error]:
     """Return what each source of error makes of a joint's angle."""
-    pot, computer = tip.scene.device.potentiometer, tip.scene.computer
+    pot, computer, w = tip.scene.device.potentiometer, tip.scene.computer, tip.torques
+
+    def random(source: str, meant: str, rad: float) -> Error:
+        return Error(source, meant, rad, rad * float(np.linalg.norm(w)))
+
+    def largest(source: str, rad: float) -> Error:
+        return Error(source, "largest", rad, rad * float(np.abs(w).sum()))
+
+    zero, gain = abs(pot.zero_rad), abs(pot.gain_error)
     found = [
-        Error("noise, white", "rms", pot.noise_rad),
-        Error("noise, peak to peak", "largest", 0.5 * pot.noise_rad),
-        Error("noise, static", "rms of devices", pot.noise_rad),
-        Error("noise, position", "rms over the angle", pot.noise_rad),
-        Error("linearity", "largest", pot.linearity_rad),
-        Error("calibration, zero", "as stated", abs(pot.zero_rad)),
-        Error("calibration, gain", "at the wall's pose", abs(pot.gain_error) * float(np.abs(tip.q).max())),
-    ]
+        random("noise, white", "rms", pot.noise_rad),
+        largest("noise, peak to peak", 0.5 * pot.noise_rad),
+        random("noise, static", "rms of devices", pot.noise_rad),
+        random("noise, position", "rms over the angle", pot.noise_rad),
+        largest("linearity", pot.linearity_rad),
+        Error("calibration, zero", "the same at every joint", zero, zero * abs(float(w.sum()))),
+        Error(
+            "calibration, gain", "the same at every joint, at the wall's pose",
+            gain * float(np.abs(tip.q).max()), gain * abs(float(w @ tip.q)),
+        ),
+    ]  # fmt: skip
     track, wiper = (stated.numbers.get(name) for name in ("pot_r", "pot_rw"))
     travel = stated.numbers.get("pot_travel")
     bias = stated.of("opamp", "ib")
     if track is not None and wiper is not None and bias:
         volts = (wiper + track / 4.0) * max(map(abs, bias))
-        found.append(Error("wiper loading, bias current", "largest", volts / stated.v_rad))
+        found.append(largest("wiper loading, bias current", volts / stated.v_rad))
     if track is not None and travel is not None and load_ohm is not None:
-        found.append(Error("wiper loading, were there no follower", "largest",
-                           loaded(track, load_ohm, travel)))  # fmt: skip
+        found.append(largest("wiper loading, were there no follower", loaded(track, load_ohm, travel)))
     encoder = computer.encoder
     count = 2.0 * math.pi / (encoder.pulses_per_rev * encoder.decoding * stated.gear)
     bits, reach = computer.dac.bits or stated.dac_bits, computer.dac.range_v or stated.dac_v
-    found.append(Error("encoder, a count", "rms", _STEP * count))
-    found.append(Error("DAC of u, a code", "rms", _STEP * 2.0 * reach / 2.0**bits / stated.v_rad))
+    found.append(random("encoder, a count", "rms", _STEP * count))
+    found.append(random("DAC of u, a code", "rms", _STEP * 2.0 * reach / 2.0**bits / stated.v_rad))
     return found
 
 
@@ -151,8 +166,8 @@ def _computed(spec: StudyFile) -> dict[str, Any]:
                      child=child)  # fmt: skip
         forces = _forces(spec, tip, stated, noise, child)
     return {
-        "errors": [[e.source, e.meant, e.rad] for e in errors], "forces": [list(f) for f in forces],
-        "r_tip": stated.r_tip, "lever": float(np.linalg.norm(tip.torques)),
+        "errors": [[e.source, e.meant, e.rad, e.tip_m] for e in errors],
+        "forces": [list(f) for f in forces], "r_tip": stated.r_tip,
     }  # fmt: skip
 
 
@@ -161,11 +176,11 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     given: BudgetParameters = spec.parameters
     found = points.get("budget", lambda: _computed(spec))
     errors: dict[str, list[Any]] = {}
-    for source, meant, rad in found["errors"]:
+    for source, meant, rad, tip_m in found["errors"]:
         row(errors, {
             "source": source, "meant as": meant, "at the joint [mrad]": 1e3 * rad,
             f"one joint at {1e3 * found['r_tip']:.4g} mm [mm]": 1e3 * rad * found["r_tip"],
-            "both joints, along the normal [mm]": 1e3 * rad * found["lever"],
+            "all joints, along the normal [mm]": 1e3 * tip_m,
         })  # fmt: skip
     forces: dict[str, list[Any]] = {}
     for group, source, newtons in found["forces"]:
@@ -179,7 +194,8 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     said = ", ".join(f"{name} {value:.2g} N" for name, value in groups.items())
     return spec.result(
         Table("errors", "Errors of the measured angles, at the tip", errors,
-              "Independent errors of the joints add as squares along the normal at the wall's pose."),
+              "At the wall's pose. Random errors of the joints add as squares, the largest ones as they are, "
+              "and what is the same at every joint with its sign."),
         Table("forces", "Force noise by source, at the scene's gains", forces,
               f"Along the normal; the components' up to {given.noise_band_hz:g} Hz."),
         verdicts=(

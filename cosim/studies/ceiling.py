@@ -146,7 +146,7 @@ def delay(scene: Scene, constants: DesignConstants, circuit: LinearCircuit, besi
     damper, damper_hz = end(dampers, _DAMPERS)
     return Delay(
         lag(wall(beside, 0.0), constants, circuit), mass,
-        1.0 / float(free.mobility(np.array([_SLOW]))[0]), spring, spring_hz,
+        free.viscosity(_SLOW), spring, spring_hz,
         passive(springs, _SPRINGS), damper, damper_hz, passive(dampers, _DAMPERS),
     )  # fmt: skip
 
@@ -240,6 +240,22 @@ def _noise(
             ]
 
         found = points.get(f"noise over the {name}", curve)
+        if (grid_end := _bracket(values, found, given.noise_n)) is not None:
+
+            def limit(
+                key: str = key, other: dict[str, float] = other, ends: tuple[float, float] = grid_end
+            ) -> float:
+                def over(x: float) -> float:
+                    scene = with_computer(noisy, **other, **{key: math.exp(x)})
+                    force = noise_force(scene, constants, circuit)
+                    return math.log(force / given.noise_n) if force else math.nan
+
+                return math.exp(brentq(over, *(math.log(x) for x in ends), xtol=1e-6))
+
+            at = points.get(f"noise limit of the {name}", limit)
+            place = next(i for i, x in enumerate(values) if x >= at)
+            values = [*values[:place], at, *values[place:]]
+            found = [*found[:place], given.noise_n, *found[place:]]
         columns["varied"] += [name] * len(values)
         columns["value [N/m or N s/m]"] += values
         columns["force in the loop, rms [N]"] += found
@@ -252,18 +268,23 @@ def _noise(
     )  # fmt: skip
 
 
+def _bracket(values: list[float], rms: list[float | None], threshold: float) -> tuple[float, float] | None:
+    """Return the neighbours between which the noise first reaches the threshold; None where it does not."""
+    last: float | None = None
+    for value, force in zip(values, rms, strict=True):
+        if force is None:
+            continue
+        if force >= threshold:
+            return (last, value) if last is not None and force > threshold else None
+        last = value
+    return None
+
+
 def _crossing(table: Table, name: str, threshold: float) -> float:
     """Return the first value at which the noise reaches the threshold; infinite where it does not."""
-    last: tuple[float, float] | None = None
     for kind, value, rms, _ in zip(*table.columns.values(), strict=True):
-        if kind != name or rms is None:
-            continue
-        if rms >= threshold:
-            if last is None:
-                return float(value)
-            share = math.log(threshold / last[1]) / math.log(rms / last[1])
-            return float(last[0] * (value / last[0]) ** share)
-        last = (value, rms)
+        if kind == name and rms is not None and rms >= threshold:
+            return float(value)
     return math.inf
 
 

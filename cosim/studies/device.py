@@ -49,8 +49,8 @@ class Preset:
 #: Limits that the library CHAI3D recommends for controllers of these devices (its device classes
 #: `cPhantomDevice` and `cFalconDevice`); they are not identified dynamics.
 PRESETS = (
-    Preset("Phantom Omni", 4.0, 700.0, 5.0, 0.10),
-    Preset("Phantom Premium 1.5", 4.0, 800.0, 5.0, 0.10),
+    Preset("Phantom Omni", 3.3, 700.0, 5.0, 0.10),
+    Preset("Phantom Premium 1.5", 8.5, 800.0, 5.0, 0.10),
     Preset("Falcon", 8.0, 3000.0, 20.0, 0.04),
 )
 

@@ -23,14 +23,14 @@ from cosim.circuits.port import DesignConstants
 from cosim.effects import without_dynamics
 from cosim.errors import CosimError, fail
 from cosim.loop.propagate_run import Propagation, prepare
-from cosim.loop.setup import shift_samples
+from cosim.loop.setup import mechanism, shift_samples, start
 from cosim.loop.state import Fault
 from cosim.plan import resolve
 from cosim.scene import Scene
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.schema import Period
 from cosim.studies.border_map import pencil
-from cosim.studies.drop_curves import REFINED, Family, Found, curve, verdicts
+from cosim.studies.drop_curves import REFINED, Family, Found, compared, curve, verdicts
 from cosim.studies.impedance import impedance
 from cosim.studies.limits import limits as limits_of
 from cosim.studies.model import circuit_of
@@ -94,7 +94,7 @@ class Dropped:
 
     Attributes
     ----------
-    exact_n_per_m : limit of the held contact, from the eigenvalues of one period
+    exact_n_per_m : limit of the held contact, from the eigenvalues of one period; infinite or 0 without one
     first_n_per_m : first stiffness at which fewer than the stated share of the phases rest; NaN where they
         do so at no stiffness
     all_n_per_m, none_n_per_m : largest stiffness scanned below which every phase rests; smallest above which
@@ -178,18 +178,42 @@ def _reach(scene: Scene) -> float:
     return scene.device.slider.radius_m
 
 
+def friction_balance(job: Job) -> float:
+    """Return the stiffness [N/m] at which sampling gives a fall as much as Coulomb friction takes from it.
+
+    A held spring gives a swing of amplitude speed v the energy of a viscosity -k T/2, friction takes that of
+    4 f_c/(pi v): k T v = 8 f_c/pi. Zero without friction.
+    """
+    scene, slider = job.scene, job.scene.device.slider
+    wall, linkage = scene.wall, mechanism(scene, job.constants.gear)
+    assert wall is not None
+    assert slider is not None  # `Falls` needs one
+    q, v = start(scene, linkage)
+    normal = np.array(wall.normal)
+    height = float(normal @ (linkage.forward(q) - np.array(wall.point_m)))
+    falling = -float(normal @ np.array(linkage.gravity_m_per_s2))
+    speed = math.sqrt(max(2.0 * falling * height, 0.0) + float(normal @ linkage.jacobian(q) @ v) ** 2)
+    friction = slider.coulomb_n_m / slider.radius_m if scene.effects.coulomb else 0.0
+    return 8.0 * friction / (math.pi * scene.computer.period_s * speed) if speed > 0.0 else 0.0
+
+
 def scan(job: Job) -> Dropped:
-    """Find the limits of one scene; see the module."""
+    """Find the limits of one scene; see the module.
+
+    Where linear theory knows none (a device without viscosity) the scan is about `friction_balance`, and
+    where there is no friction either, nothing is scanned.
+    """
     exact = limit(job.scene, job.constants, job.circuit)
-    if not 0.0 < exact < math.inf:
-        raise CosimError(f"the held contact has no stability limit: {exact} N/m")
+    about = exact if 0.0 < exact < math.inf else friction_balance(job)
+    if not about > 0.0:
+        return Dropped(exact, math.nan, math.nan, math.nan, [], [], 0, 0)
     falls, rest = Falls(job), job.rest
     found: dict[float, float] = {}
-    stiffness, hopeless = rest.from_share * exact, 0
+    stiffness, hopeless = rest.from_share * about, 0
     lower = stiffness
-    while (found.setdefault(lower, falls.share(lower)) < rest.share) and lower > _NEAR * exact:
+    while (found.setdefault(lower, falls.share(lower)) < rest.share) and lower > _NEAR * about:
         lower /= rest.ratio
-    while hopeless < _HOPELESS and stiffness < _FAR * exact:
+    while hopeless < _HOPELESS and stiffness < _FAR * about:
         if stiffness not in found:
             found[stiffness] = falls.share(stiffness)
         hopeless = hopeless + 1 if found[stiffness] == 0.0 else 0
@@ -223,7 +247,8 @@ def scan(job: Job) -> Dropped:
 def drop(job: Job) -> dict[str, Any]:
     """Run `scan` and return its result JSON-ready; infinite and missing limits as None."""
     return {
-        k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in asdict(scan(job)).items()
+        k: None if isinstance(v, float) and not (math.isfinite(v) and v > 0.0) else v
+        for k, v in asdict(scan(job)).items()
     }
 
 
@@ -312,7 +337,9 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     ideal = {
         family.name: points.get(f"{family.name}, circuit ideal", partial(_ideal_gain, spec, family, found))
         for family in given.families
-        if family.kind == "curve" and scenes[family.name].computer.analog_damping_n_s_per_m
+        if family.kind == "curve"
+        and scenes[family.name].computer.analog_damping_n_s_per_m
+        and compared(found, first, family.name)
     }
     shown = {
         name: {period: displayed(asked[_point(name, period)], k) for period, k in curve(found, name).items()}
@@ -340,7 +367,7 @@ def displayed(job: Job, stiffness: float) -> float:
 def _ideal_gain(spec: StudyFile, family: Family, found: Found) -> float:
     """Return what a curve adds to the first one's exact limit at the shortest period, both circuits ideal."""
     first = spec.parameters.families[0]
-    period = min(curve(found, first.name).keys() & curve(found, family.name).keys())
+    period = compared(found, first.name, family.name)[0]
     ends = []
     for one in (family, first):
         changes = (*one.set, f"computer.period_s={period!r}")

@@ -12,7 +12,7 @@ from cosim.scene.parameters import Field, Parameters
 from cosim.scene.schema import Period
 from cosim.studies.study import Verdict
 
-__all__ = ["REFINED", "Family", "Found", "curve", "slope", "verdicts"]
+__all__ = ["REFINED", "Family", "Found", "compared", "curve", "slope", "verdicts"]
 
 #: Bisections of the last step of the scan.
 REFINED = 6
@@ -36,6 +36,14 @@ Found = Mapping[tuple[str, float], Mapping[str, Any]]
 def curve(found: Found, name: str, key: str = "first_n_per_m") -> dict[float, float]:
     """Return a curve: limit by period, where there is one."""
     return {period: row[key] for (other, period), row in found.items() if other == name and row[key]}
+
+
+def compared(found: Found, first: str, other: str) -> list[float]:
+    """Return the periods, shortest first, at which two curves have limits dropped and exact."""
+    keys = ("first_n_per_m", "exact_n_per_m")
+    return sorted(
+        set.intersection(*(set(curve(found, name, key)) for name in (first, other) for key in keys))
+    )
 
 
 def slope(values: Mapping[float, float]) -> float:
@@ -65,8 +73,12 @@ def verdicts(
     base = curve(found, first)
     for family in families:
         values = curve(found, family.name)
-        exact = {period: curve(found, family.name, "exact_n_per_m")[period] for period in values}
-        if family.kind != "curve" or len(values) < 3:
+        sharp_at = curve(found, family.name, "exact_n_per_m")
+        exact = {period: sharp_at[period] for period in values if period in sharp_at}
+        if family.kind != "curve":
+            continue
+        if len(values) < 3 or len(exact) < 3:
+            out.append(_without_border(family.name, values, exact))
             continue
         computer = scenes[family.name].computer
         spring, damper = computer.analog_stiffness_n_per_m, computer.analog_damping_n_s_per_m
@@ -92,8 +104,9 @@ def verdicts(
                         "<= 3 % for T <= 10 ms", told, max(short) <= 0.03 if short else None)
             )  # fmt: skip
             out.append(_adds_up(family.name, spring, {p: (values[p], shown[family.name][p]) for p in shared}))
-        if damper and shared:
-            period = shared[0]
+        both = compared(found, first, family.name)
+        if damper and both:
+            period = both[0]
             exact_gain, gain = (
                 found[family.name, period][key] - found[first, period][key]
                 for key in ("exact_n_per_m", "first_n_per_m")
@@ -113,6 +126,19 @@ def verdicts(
                 )
             )  # fmt: skip
     return out
+
+
+def _without_border(name: str, values: Mapping[float, float], exact: Mapping[float, float]) -> Verdict:
+    """Tell of a curve that has too few limits to be judged by linear theory what it does have."""
+    if len(values) < 3:
+        seen = f"a limit at {len(values)} periods only" if values else "no limit at any period"
+    else:
+        seen = f"drops rest up to a stiffness of log-log slope {slope(values):.3f}"
+    if len(exact) < len(values) or not values:
+        seen += "; linear theory knows no limit: nothing is damped but by friction, if at all"
+    return Verdict(
+        "F13a", f"k_max ~ 1/T: {name}", "three limits and those of linear theory", seen, None, own=True
+    )
 
 
 def _adds_up(name: str, spring: float, found: Mapping[float, tuple[float, float]]) -> Verdict:

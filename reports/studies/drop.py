@@ -47,7 +47,7 @@ def _limits(table: Table, passive: Table) -> Drawn:
         colour, mark = JOINTS[number % len(JOINTS)], _MARKS[number % len(_MARKS)]
         place.plot(*exact[name], color=colour, linewidth=1.0)
         place.plot(*first[name], mark, color=colour, markersize=4.5, label=name)
-    periods, values = first[main[0]]
+    periods, values = first[main[0]] if main else ([], [])
     if len(periods) > 2:
         power, factor = np.polyfit(np.log(periods), np.log(values), 1)
         place.plot(periods, np.exp(factor) * np.array(periods) ** power, "--", color=FAINT, linewidth=1.0,
@@ -66,9 +66,10 @@ def _limits(table: Table, passive: Table) -> Drawn:
     for axis in (place.xaxis, place.yaxis):
         axis.set_major_formatter(ScalarFormatter())
         axis.set_minor_formatter(NullFormatter())
-    place.set_xticks(
-        [t for t in (1, 2, 3, 5, 10, 20, 30, 50, 100, 200) if periods[0] <= t <= 1.01 * periods[-1]]
-    )
+    if periods:
+        place.set_xticks(
+            [t for t in (1, 2, 3, 5, 10, 20, 30, 50, 100, 200) if periods[0] <= t <= 1.01 * periods[-1]]
+        )
     place.set_xlabel("sampling period [ms]")
     place.set_ylabel("largest discrete stiffness [N/m]")
     legend(place, columns=3)
@@ -87,11 +88,11 @@ def _shares(limits: Table, table: Table) -> Drawn:
             strict=True,
         )
     )
-    name = table.columns["curve"][0]
+    name = next((curve for (curve, _), limit in exact.items() if limit), "")
     by_period: dict[float, list[tuple[float, float]]] = defaultdict(list)
     rows = zip(*table.columns.values(), strict=True)
     for curve, period, stiffness, share in rows:
-        if curve == name:
+        if curve == name and exact[curve, period]:
             by_period[period].append((stiffness / exact[curve, period], 100.0 * share))
     drawing, axes = figure(3.6)
     place: Axes = axes[0, 0]
@@ -104,8 +105,10 @@ def _shares(limits: Table, table: Table) -> Drawn:
     place.axvline(1.0, color=FAINT, linewidth=1.0)
     place.set_xlabel("discrete stiffness, over the exact limit of the held contact")
     place.set_ylabel("phases that rest [%]")
-    legend(place, columns=6)
+    if by_period:
+        legend(place, columns=6)
     caption = (
-        f"{name}: below the exact limit a bouncing mass may still not come to rest, depending on the phase."
+        f"{name or 'No curve has an exact limit'}: below the exact limit a bouncing mass may still not come "
+        "to rest, depending on the phase."
     )
     return Drawn(drawing, caption)
