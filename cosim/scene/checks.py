@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.errors import Problem
+from cosim.scene.sizes import SIZES
 
 Get = Callable[[str], Any]
 Check = Callable[[Get], Iterator[Problem]]
@@ -392,7 +393,7 @@ CHECKS: tuple[Check, ...] = (
 
 def cross_problems(get: Get) -> Iterator[Problem]:
     """Yield what all checks find; `get` gives a value by dotted key or raises `Skip`."""
-    for check in CHECKS:
+    for check in (*CHECKS, *SIZES):
         try:
             yield from check(get)
         except Skip:
