@@ -12,6 +12,10 @@ from itertools import product
 from cosim.errors import InputError, Problem
 
 _TOP_LEVEL = ("title", "duration_s", "seed", "effects")
+#: Tables of a scene, which ``--set 'operator={type="none"}'`` sets as a whole.
+TABLES = (
+    "device", "computer", "wall", "operator", "effects", "solver", "record", "measures", "tolerance",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -26,6 +30,8 @@ class Setting:
         """Whether the name is the netlist's and not the scene's."""
         if "." in self.name:
             return self.name[0] in "xX"
+        if self.name in TABLES and all(value.startswith("{") and "=" in value for value in self.values):
+            return False
         return self.name not in _TOP_LEVEL
 
     def override(self, value: str) -> str:

@@ -54,7 +54,7 @@ def write_stability(
 def over_period(
     scene: Scene, constants: DesignConstants, circuit: LinearCircuit
 ) -> list[dict[str, float | None]]:
-    """Return border, passive, Gil and Hulin's and the board's stiffness [N/m] for periods about the scene's."""
+    """Return border, passive, Gil and Hulin's and the board's stiffness [N/m] over the period."""
     rows: list[dict[str, float | None]] = []
     for share in _PERIODS:
         period = float(share) * scene.computer.period_s

@@ -141,6 +141,11 @@ def test_decks_print_measures(tmp_path):
     said = ngspice(export(resolve(run.scene), run, tmp_path / "m.cir"), raw=False)
     found = dict(re.findall(r"^(\w+)\s*=\s*(\S+)", said, re.MULTILINE))
     assert float(found["y_end"]) == pytest.approx(run.signals["y"][-1], abs=1e-5)
+    # angles and speeds of the joints, not of the links
+    for j in (1, 2):
+        assert float(found[f"pot{j}_end"]) == pytest.approx(run.signals[f"q{j}"][-1], abs=1e-4)
+        assert float(found[f"v{j}_end"]) == pytest.approx(run.signals[f"v{j}"][-1], abs=1e-3)
+    assert "w2_end" not in found
     assert float(found["imot1_rms"]) < float(found["imot1_max"]) - float(found["imot1_min"])
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from linear_runs import CONSTANTS, ideal
 from support import BOARD2, SCENES, merge, scene_of, slider
-from test_propagation import CONSTANTS, ideal
 
 from cosim.circuits.linear import LinearCircuit
 from cosim.circuits.port import DesignConstants
@@ -56,7 +56,7 @@ def test_the_border_tells_the_same_frequency_at_every_period(press: Board) -> No
 
 
 def test_a_sampled_swing_has_the_frequency_that_its_samples_show(tmp_path: Path) -> None:
-    """21: m x'' = -k x_k, held: z = 1 - k T^2/(4 m) +- ..., |z|^2 = 1 + k T^2/(2 m), no other turn is near."""
+    """21: m x'' = -k x_k, held: z = 1 - k T^2/(4 m) +- ..., |z|^2 = 1 + k T^2/(2 m)."""
     mass, period = 0.2, 0.003
     tables = slider(
         computer={"period_s": period, "method": "discrete", "analog_stiffness_n_per_m": 0.0,
@@ -76,8 +76,8 @@ def test_a_sampled_swing_has_the_frequency_that_its_samples_show(tmp_path: Path)
 def test_a_swing_of_nearly_half_the_rate_is_two_at_once(tmp_path: Path) -> None:
     """A loop whose samples change sign every time moves at + and - half its rate alike: x(t) is real.
 
-    k T^2/(2 m) = 7.975 turns them by 0.488 of a turn and trebles them, s T = 1.10 + 3.07i or 1.10 - 3.22i. With
-    x'' constant in between, the mean of exp(-s t) x(t) falls as 1/s^3: squared 1.3 to 1.
+    k T^2/(2 m) = 7.975 turns them by 0.488 of a turn and trebles them, s T = 1.10 + 3.07i or 1.10 - 3.22i.
+    With x'' constant in between, the mean of exp(-s t) x(t) falls as 1/s^3: squared 1.3 to 1.
     """
     mass, period = 0.2, 0.1
     tables = slider(
@@ -104,7 +104,9 @@ def test_the_words_name_the_limit_to_design_for(press: Board) -> None:
     assert found.board_n_per_m is not None
     jac_normal = _lever(scene, constants)
     full = constants.k_fs * constants.dac_v / constants.v_fs
-    assert found.board_n_per_m == pytest.approx(full / np.abs(np.outer(jac_normal, jac_normal)).max(), rel=1e-9)
+    assert found.board_n_per_m == pytest.approx(
+        full / np.abs(np.outer(jac_normal, jac_normal)).max(), rel=1e-9
+    )
     assert found.design == (found.board_n_per_m, "the board's range")
     assert "design for" in text
 
@@ -134,3 +136,16 @@ def test_a_sampled_wall_is_designed_for_passivity(tmp_path: Path) -> None:
     assert value == found.passive_n_per_m
     assert found.board_n_per_m is None
     assert "Gil and Hulin's rule knows" in describe(found)
+
+
+def test_a_device_without_damping_has_limits_all_the_same(tmp_path: Path) -> None:
+    """No viscosity at all: nothing sampled is stable or passive, and the command says so."""
+    tables = slider(
+        computer={"method": "discrete", "analog_stiffness_n_per_m": 0.0, "discrete_stiffness_n_per_m": 20.0},
+    )
+    found = limits(scene_of(tmp_path, tables), CONSTANTS, ideal(1, emf=False))
+    assert found.viscosity_n_s_per_m == 0.0
+    assert found.border.value == 0.0
+    assert found.design[0] == 0.0
+    assert "no stiffness is stable" in describe(found)
+    assert "UNSTABLE" in describe(found)

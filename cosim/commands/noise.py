@@ -13,8 +13,10 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     with start_early("cosim.studies.model") as child:
         from cosim.plan import resolve
         from cosim.plausibility import of_asked, of_circuit
+        from cosim.scene import PotNoise
         from cosim.studies.covariance import noise_covariance
         from cosim.studies.model import circuit_of
+        from cosim.studies.tipnoise import component_force
 
         cases, texts = [], []
         every = load_variants(args)
@@ -23,7 +25,13 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
                 plan = resolve(scene, trust=args.trust)
                 circuit, constants = circuit_of(plan, child=child)
                 warn(*of_asked(scene, constants), *of_circuit(circuit, constants))
-                facts = noise_covariance(scene, constants, circuit).as_dict()
+                components = scene.effects.component_noise
+                facts: dict[str, Any] = {}
+                if scene.effects.pot_noise is not PotNoise.NONE or not components:
+                    facts |= noise_covariance(scene, constants, circuit).as_dict()
+                if components:
+                    facts["component_noise_bandwidth_hz"] = scene.device.component_noise_bandwidth_hz
+                    facts["component_force_noise_rms_n"] = component_force(scene, plan.board, child)
                 cases.append({"set": dict(variant.values), "model": circuit.model, **facts})
                 texts.append(
                     f"{variant.label or scene.title} (circuit model {circuit.model})\n{describe(facts)}"
@@ -32,9 +40,19 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
 
 def describe(facts: dict[str, Any]) -> str:
-    """Return the figures of a `NoiseCovariance` in words."""
+    """Return the figures of a `NoiseCovariance`, and of the components' noise, in words."""
+    lines = _of_potentiometers(facts) if "kind" in facts else []
+    if "component_force_noise_rms_n" in facts:
+        lines.append(
+            f"  the board's components {facts['component_force_noise_rms_n']:9.4g} N along the normal up to "
+            f"{facts['component_noise_bandwidth_hz']:.4g} Hz, the tip held still"
+        )
+    return "\n".join([*lines, *(f"  left out: {note}" for note in facts.get("notes", ()))])
+
+
+def _of_potentiometers(facts: dict[str, Any]) -> list[str]:
     angles = ", ".join(f"{1e3 * x:.4g}" for x in facts["angle_jitter_rms_rad"])
-    lines = [
+    return [
         f"  {facts['kind']} noise of the potentiometers, exact rms over time at rest in contact",
         f"  force of the motors   {facts['force_noise_rms_n']:10.4g} N along the normal, "
         f"{facts['force_noise_all_rms_n']:.4g} N in all",
@@ -43,7 +61,6 @@ def describe(facts: dict[str, Any]) -> str:
         f"{1e3 * facts['penetration_jitter_rms_m']:.4g} mm along the normal",
         f"  joint angles          {angles} mrad",
     ]
-    return "\n".join([*lines, *(f"  left out: {note}" for note in facts["notes"])])
 
 
 COMMAND = Command(

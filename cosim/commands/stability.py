@@ -56,8 +56,8 @@ def describe(found: "Limits") -> str:
         verdict = "stable" if found.stability.stable else "UNSTABLE"
         goes = "grows" if critical.growth > 1.0 else "decays"
         lines.append(
-            f"  {verdict} at {found.stiffness:.5g} N/m {name}: critical mode {goes} x {critical.growth:.6f} a "
-            f"period, {critical.frequency_hz:.4g} Hz, damping ratio {critical.damping:.3g}"
+            f"  {verdict} at {found.stiffness:.5g} N/m {name}: critical mode {goes} x {critical.growth:.6f} "
+            f"a period, {critical.frequency_hz:.4g} Hz, damping ratio {critical.damping:.3g}"
             + (" (ambiguous: sampling folds it onto another frequency)" if critical.ambiguous else "")
         )
     if facts["border_n_per_m"] is not None and found.border.value > 0.0:
@@ -109,7 +109,9 @@ def _advice(found: "Limits") -> str:
     if which != "the exact border" and found.border.value > value:
         said += "; the exact border is for this operator and pose, contact held"
     if found.gil_hulin_n_per_m is not None:
-        said += "; Gil and Hulin's rule knows the device's damping and the delay alone, no mass and no circuit"
+        said += (
+            "; Gil and Hulin's rule knows the device's damping and the delay alone, no mass and no circuit"
+        )
     return said
 
 

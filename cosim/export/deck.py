@@ -184,13 +184,24 @@ def command(deck: Path) -> str:
     return shlex.join([*words, str(deck)])
 
 
+_LINK_SPEED = re.compile(r"^w([0-9]+)$")
+
+
 def _measures(currents: list[str], shown: list[str], end: float) -> list[str]:
     lines = []
     for name in currents:
         lines += [f".meas tran {name}_{kind} {kind} v({name})" for kind in ("max", "min")]
         lines.append(f".meas tran {name}_rms rms v({name})")
     # a shade before the end: rounding must not put it behind the last point
-    lines += [f".meas tran {name}_end find v({name}) at={end * (1 - 1e-9)!r}" for name in shown]
+    at = f"at={end * (1 - 1e-9)!r}"
+    for name in shown:
+        found = _LINK_SPEED.match(name)
+        if found is None:
+            lines.append(f".meas tran {name}_end find v({name}) {at}")
+        else:  # nodes w are links' speeds in space; a joint's, as beside it its angle, is a difference
+            j = int(found[1])
+            speed = f"v(w{j})" if j == 1 else f"par('v(w{j})-v(w{j - 1})')"
+            lines.append(f".meas tran v{j}_end find {speed} {at}")
     return lines
 
 

@@ -304,7 +304,7 @@ def noise_covariance(
     """
     kind, file = scene.effects.pot_noise, str(scene.file) if scene.file else None
     reasons = {
-        PotNoise.NONE: "the scene has no noise",
+        PotNoise.NONE: "the scene has no noise of its potentiometers",
         PotNoise.POSITION: "noise that belongs to the angle is no noise in time: at rest it is silent",
     }
     if kind in reasons:
@@ -322,7 +322,9 @@ def noise_covariance(
     if kind is PotNoise.STATIC:
         return _static(lifted, scene.device.potentiometer.noise_rad**2)
     grid = noise_grid(scene)
-    notes = ["component noise is left out"] if scene.effects.component_noise else []
+    notes = (
+        ["the components' noise, which is no part of these figures"] if scene.effects.component_noise else []
+    )
     if grid.shift > _SHIFTED:
         notes.append(
             f"the noise's bandwidth was shifted by {grid.shift:.2g} of itself, to meet the samples again"

@@ -1,7 +1,7 @@
-"""Which oscillation a mode of the sampled loop is: its motion between the samples says what z = exp(s T) cannot.
+"""Which oscillation a mode of the sampled loop is: motion between samples says what z = exp(s T) cannot.
 
 A mode of the map of one period repeats itself up to the factor z; its exponent is s_k = (ln z + 2 pi i k)/T
-for any whole k. Between two samples it moves as x(t) = exp(s_k t) p_k(t), with p_k of period T: the one that is
+for any whole k. Between two samples it moves as x(t) = exp(s_k t) p_k(t), with p_k of period T: the one
 seen on an oscilloscope is that whose p_k has the largest mean. A mode that nothing samples, such as one
 of the circuit alone, has a constant p_k for one k, and s_k is then its eigenvalue in continuous time.
 """
@@ -59,7 +59,9 @@ def exponents(
     near = {int(k) + step for k in (0, *around) for step in (-1, 0, 1)}
     whole = np.array(sorted({sign * k for k in near for sign in (-1, 1)}))
     scale = np.diag(matrix_balance(system.a, permute=False)[1])
-    means, power = _content(lifted, principal, vectors, whole, scale, max(_FEWEST, math.ceil(_A_TURN * turns)))
+    means, power = _content(
+        lifted, principal, vectors, whole, scale, max(_FEWEST, math.ceil(_A_TURN * turns))
+    )
     content = np.abs(means) ** 2
     told = np.sum(content, axis=1)  # [turns, M]
     total = np.maximum(np.sum(power, axis=0), 1e-300)
@@ -82,7 +84,7 @@ def _content(
     scale: NDArray[np.float64],
     points: int,
 ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-    """Return means [turns, states, M] of exp(-s_k t) x(t) over a period, and those [states, M] of its square."""
+    """Return means [turns, states, M] of exp(-s_k t) x(t) over a period, and [states, M] of its square."""
     states, period = lifted.states, lifted.system.period_s
     means = np.zeros((len(whole), states, vectors.shape[1]), complex)
     power = np.zeros((states, vectors.shape[1]))

@@ -68,7 +68,7 @@ class Limits:
     passive_n_per_m
         Largest passive discrete stiffness on this device, None without a discrete part.
     gil_hulin_n_per_m
-        Rule of thumb (b + B)/(T/2 + t_d) for a sampled wall, for b T/m well below one; None for an analog one.
+        Rule of thumb (b + B)/(T/2 + t_d) for a sampled wall, for b T/m well below one; None for an analog.
     board_n_per_m
         Analog stiffness at which a spring gain is at the range of its DAC; None where the border is that of
         the discrete stiffness, or the scene states the joints' gains.
@@ -163,7 +163,7 @@ def limits(
     found = border(at, *RANGE, rtol=1e-9)
     device = device_of(scene, constants, circuit, pose)
     least, _ = least_damping(device)
-    viscosity = 1.0 / float(device.mobility(np.array([_SLOW]))[0])
+    viscosity = device.viscosity(_SLOW)
     law = law_of(scene)
     passive = None
     if key == "discrete_stiffness_n_per_m" and least > 0.0:

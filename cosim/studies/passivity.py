@@ -39,6 +39,9 @@ Complex = NDArray[np.complex128]
 _GRID = 512
 #: The certified bound lies this share of the maximum's own size above the value found.
 _ABOVE = 1e-9
+#: A joint motion with less of the square of the force is not moved by it, and an eigenvalue of the damping
+#: below this share of the largest is none.
+_UNMOVED, _UNDAMPED = 1e-24, 1e-13
 #: An eigenvalue so close to the unit circle counts as on it.
 _CIRCLE = 1e-7
 #: Aliases that are summed one by one on each side; the others by integrals on panels of an octave.
@@ -232,6 +235,15 @@ class Device:
         inner = np.linalg.solve(self.damping(omega), np.broadcast_to(w[:, None], (len(omega), len(w), 1)))
         out: Array = (inner[:, :, 0] @ w.conj()).real
         return out
+
+    def viscosity(self, omega: float) -> float:
+        """Return 1/(w' B^-1 w) at a frequency [rad/s]; 0 where a way that the force moves is not damped."""
+        values, ways = np.linalg.eigh(self.damping(np.array([omega]))[0])
+        share = np.abs(ways.conj().T @ self.direction) ** 2
+        moved = share > _UNMOVED * share.sum()
+        if (np.abs(values[moved]) <= _UNDAMPED * np.abs(values).max()).any():
+            return 0.0
+        return float(1.0 / np.sum(share[moved] / values[moved]))
 
 
 def least_damping(device: Device, lowest: float = 1e-2, highest: float = 1e11) -> tuple[float, float]:

@@ -23,7 +23,17 @@ from cosim.studies.floquet import exponents
 from cosim.studies.lifted import Lifted, lift
 from cosim.studies.linearise import linearise
 
-__all__ = ["Border", "Mode", "Stability", "border", "held", "monodromy", "stability", "touching", "with_computer"]
+__all__ = [
+    "Border",
+    "Mode",
+    "Stability",
+    "border",
+    "held",
+    "monodromy",
+    "stability",
+    "touching",
+    "with_computer",
+]
 
 Array = NDArray[np.float64]
 
@@ -194,7 +204,7 @@ def monodromy(lifted: Lifted) -> Array:
     if not np.isfinite(found).all():
         raise InputError(
             Problem(
-                "the loop cannot be studied over one period: between two samples it grows beyond all numbers; "
+                "the loop cannot be studied over a period: between two samples it grows beyond all numbers: "
                 "shorten the period, or look for an unstable circuit (cosim check)",
                 key="computer.period_s",
                 value=lifted.system.period_s,

@@ -12,11 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.circuits.noise import ComponentNoise
-from cosim.scene import PotNoise, Scene
+from cosim.ngspice.child import Child, call
+from cosim.ngspice.deck import Deck
+from cosim.scene import Method, PotNoise, Scene
 from cosim.studies.covariance import noise_grid
-from cosim.studies.tip import Tip, Wanted
+from cosim.studies.tip import Tip, Wanted, tip_of
 
-__all__ = ["NoiseForm", "component_form", "flat", "position_density", "pot_density", "pot_form"]
+__all__ = [
+    "NoiseForm",
+    "component_force",
+    "component_form",
+    "flat",
+    "position_density",
+    "pot_density",
+    "pot_form",
+]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -99,6 +109,19 @@ def component_form(tip: Tip, noise: ComponentNoise, band_hz: float) -> NoiseForm
         parts.append(noise.currents(tip.control(wanted)) - base)
     force = np.stack([scale * np.einsum("fdi,i->fd", part, tip.motion) for part in parts], axis=-1)
     return NoiseForm(_gram(noise.hz[inside], force[inside]))
+
+
+def component_force(scene: Scene, board: Deck, child: Child | None = None) -> float:
+    """Return the rms force [N] of the board's components along the normal, the tip held still.
+
+    At the scene's analog gains, up to its `device.component_noise_bandwidth_hz`.
+    """
+    tip, computer = tip_of(scene, child), scene.computer
+    analog = computer.method is not Method.DISCRETE
+    noise = call("cosim.circuits.noise:component_noise", {"board": board}, deck=str(board.path), child=child)
+    form = component_form(tip, noise, scene.device.component_noise_bandwidth_hz)
+    gains = (computer.analog_stiffness_n_per_m, computer.analog_damping_n_s_per_m) if analog else (0.0, 0.0)
+    return float(form.rms(*gains))
 
 
 def _gram(hz: Array, force: Complex) -> Array:
