@@ -7,6 +7,7 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,17 @@ import numpy as np
 import pytest
 
 from cosim.errors import InputError
+from cosim.export import command as to_run
+from cosim.export.deck import _deck as exported
 from cosim.ngspice import stored
 from cosim.ngspice.aliases import Aliases
 from cosim.ngspice.command import spelled
 from cosim.ngspice.deck import load_deck
 from cosim.ngspice.gate import admit
+from cosim.ngspice.lines import Line
 from cosim.ngspice.simulator import Simulator
+from cosim.plan import resolve
+from cosim.scene import load_scene
 
 PROJECT = Path(__file__).parent / "data" / "ngspice" / "project"
 ROOT = Path(__file__).parent.parent
@@ -293,3 +299,35 @@ def test_names_of_a_deck_for_people_are_readable() -> None:
     assert deck.rows[1:3] == ["* a remark", "*"]
     assert deck.rows[3] == "rload n1 out_1 1k"
     assert "`" not in "".join(deck.rows)
+
+
+@pytest.mark.parametrize(
+    "node", ["x)\n.control\nshell touch owned\n.endc\n*(", "a\u2028b", "a b", "a;b", '"a"', ""]
+)
+def test_a_recorded_node_is_a_name(node: str) -> None:
+    with pytest.raises(InputError, match=r"record.nodes"):
+        resolve(load_scene(ROOT / "scenes" / "press.toml", [f"record.nodes={json.dumps([node])}"]))
+
+
+def test_an_exported_deck_is_no_script() -> None:
+    """Whatever a scene is called and whatever its board names: ``ngspice -b`` runs no command of it."""
+    title = "*ng_script\x1b]0;x\x07 `touch owned`"
+    plan = resolve(load_scene(ROOT / "scenes" / "press.toml", [f"title={json.dumps(title)}"]))
+    assert "xdiff1" in plan.board.text
+    odd = [Line(line.text.replace("xdiff1", "x`touch`")) for line in plan.board.lines]
+    rows = exported(replace(plan, board=replace(plan.board, lines=tuple(odd))), "a deck", [], [])
+    assert rows[0].startswith("cosim export, ")
+    assert rows[0].isprintable()
+    assert not [row for row in rows[1:] if "`" in row and not row.startswith("* ")]
+    assert not [row for row in rows if row.startswith("*#") or row.lower().startswith((".control", "*ng_"))]
+
+
+def test_the_command_of_an_exported_deck_works_as_printed(tmp_path: Path) -> None:
+    deck = tmp_path / "p" / "my deck's $(touch owned).cir"
+    deck.parent.mkdir()
+    deck.write_text("cosim export, t: x\n* Run with: ngspice -b -D ngbehavior=psa\n.end\n")
+    said = to_run(deck)
+    echoed = subprocess.run(
+        ["/bin/sh", "-c", f"printf '%s\\n' {said}"], capture_output=True, text=True, check=True
+    )
+    assert echoed.stdout.splitlines() == ["ngspice", "-b", "-D", "ngbehavior=psa", str(deck)]
