@@ -331,3 +331,43 @@ def test_the_command_of_an_exported_deck_works_as_printed(tmp_path: Path) -> Non
         ["/bin/sh", "-c", f"printf '%s\\n' {said}"], capture_output=True, text=True, check=True
     )
     assert echoed.stdout.splitlines() == ["ngspice", "-b", "-D", "ngbehavior=psa", str(deck)]
+
+
+def test_aliases_change_no_number() -> None:
+    """Bit for bit, in every analysis: ngspice orders nodes and elements by their place, not by their name."""
+    levels = {
+        "opamp": "full",
+        "vca": "full",
+        "driver_level": "full",
+        "motor": "full",
+        "potentiometer": "full",
+    }
+    board = load_deck(ROOT / "netlists" / "board2.cir", levels=levels)
+    drive = {pin: "dc 0.3 ac 1" for pin in board.pins if not pin.startswith(("imot", "vcc", "vee"))}
+    drive["u1"] = "dc 0.3 ac 1 sin(0.3 1 50)"
+    sources = [f"v_{pin} {pin} 0 {value}" for pin, value in drive.items()]
+    bench = [
+        *sources,
+        "vcc vcc 0 15",
+        "vee vee 0 -15",
+        f"xboard {' '.join(board.pins)} {board.board}",
+        ".end",
+    ]
+    found = []
+    for trusted in (False, True):  # a trusted deck keeps its names
+        lines = [Line(line.text, trusted=trusted) for line in board.lines]
+        simulator = Simulator()
+        simulator.load("\n".join([*(line.text for line in lines), *bench]), lines)
+        seen: dict[str, Any] = {}
+        noise = "noise v(imot1) v_u1 dec 2 1 1meg 1"
+        for analysis in ("op", "ac dec 5 1 10meg", "tran 100u 20m 0 100u", noise):
+            simulator.command("destroy all")
+            simulator.command(analysis)
+            if analysis == noise:
+                simulator.command("setplot noise1")
+            for name in simulator.vector_names():
+                seen[f"{analysis.split()[0]} {name}"] = simulator.vector(name)
+        found.append(seen)
+    assert found[0].keys() == found[1].keys()
+    assert len(found[0]) > 500
+    assert [name for name in found[0] if not np.array_equal(found[0][name], found[1][name])] == []
