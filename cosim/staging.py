@@ -80,11 +80,11 @@ def own_file(path: str | os.PathLike[str], ours: Callable[[str], bool]) -> None:
     file = Path(path)
     writable_folder(file.parent)
     if not file.parent.is_dir():
-        fail("there is no such folder", file=os.fspath(file.parent))
+        fail("is no place for a file: there is no such folder", file=os.fspath(file.parent))
     if not os.path.lexists(file):
         return
     if not file.is_file():
-        fail("is no file", file=os.fspath(path))
+        fail("is no place for a file: it is something else", file=os.fspath(path))
     with disk_errors(path), file.open("rb") as stream:
         head = stream.read(4096).decode("utf-8", "replace")
     if head and not ours(head):
