@@ -326,7 +326,8 @@ def test_report_is_replaced_whole(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     write_report(SyntheticRun(), tmp_path)
     assert list((tmp_path / "figures").iterdir()) == []
-    assert {path.name for path in tmp_path.iterdir()} == {"figures", "notes.txt", "report.html"}
+    kept = {".cosim-files.json", "figures", "notes.txt", "report.html"}
+    assert {path.name for path in tmp_path.iterdir()} == kept
 
 
 def test_unwritable_place_is_the_users_mistake(tmp_path: Path) -> None:
