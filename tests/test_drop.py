@@ -123,12 +123,12 @@ def test_verdicts_of_a_damper_and_a_spring():
         "sprung": computer(**{**none, "analog_stiffness_n_per_m": spring}),
     }
 
-    def judged(ideal=gain, exact=gain, dropped=gain, shown=0.0):
+    def judged(ideal=gain, exact=gain, dropped=gain, shown=0.0, power=1.0, drift=0.0):
         found = {}
         for k, period in enumerate(periods):
-            limit = base * periods[0] / period
-            for name, more, first in (("plain", 0, 0), ("damped", exact, dropped), ("sprung", 0, 0)):
-                more, first = (more, first) if k == 0 else (0, 0)
+            limit = base * (periods[0] / period) ** power
+            for name, more, first in (("plain", 0, 0), ("damped", exact, dropped), ("sprung", 0, drift)):
+                more, first = (more, first) if k == 0 or name == "sprung" else (0, 0)
                 found[name, period] = {"exact_n_per_m": limit + more, "first_n_per_m": 0.97 * limit + first}
         display = {"sprung": {p: found["sprung", p]["first_n_per_m"] + spring + shown for p in periods}}
         return {v.id: v.holds for v in verdicts(found, families, scenes, {"damped": ideal}, display, 1.05)}
@@ -139,6 +139,10 @@ def test_verdicts_of_a_damper_and_a_spring():
     assert judged(dropped=-gain)["F14"] is False
     assert judged(dropped=1.05 * gain)["F14"] is True
     assert judged(shown=-spring)["F13c"] is False
+    assert judged(power=1.14)["F13a"] is True  # log-log slope -1.0 +- 0.15, the exact limit's as well
+    assert judged(power=1.16)["F13a"] is False
+    assert judged(drift=0.02 * base * 0.3)["F13b"] is True  # 3 % up to 10 ms, where the limit is 0.3 of this
+    assert judged(drift=0.05 * base)["F13b"] is False
     assert judged(shown=0.002 * base)["F13c"] is True
 
 
