@@ -15,6 +15,7 @@ from cosim.circuits.fit import WORST, Modes
 from cosim.circuits.ideal import DC_SWEEP, ideal
 from cosim.circuits.linear import LinearCircuit, channel_names
 from cosim.circuits.measure import Paths, Session
+from cosim.circuits.rest import at_rest
 from cosim.circuits.statics import ControlPath, control_path, current_limits, offsets
 from cosim.errors import CosimError, InputError, Problem
 from cosim.ngspice.deck import Deck
@@ -64,9 +65,9 @@ def extract(payload: dict[str, Any], report: Report) -> LinearCircuit:
         if known is not None:
             return known
     report({"stage": "load"})
-    session = Session(board)
-    report({"stage": "measure"})
-    circuit = extracted(session, asked)
+    circuit, aid = at_rest(lambda lines: extracted(Session(board, lines), asked))
+    if aid:
+        circuit = replace(circuit, certificate=circuit.certificate | {"aid": aid})
     if kept:
         cache.store(asked, circuit)
     return circuit

@@ -14,6 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 from cosim.caution import Caution, warn
+from cosim.circuits.rest import STEPPING
 from cosim.circuits.spice import Drive, Tolerances, testbench
 from cosim.errors import InputError, NoOperatingPoint, Problem, SimulationError, StepTooSmall
 from cosim.ngspice.deck import Deck
@@ -23,8 +24,6 @@ __all__ = ["Aid", "aided", "plain_start"]
 
 #: Relative tolerance at which SPICE's own programs run, and with it the vendors' models.
 LOOSE_RTOL = 1e-3
-#: ngspice's older stepping, in equal steps, and the conductance that stays across every junction [S].
-_STEPPING = ".options gminsteps=20 srcsteps=20 gmin=1e-10"
 
 Result = TypeVar("Result")
 
@@ -65,7 +64,7 @@ def aids(asked: Tolerances) -> Iterator[Aid]:
         gear = replace(aid.tolerances, method="gear")
         aid = replace(aid, tolerances=gear, words=(*aid.words, 'solver.method = "gear"'))
         yield aid
-    yield replace(aid, lines=(_STEPPING,), words=(*aid.words, "gmin = 1e-10 S with gmin and source stepping"))
+    yield replace(aid, lines=(STEPPING,), words=(*aid.words, "gmin = 1e-10 S with gmin and source stepping"))
 
 
 def aided(asked: Tolerances, attempt: Callable[[Aid], Result]) -> Result:
