@@ -348,7 +348,7 @@ def _command(descriptor: int, modules: Sequence[str], allowed: Mapping[str, list
 def _allowed(folder: Path, env: Mapping[str, str], reads: Sequence[Path]) -> dict[str, list[str]]:
     """Return the files of a child: its own folder, the caches and the user's Python files."""
     caches = [str(Path(env["XDG_CACHE_HOME"]) / "cosim"), env["NUMBA_CACHE_DIR"]]
-    for cache in caches[:1]:  # numba's lies inside, or is the user's own choice
+    for cache in caches:  # a rule needs a folder that is there
         with contextlib.suppress(OSError):  # where nothing can be written, nothing is kept
             os.makedirs(cache, exist_ok=True)
     return {"reads": [str(each) for each in reads], "writes": [str(folder), *caches]}
