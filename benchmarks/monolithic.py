@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.callbacks import NO_DATA, NO_SYNC
+from benchmarks.callbacks import END, NO_DATA, NO_SYNC
 from benchmarks.rig import Outcome, Signals, bare_run
 from cosim.circuits.port import DesignConstants
 from cosim.circuits.spice import SUPPLY_V
@@ -173,6 +173,7 @@ def run(
     longest, end = plan.scene.solver.max_step_s, plan.scene.duration_s
     command = f"tran {longest!r} {end!r} 0 {longest!r}"
     simulator: Simulator
+    END[0] = end
     if feed == "chunks":
         wall, simulator = _in_chunks(text, command, steps)
     else:
