@@ -125,8 +125,8 @@ def _no_source(voltage: Any, t: float, name: Any, ident: int, user: Any) -> int:
     return 0
 
 
-#: End of the analysis [s] that `NO_SYNC` takes part in: ngspice 44 cuts a step beyond it just short of it, then
-#: finds its step too small.
+#: End of the analysis [s] that `NO_SYNC` takes part in: ngspice 44 cuts a step beyond it just short of it,
+#: then finds its step too small.
 END = np.array([np.inf])
 _END_AT = END.ctypes.data
 

@@ -227,7 +227,7 @@ def test_motors_share_what_a_device_makes() -> None:
 def test_what_noise_does_not_pass_is_named(tmp_path: Path) -> None:
     deck = board(tmp_path, spring=f"Rk u1 k 10k\nRl k 0 10k\n{POLY}")
     noise = measured(deck)
-    # ngspice 39 makes an XSPICE device of a POLY source and its noise goes astray there; 44 has nothing to be told
+    # ngspice 39 makes an XSPICE device of a POLY source, where noise goes astray; 44 has nothing to be told
     assert noise.notes == () or ("rk, rl" in noise.notes[0] and "POLY" in noise.notes[0])
     x = np.abs(noise.x[:, noise.devices.index("rk"), 0])
     np.testing.assert_allclose(x, math.sqrt(KT4 * 10e3) / 2, rtol=1e-6)
