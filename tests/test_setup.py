@@ -85,8 +85,8 @@ def test_a_package_manager_that_helps(bare: Path, tmp_path: Path) -> None:
         program(bare, "sudo", 'while [ "${1#-}" != "$1" ]; do shift; done; "$@"')
     library = tmp_path / "libngspice.so.0"
     touch = shutil.which("touch")
-    program(bare, "ldconfig", f"[ -e {library} ] && echo libngspice.so.0; true")
-    program(bare, "apt-get", f'case "$*" in *install*libngspice0*) {touch} {library};; esac')
+    program(bare, "ldconfig", f"[ -e '{library}' ] && echo libngspice.so.0; true")
+    program(bare, "apt-get", f'case "$*" in *install*libngspice0*) {touch} "{library}";; esac')
     done = setup(bare)
     assert done.returncode == 0, done.stderr
     assert library.exists()
