@@ -13,9 +13,8 @@ _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?[a-z]{0,5}", re.IGN
 _WORD = re.compile(r"[a-z]\w*", re.IGNORECASE | re.ASCII)
 _SWEEPS = frozenset({"dec", "oct", "lin"})
 _FIXED = frozenset(
-    "op|run|reset|resume|status|remcirc|destroy|destroy all|delete all|set nomoremode|unset ngbehavior".split(
-        "|"
-    )
+    "op|run|reset|resume|status|remcirc|destroy|destroy all|delete all|rusage equations|set nomoremode"
+    "|unset ngbehavior".split("|")
 )
 _ASSIGNED = re.compile(r"(\S+?)\s*=\s*(.+)")
 _READING = re.compile(r"@(.+)\[(\w+)\]", re.ASCII)
