@@ -16,7 +16,7 @@ from cosim.circuits.spice import SUPPLY_V
 from cosim.circuits.stability_verdict import Question, Verdict, keep, known
 from cosim.coupled import growing, hidden
 from cosim.loop.setup import mechanism, operator, start
-from cosim.ngspice.child import Child, call
+from cosim.ngspice.child import TIME_LIMIT_S, Child, call
 from cosim.ngspice.deck import Deck, load_deck
 from cosim.plan import Plan, swaps
 from cosim.scene import Level, Method, PartFile, PythonOperator, Scene
@@ -97,7 +97,9 @@ def commanded(scene: Scene, constants: DesignConstants) -> dict[str, float]:
     return found
 
 
-def verdict(asked: Question, path: Path, child: Child | None = None, time_limit_s: float = 300.0) -> Verdict:
+def verdict(
+    asked: Question, path: Path, child: Child | None = None, time_limit_s: float = TIME_LIMIT_S
+) -> Verdict:
     """Return the verdict: from the cache, or reached in ngspice's child process."""
     found = known(asked)
     if found is None:

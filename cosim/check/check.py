@@ -68,6 +68,7 @@ def check(subject: Subject, *, child: Child | None = None) -> Check:
         When ngspice does not accept the board: syntax, floating node, no operating point.
     """
     pot = subject.potentiometer
+    limit = subject.scene.solver.time_limit_s if subject.scene is not None else TIME_LIMIT_S
     measured: Measured = call(
         "cosim.check.measure:measure",
         {
@@ -76,7 +77,7 @@ def check(subject: Subject, *, child: Child | None = None) -> Check:
             "noise_rad": pot.noise_rad,
             "noise_bandwidth_hz": pot.noise_bandwidth_hz,
         },
-        time_limit_s=subject.scene.solver.time_limit_s if subject.scene is not None else TIME_LIMIT_S,
+        time_limit_s=limit,
         deck=str(subject.board.path),
         child=child,
     )
@@ -84,7 +85,7 @@ def check(subject: Subject, *, child: Child | None = None) -> Check:
     if subject.scene is not None:
         coupling = step_bound(subject.scene, measured.admittance_a_s, measured.stated)
     warn(*missed(measured))
-    judged = verdict(subject.stability, subject.board.path, child, TIME_LIMIT_S)
+    judged = verdict(subject.stability, subject.board.path, child, limit)
     warn(*judged.cautions())
     told = (*of_stability(judged), *findings(measured, coupling))
     return Check(subject, measured, coupling, judged, told)

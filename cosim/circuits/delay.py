@@ -19,7 +19,7 @@ from typing import Any
 
 from cosim.circuits.session import Bench
 from cosim.errors import InputError, fail
-from cosim.ngspice.child import Child, call
+from cosim.ngspice.child import TIME_LIMIT_S, Child, call
 from cosim.ngspice.deck import Amplifier, Deck
 from cosim.ngspice.netlist import parse
 
@@ -77,7 +77,7 @@ class SpringDelay:
 
 
 def spring_delays(
-    board: Deck, child: Child | None = None, *, time_limit_s: float | None = None
+    board: Deck, child: Child | None = None, *, time_limit_s: float | None = TIME_LIMIT_S
 ) -> list[SpringDelay]:
     """Return the delays of all n * n spring paths, measured by ngspice in a child process.
 

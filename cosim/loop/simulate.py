@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
@@ -76,9 +76,10 @@ class Recorder:
         *,
         deck: str | None = None,
         person: str = "operator",
+        nodes: Sequence[str] = (),
     ) -> None:
         self.memory, self.simulator, self.report = memory, simulator, report
-        self.folder, self.deck, self.person = folder, deck, person
+        self.folder, self.deck, self.person, self.nodes = folder, deck, person, tuple(nodes)
         self.failure: BaseException | None = None
         self.running = True  # only a running analysis can be stopped; another would stop at once later
         self.rows: BinaryIO = open(folder / ROWS, "wb")
@@ -102,10 +103,25 @@ class Recorder:
                 raise in_users_words(self.person, error, float(s["t"])) from error
             if s["fault"]:
                 kind = StepTooSmall if s["fault"] == Fault.STEP_COLLAPSED else SimulationError
-                raise kind(_FAULTS[int(s["fault"])], deck=self.deck, time_s=float(s["t"]))
+                raise kind(self._words(s), deck=self.deck, time_s=float(s["t"]))
             self.report({"time_s": float(s["t"]), "points": int(s["points"])})
         except BaseException as error:
             self.fail(error)
+
+    def _words(self, state: np.void) -> str:
+        """Return what a fault means; voltages that no circuit has are of the node that is worst."""
+        if not self.nodes or state["fault"] != Fault.NOT_FINITE:
+            return _FAULTS[int(state["fault"])]
+        from cosim.loop.callbacks import NO_VOLTAGE  # which has set the fault
+
+        peaks = state["node_peak"][: len(self.nodes)]
+        if not np.all(peaks < NO_VOLTAGE):
+            worst = int(np.argmax(np.where(np.isnan(peaks), math.inf, peaks)))
+            return (
+                f"{self.nodes[worst]} is at {peaks[worst]:.3g} V, which no circuit is: an expression divides "
+                "by zero, or a gain has no bounds"
+            )
+        return _FAULTS[int(state["fault"])]
 
     def fail(self, error: BaseException) -> None:
         """Keep what went wrong in a callback and stop ngspice at its next point."""
@@ -222,7 +238,7 @@ def _simulate(payload: dict[str, Any], report: Report, aid: Aid) -> dict[str, An
     missing: list[str] = []
     person = scene.operator.file if isinstance(scene.operator, PythonOperator) else "operator"
     recorder = Recorder(
-        memory, simulator, Path(payload["folder"]), report, deck=str(board.path), person=person
+        memory, simulator, Path(payload["folder"]), report, deck=str(board.path), person=person, nodes=nodes
     )
     recorder.running = False
     said = Said()

@@ -131,7 +131,8 @@ class BoardMeasures:
         """Share of the viscosity along the normal that the slowest spring path eats."""
         c = self._scene.computer
         k = 0.0 if c.method is Method.DISCRETE else c.analog_stiffness_n_per_m
-        late = slowest_s(spring_delays(self._plan.board, self._child))
+        limit = self._scene.solver.time_limit_s
+        late = slowest_s(spring_delays(self._plan.board, self._child, time_limit_s=limit))
         return k * late / self._tip.viscosity()
 
     def curl(self) -> float:

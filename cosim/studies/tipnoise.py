@@ -118,7 +118,10 @@ def component_force(scene: Scene, board: Deck, child: Child | None = None) -> fl
     """
     tip, computer = tip_of(scene, child), scene.computer
     analog = computer.method is not Method.DISCRETE
-    noise = call("cosim.circuits.noise:component_noise", {"board": board}, deck=str(board.path), child=child)
+    noise = call(
+        "cosim.circuits.noise:component_noise", {"board": board},
+        time_limit_s=scene.solver.time_limit_s, deck=str(board.path), child=child,
+    )  # fmt: skip
     form = component_form(tip, noise, scene.device.component_noise_bandwidth_hz)
     gains = (computer.analog_stiffness_n_per_m, computer.analog_damping_n_s_per_m) if analog else (0.0, 0.0)
     return float(form.rms(*gains))
