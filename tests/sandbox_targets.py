@@ -134,6 +134,16 @@ def trusted(payload: None, report: Any) -> list[str]:
     return list(simulator.notes)
 
 
+def divider(payload: None, report: Any) -> float:
+    """Return the voltage in the middle of 5 V over two equal resistors."""
+    from cosim.ngspice.simulator import Simulator
+
+    simulator = Simulator()
+    simulator.load("t\nV1 a 0 5\nR1 a b 1k\nR2 b 0 1k\n.end\n")
+    simulator.command("op")
+    return float(simulator.vector("b")[0])
+
+
 class Evil:
     """A pickle that calls something."""
 

@@ -1,11 +1,14 @@
 """What a child process may do, tried from inside."""
 
+import errno
+import json
 import os
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
+import container
 import pytest
 
 from cosim.errors import SimulationError
@@ -23,10 +26,18 @@ NEEDS_LANDLOCK = {
 ATTEMPTS = """
 import json, sys, tempfile
 sys.path.insert(0, {here!r})
+if {inside!r}:
+    from container import enter
+    refused = enter({inside!r})
+    print(json.dumps([refused, open("/proc/self/status").read()]))
 from cosim.ngspice.child import call
 payload = {{"secret": {secret!r}, "place": {place!r}, "home": {home!r}}}
 print(json.dumps(call("sandbox_targets:attempts", payload)))
 print(json.dumps(call("cosim.commands.about:seen_inside", None)))
+if {inside!r}:
+    from cosim.cli import main
+    print(json.dumps(call("sandbox_targets:divider", None)))
+    main(["--version", "--verbose"])
 """
 
 
@@ -51,14 +62,11 @@ def _python_of(who: dict[str, Any]) -> tuple[str, str]:
     pytest.skip("a plain user cannot start a Python with this program's libraries")
 
 
-@pytest.mark.parametrize("user", ["as we are", "plain"])
-def test_a_simulation_reaches_nothing_else(tmp_path_factory: pytest.TempPathFactory, user: str) -> None:
-    """As the user of the tests, and where that is root as nobody: no privileges, no namespaces."""
-    import json
+def _attempt(base: Path, user: str, inside: str = "") -> list[str]:
+    """Return what a process of this user prints, inside of a filter of `container` or not.
 
-    if user == "plain" and os.geteuid() != 0:
-        pytest.skip("the tests run as a plain user already")
-    base = Path(tmp_path_factory.mktemp("world"))
+    'plain' is nobody where the tests run as root: no privileges, no namespaces.
+    """
     for above in (base, *base.parents):
         if user == "plain" and above.owner() == "root" and str(above) not in ("/", "/tmp"):
             above.chmod(above.stat().st_mode | 0o055)
@@ -74,19 +82,68 @@ def test_a_simulation_reaches_nothing_else(tmp_path_factory: pytest.TempPathFact
     python, path = _python_of(who)
     environment = {"PATH": os.environ["PATH"], "HOME": str(home), "PYTHONPATH": path, "TMPDIR": str(base)}
     done = subprocess.run(
-        [python, "-c", ATTEMPTS.format(here=str(HERE), **names)],
+        [python, "-c", ATTEMPTS.format(here=str(HERE), inside=inside, **names)],
         env=environment, cwd=base, capture_output=True, text=True, check=False, **who,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    found, (_, said) = map(json.loads, done.stdout.splitlines())
-    if "seccomp" not in said:
-        pytest.skip("this machine filters no system calls")
+    return done.stdout.splitlines()
+
+
+def _all_refused(base: Path, found: dict[str, str], said: str) -> None:
+    if "Landlock " in said:
+        assert (base / "secret").read_text() == "the secret"
+        assert not list(base.glob("owned*"))
     expected = {name for name in found if "Landlock " in said or name not in NEEDS_LANDLOCK}
     assert {name: found[name] for name in sorted(expected)} == {
         name: "PermissionError" for name in sorted(expected)
     }
-    assert secret.read_text() == "the secret"
-    assert not list(base.glob("owned*"))
+
+
+@pytest.mark.parametrize("user", ["as we are", "plain"])
+def test_a_simulation_reaches_nothing_else(tmp_path_factory: pytest.TempPathFactory, user: str) -> None:
+    """As the user of the tests, and where that is root as nobody."""
+    if user == "plain" and os.geteuid() != 0:
+        pytest.skip("the tests run as a plain user already")
+    base = Path(tmp_path_factory.mktemp("world"))
+    found, (_, said) = map(json.loads, _attempt(base, user))
+    if "seccomp" not in said:
+        pytest.skip("this machine filters no system calls")
+    _all_refused(base, found, said)
+
+
+@pytest.mark.skipif(not container.SUPPORTED, reason="the numbers of calls are of x86_64 and aarch64")
+@pytest.mark.parametrize("kind", container.KINDS)
+def test_a_container_weakens_nothing(tmp_path_factory: pytest.TempPathFactory, kind: str) -> None:
+    """A plain user below what Docker's default profile refuses, and where user namespaces are forbidden.
+
+    The engine itself is not here: its filter of calls is, without capabilities and for good.
+    """
+    user = "plain" if os.geteuid() == 0 else "as we are"
+    base = Path(tmp_path_factory.mktemp("world"))
+    first, *rest = _attempt(base, user, kind)
+    answers, status = json.loads(first)
+    fields = dict(row.split(":", 1) for row in status.splitlines() if ":" in row)
+    assert int(fields["CapEff"], 16) == int(fields["CapPrm"], 16) == 0
+    assert fields["NoNewPrivs"].strip() == "1"
+    assert fields["Seccomp"].strip() == "2"
+    docker = kind != "no user namespaces"
+    assert answers["a user namespace"] == answers["a process in one"] == errno.EPERM
+    assert answers["clone3"] == errno.ENOSYS
+    assert answers["the same personality"] == 0
+    if docker:
+        assert answers["a key"] == answers["another personality"] == errno.EPERM
+
+    found, (_, said), volts = map(json.loads, rest[:3])
+    assert "no programs, processes or sockets (seccomp)" in said
+    _all_refused(base, found, said)
+    assert volts == pytest.approx(2.5, rel=1e-9)  # ngspice works
+    (told,) = (row for row in rest[3:] if row.startswith("sandbox"))
+    assert told.split(maxsplit=1)[1] == said
+    if kind == "older docker":
+        assert answers["version of Landlock"] == errno.EPERM
+        assert "files NOT limited: no Landlock" in told
+    else:
+        assert ("only listed files (Landlock" in told) == (answers["version of Landlock"] == 0)
 
 
 def test_a_simulation_does_what_it_needs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
