@@ -32,7 +32,7 @@ if {inside!r}:
     print(json.dumps([refused, open("/proc/self/status").read()]))
 from cosim.ngspice.child import call
 payload = {{"secret": {secret!r}, "place": {place!r}, "home": {home!r}}}
-print(json.dumps(call("sandbox_targets:attempts", payload)))
+print(json.dumps(call("sandbox_targets:attempts", payload, time_limit_s=100.0)))
 print(json.dumps(call("cosim.commands.about:seen_inside", None)))
 if {inside!r}:
     from cosim.cli import main
