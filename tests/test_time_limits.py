@@ -89,7 +89,8 @@ def test_every_call_has_the_scenes_limit(
 @pytest.mark.parametrize(
     "command",
     [("check", "scene.toml"), ("stability", "scene.toml", "-o", "out"), ("device", "scene.toml"),
-     ("noise", "scene.toml"), ("effects", "scene.toml", "-o", "out"), ("compare", "scene.toml", "--set", "r_sum_spring=20k", "-o", "out"),
+     ("noise", "scene.toml"), ("effects", "scene.toml", "-o", "out"),
+     ("compare", "scene.toml", "--set", "r_sum_spring=20k", "-o", "out"),
      ("report", "eta.toml", "-o", "out")],
     ids=lambda command: command[0],
 )  # fmt: skip
