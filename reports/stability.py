@@ -10,6 +10,7 @@ from cosim.circuits.linear import LinearCircuit
 from cosim.circuits.port import DesignConstants
 from cosim.scene import Scene
 from cosim.staging import disk_errors, whole_file
+from cosim.studies.grid import decimal
 from cosim.studies.limits import Limits, limits, locus
 from cosim.studies.stability import with_computer
 
@@ -57,7 +58,7 @@ def over_period(
     """Return border, passive, Gil and Hulin's and the board's stiffness [N/m] over the period."""
     rows: list[dict[str, float | None]] = []
     for share in _PERIODS:
-        period = float(share) * scene.computer.period_s
+        period = decimal(float(share) * scene.computer.period_s)
         each = limits(with_computer(scene, period_s=period), constants, circuit).as_dict()
         rows.append(
             {

@@ -27,6 +27,7 @@ from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.studies.contact import law_point
 from cosim.studies.covariance import noise_covariance
 from cosim.studies.energy import device_of
+from cosim.studies.grid import geometric
 from cosim.studies.linearise import linearise
 from cosim.studies.model import circuit_of
 from cosim.studies.passivity import least_damping
@@ -230,7 +231,7 @@ def _noise(
         ("damper", DAMPER, {SPRING: given.noise_with_n_per_m}, 0.01, delays.damper_n_s_per_m),
     ):
         high = 0.99 * end if math.isfinite(end) else 1e4 * low
-        values = [float(x) for x in np.geomspace(low, high, given.noise_points)]
+        values = geometric(low, high, given.noise_points).tolist()
 
         def curve(
             key: str = key, other: dict[str, float] = other, values: list[float] = values

@@ -31,6 +31,7 @@ from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.schema import Period
 from cosim.studies.border_map import pencil
 from cosim.studies.drop_curves import REFINED, Family, Found, compared, curve, verdicts
+from cosim.studies.grid import milli
 from cosim.studies.impedance import impedance
 from cosim.studies.limits import limits as limits_of
 from cosim.studies.model import circuit_of
@@ -299,7 +300,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         "passive",
         f"Passive up to: {first}",
         {
-            "period [ms]": [1e3 * period for name, period in names if name == first],
+            "period [ms]": [milli(period) for name, period in names if name == first],
             "stiffness [N/m]": passive,
         },
         "Colgate and Schenkel's condition for the device's own damping, its circuit included.",
@@ -310,7 +311,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         "Largest discrete stiffness",
         {
             "curve": [name for name, _ in found],
-            "period [ms]": [1e3 * period for _, period in found],
+            "period [ms]": [milli(period) for _, period in found],
             "exact, contact held [N/m]": [row[keys[0]] for row in found.values()],
             f"first below {100 * given.rest_share:g} % at rest [N/m]": [
                 row[keys[1]] for row in found.values()
@@ -329,7 +330,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         "Share of the phases at rest",
         {
             "curve": [name for (name, _), row in found.items() for _ in row["share"]],
-            "period [ms]": [1e3 * period for (_, period), row in found.items() for _ in row["share"]],
+            "period [ms]": [milli(period) for (_, period), row in found.items() for _ in row["share"]],
             "stiffness [N/m]": [k for row in found.values() for k in row["stiffness_n_per_m"]],
             "share": [share for row in found.values() for share in row["share"]],
         },

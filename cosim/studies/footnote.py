@@ -23,6 +23,7 @@ from cosim.plan import resolve
 from cosim.scene import PotNoise
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.schema import Damping, Frequency, Stiffness
+from cosim.studies.grid import geometric
 from cosim.studies.points import Points
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 from cosim.studies.tip import Case, Tip, Wanted, row, tip_of
@@ -170,8 +171,8 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     gains: dict[str, list[Any]] = {}
     parts: dict[str, list[Any]] = {}
     at: dict[str, list[Any]] = {}
-    ks = np.geomspace(*given.stiffness_range, given.points)
-    cs = np.geomspace(*given.damping_range, given.points)
+    ks = geometric(*given.stiffness_range, given.points)
+    cs = geometric(*given.damping_range, given.points)
     kk, cc = np.meshgrid(ks, cs, indexing="ij")
     for case, found in zip(given.opamps, every, strict=True):
         each = {kind: shares(given, found["own"], kk, cc, kind) for kind in _KINDS}

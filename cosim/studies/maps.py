@@ -22,6 +22,7 @@ from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.schema import Damping, Frequency, Period, Stiffness
 from cosim.studies import rules
 from cosim.studies.drop import Falls, Job, Rest
+from cosim.studies.grid import geometric, milli
 from cosim.studies.impedance import displayed, impedance
 from cosim.studies.limits import limits
 from cosim.studies.model import circuit_of
@@ -177,7 +178,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
             key = f"{panel.name} at {1e3 * period:.4g} ms"
             job = Job(scene, constants, circuit, rest)
             asked[key] = Column(job, given.stiffness_shares, True, given.cycle_m)
-            where.append(("K-T", panel.name, 1e3 * period))
+            where.append(("K-T", panel.name, milli(period)))
         for damping in given.dampings_n_s_per_m:
             scene = spec.scene(*changes, f"computer.discrete_damping_n_s_per_m={damping!r}")
             key = f"{panel.name} at {damping:.4g} N s/m"
@@ -231,7 +232,7 @@ def _widths(spec: StudyFile) -> tuple[Table, Table]:
     """Return |Z| over frequency of free air and of the stiffest walls, and what these walls are."""
     given: MapParameters = spec.parameters
     decades = math.log10(given.highest_hz / given.lowest_hz)
-    hz = np.geomspace(given.lowest_hz, given.highest_hz, max(2, math.ceil(100 * decades) + 1))
+    hz = geometric(given.lowest_hz, given.highest_hz, max(2, math.ceil(100 * decades) + 1))
     curves: dict[str, list[Any]] = {
         name: [] for name in ("wall", "frequency [Hz]", "free air [N s/m]", "wall [N s/m]", "width [dB]")
     }
@@ -267,7 +268,7 @@ def _widths(spec: StudyFile) -> tuple[Table, Table]:
             for heading, value in zip(curves, (width.name, *map(float, each)), strict=True):
                 curves[heading].append(value)
         row = (
-            width.name, circuit.model, 1e3 * c.period_s, c.discrete_stiffness_n_per_m,
+            width.name, circuit.model, milli(c.period_s), c.discrete_stiffness_n_per_m,
             c.analog_stiffness_n_per_m, c.analog_damping_n_s_per_m, float(still.real),
         )  # fmt: skip
         for key, value in zip(walls, row, strict=True):

@@ -30,6 +30,7 @@ from cosim.studies.contact import external_force
 from cosim.studies.drop import Falls, Job, Rest
 from cosim.studies.drop_curves import Family
 from cosim.studies.energy import device_of
+from cosim.studies.grid import milli
 from cosim.studies.model import circuit_of
 from cosim.studies.points import Points
 from cosim.studies.stability import touching, with_computer
@@ -218,7 +219,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         "onset", "Drops on an analog wall",
         {
             "way": [name for name, _, _, _ in rows],
-            "period [ms]": [1e3 * t for _, t, _, _ in rows],
+            "period [ms]": [milli(t) for _, t, _, _ in rows],
             "analog stiffness [N/m]": [k for _, _, k, _ in rows],
             "phases that rest": [row["share"] for *_, row in rows],
             "jump at the onset, mean [N]": [row["jump"] for *_, row in rows],
@@ -255,7 +256,7 @@ def _limits(rows: _Rows, given: OnsetParameters) -> Table:
         shares = [row["share"] >= given.rest_share for _, row in each]
         first = shares.index(False) if False in shares else len(shares)
         again = next((each[i][0] for i in range(first, len(shares)) if shares[i]), None)
-        values = (name, 1e3 * period, each[first - 1][0] if first else None, again)
+        values = (name, milli(period), each[first - 1][0] if first else None, again)
         for column, value in zip(columns.values(), values, strict=True):
             column.append(value)
     return Table(

@@ -24,6 +24,7 @@ from cosim.scene import Scene
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.staging import scratch_folder
 from cosim.studies.energy import delivered, device_of
+from cosim.studies.grid import even, steps
 from cosim.studies.model import circuit_of
 from cosim.studies.passivity import least_damping, needed_damping, share_used, wall
 from cosim.studies.points import Points
@@ -91,7 +92,8 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
 
 def _needed(given: PassiveParameters) -> tuple[Table, Table]:
     """Search the viscosity that every wall needs; and its curve over frequency."""
-    names, theta = [], np.linspace(0.0, np.pi, _CURVE)[1:]
+    of_nyquist = even(0.0, 1.0, _CURVE)[1:]
+    names, theta = [], np.pi * of_nyquist
     found, share, height, which = [], [], [], []
     for one in given.walls:
         name = f"{one.stiffness_n_per_m:g} N/m, {one.damping_n_s_per_m:g} N s/m, {1e3 * one.period_s:g} ms"
@@ -101,7 +103,7 @@ def _needed(given: PassiveParameters) -> tuple[Table, Table]:
         z = np.exp(1j * theta)
         curve = one.period_s / 2.0 / (1.0 - np.cos(theta)) * ((1.0 - 1.0 / z) * law.response(z)).real
         which += [name] * len(theta)
-        share += (theta / np.pi).tolist()
+        share += of_nyquist.tolist()
         height += (curve / closed_form(one)).tolist()
     closed = [closed_form(one) for one in given.walls]
     table = Table(
@@ -220,7 +222,7 @@ def _taken(scene: Scene, every_s: float) -> dict[str, Any]:
         # behind the first contact, what switching off late took up hides what switching on late gave
         left = [event["time_s"] for event in result.events if event["kind"] == "release"][:1]
         least = float(taken[t <= left[0]].min() if left else taken.min())
-        at = np.arange(0.0, scene.duration_s, every_s)
+        at = steps(scene.duration_s, every_s)
         return {
             "start_m": max(float(depth[0]), 0.0), "least_j": least, "doubt_j": given.doubt_j,
             "late_j": 0.5 * scene.computer.analog_stiffness_n_per_m * late,

@@ -16,6 +16,7 @@ from cosim.ngspice.child import Child, start_early
 from cosim.plan import resolve
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.schema import Damping, Frequency, Stiffness
+from cosim.studies.grid import geometric, percent
 from cosim.studies.model import circuit_of
 from cosim.studies.points import Points
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
@@ -68,7 +69,7 @@ def passes(hz: Array, error: Array, limit: float) -> float | None:
 def analyse(spec: StudyFile, points: Points) -> StudyResult:
     """Compute the spectra of every case, and where they leave what a hand notices."""
     given: RenderingParameters = spec.parameters
-    hz = np.geomspace(given.low_hz, given.high_hz, given.points)
+    hz = geometric(given.low_hz, given.high_hz, given.points)
     spectra: dict[str, list[float]] = {"f [Hz]": hz.tolist()}
     ends: dict[str, list[Any]] = {}
     certified: dict[str, list[Any]] = {}
@@ -120,8 +121,8 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
               f"{asked} Noticed differences: {sources}"),
         Table("noticed", "What a hand notices", {
             "quantity": ["stiffness", "damping", "force"],
-            "at best [%]": [100.0 * shares[0] for shares in noticed],
-            "as a rule [%]": [100.0 * shares[1] for shares in noticed],
+            "at best [%]": [percent(shares[0]) for shares in noticed],
+            "as a rule [%]": [percent(shares[1]) for shares in noticed],
             "source": [given.stiffness_source, given.damping_source, given.force_source],
         }),
         Table("certificate", "Certified: the circuit against its gains at low frequency", certified,

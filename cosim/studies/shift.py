@@ -20,6 +20,7 @@ from cosim.scene import Method, PotNoise, Scene
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.schema import Damping, Period, Stiffness
 from cosim.studies.covariance import covariance, noise_grid
+from cosim.studies.grid import milli
 from cosim.studies.lifted import lift
 from cosim.studies.linearise import Output, linearise
 from cosim.studies.points import Points
@@ -129,12 +130,12 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
             for name, value in moved.items():
                 worst[name] = max(worst.get(name, 0.0), abs(value or 0.0), key=abs)
             row(columns, {
-                "gains": gains.name, "T [ms]": 1e3 * period, f"k_max, {given.cases[0].name} [N/m]": k[0],
+                "gains": gains.name, "T [ms]": milli(period), f"k_max, {given.cases[0].name} [N/m]": k[0],
                 **moved,
             })  # fmt: skip
     for name, period, kind, share, k0, speed in every[0]["speeds"]:
         row(rest, {
-            "gains": name, "T [ms]": 1e3 * period, "noise": kind, "share of k_max": share, "k [N/m]": k0,
+            "gains": name, "T [ms]": milli(period), "noise": kind, "share of k_max": share, "k [N/m]": k0,
             "speed, rms [mm/s]": 1e3 * speed,
             f"counts as rest ({given.sigmas:g} sigma)": bool(given.sigmas * speed < given.rest_speed_m_per_s),
         })  # fmt: skip

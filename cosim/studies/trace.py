@@ -23,6 +23,7 @@ from cosim.results import Run
 from cosim.run import run
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.staging import scratch_folder
+from cosim.studies.grid import steps
 from cosim.studies.points import Points
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 
@@ -79,7 +80,7 @@ def quasi_static(result: Run, every_s: float) -> dict[str, Array]:
     normal, n = np.array(scene.wall.normal), scene.joints
     frame = wall_frame(scene, signals)
     t = np.asarray(signals["time"])
-    at = np.arange(0.0, scene.duration_s, every_s)
+    at = steps(scene.duration_s, every_s)
     q, v = (np.column_stack([np.interp(at, t, signals[f"{k}{j}"]) for j in range(1, n + 1)]) for k in "qv")
     jacobians = [linkage.jacobian(pose) for pose in q]
     speed = np.array([normal @ jac @ rate for jac, rate in zip(jacobians, v, strict=True)])
@@ -108,8 +109,8 @@ def traced(spec: StudyFile, given: Traced, every_s: float, child: Child | None =
         result = run(resolve(scene), folder / "run", formats=(), child=child)
         frame = wall_frame(scene, result.signals)
         t = np.asarray(result.signals["time"])
-        at = np.arange(0.0, scene.duration_s, every_s)
-        shown = (t, frame["normal"], frame["tangent"], 1e3 * frame["penetration"], 1e3 * frame["along"])
+        at = steps(scene.duration_s, every_s)
+        shown = (frame["normal"], frame["tangent"], 1e3 * frame["penetration"], 1e3 * frame["along"])
         held = quasi_static(result, every_s)
         return {
             "measures": {name: row["value"] for name, row in result.measures.items()},
@@ -117,7 +118,8 @@ def traced(spec: StudyFile, given: Traced, every_s: float, child: Child | None =
             "effects": [_in_words(row) for row in result.plan["effects"]],
             "seconds": result.stats["wall_s"],
             "signals": {
-                name: np.interp(at, t, signal).tolist() for name, signal in zip(_SHOWN, shown, strict=True)
+                _SHOWN[0]: at.tolist(),
+                **{k: np.interp(at, t, y).tolist() for k, y in zip(_SHOWN[1:], shown, strict=True)},
             },
             "quasi_static": {
                 "error_n": held["error"].tolist(), "acceleration_m_per_s2": held["acceleration"].tolist(),

@@ -1,0 +1,51 @@
+"""Grids of studies: values that a table can show as what they are, 20.3 ms and not 20.299999999999997.
+
+What is asked for (a place of a grid, a period in milliseconds) is rounded to 12 digits when it is made, so
+that the table, the file and the computation hold the same short number. Results are never rounded.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["decimal", "even", "geometric", "milli", "percent", "steps"]
+
+Array = NDArray[np.float64]
+
+#: Four short of what a double holds: far above the rounding of a sum or product, far below any tolerance.
+_DIGITS = 12
+
+
+def decimal(value: float) -> float:
+    """Return a value rounded to 12 significant digits."""
+    return float(f"{value:.{_DIGITS}g}")
+
+
+def milli(value: float) -> float:
+    """Return a stated value in thousandths of its unit: 20.3 [ms] for 0.0203 [s]."""
+    return decimal(1e3 * value)
+
+
+def percent(share: float) -> float:
+    """Return a stated share in per cent: 7 for 0.07, which times 100 is 7.000000000000001."""
+    return decimal(100.0 * share)
+
+
+def even(low: float, high: float, count: int) -> Array:
+    """Return `count` values at even distances, both ends among them; shape (count,), unit of the ends."""
+    return _decimals(np.linspace(low, high, count))
+
+
+def geometric(low: float, high: float, count: int) -> Array:
+    """Return `count` values at even ratios, both ends among them; shape (count,), unit of the ends."""
+    return _decimals(np.geomspace(low, high, count))
+
+
+def steps(end: float, step: float) -> Array:
+    """Return 0, step, 2 step, ... below `end`; shape (ceil(end/step),), unit of both."""
+    return _decimals(np.arange(0.0, end, step))
+
+
+def _decimals(values: Array) -> Array:
+    return np.array([decimal(value) for value in values])
