@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.caution import grouped
+from cosim.units import quantity
 from reports.compare import overlay
 from reports.page import Picture, picture, render, write_page
 from reports.style import FAINT, JOINTS, Drawn, figure, legend, look
 from reports.tables import Table, Trial, command_line
-from reports.text import quantity
 
 if TYPE_CHECKING:
     from cosim.circuits.linear import LinearCircuit

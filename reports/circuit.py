@@ -5,9 +5,10 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
+from cosim.units import quantity
 from reports.source import View
 from reports.style import FAINT, INK, JOINTS, LIMIT, Drawn, curve, figure, held, legend, sample_ticks, shade
-from reports.text import quantity, share
+from reports.text import share
 
 __all__ = ["currents", "gains", "headroom", "nodes"]
 

@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.units import quantity, scale
 from reports.source import View
 from reports.style import FAINT, INK, JOINTS, Drawn, curve, figure, held, legend, shade
-from reports.text import quantity, scale
 
 __all__ = ["energy", "steps", "work"]
 

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from cosim.units import scale
 from reports.source import View
 from reports.style import (
     FAINT,
@@ -20,7 +21,6 @@ from reports.style import (
     sample_ticks,
     shade,
 )
-from reports.text import scale
 
 __all__ = ["tangent_normal", "zoom"]
 

@@ -7,9 +7,8 @@ from cosim.catalogue import UNITS
 from cosim.ngspice.lines import number
 from cosim.staging import whole_file
 from cosim.studies.sweep import unit_of
-from cosim.units import heading
+from cosim.units import heading, scale
 from reports.style import JOINTS, Drawn, figure, legend, look
-from reports.text import scale
 
 if TYPE_CHECKING:
     from cosim.studies.sweep import Sweep

@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from cosim.units import quantity
 from reports.source import RunLike, View, plain
-from reports.text import cell, plain_name, quantity
+from reports.text import cell, plain_name
 
 __all__ = ["Table", "Trial", "all_tables", "compare_table", "inputs_table"]
 

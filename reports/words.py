@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from cosim.units import quantity
 from reports.source import Amplifier, View
-from reports.text import quantity, ratio, share
+from reports.text import ratio, share
 
 __all__ = ["Tile", "summary", "tiles"]
 

@@ -1,4 +1,4 @@
-"""Values that a study was asked for stand in its tables as short decimals, 20.3 and not 20.299999999999997."""
+"""Values that a study was asked for stand in its tables as short decimals: 20.3, not 20.299999999999997."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -15,7 +15,7 @@ from cosim.studies.study import StudyResult, load_study
 PAPER = SCENES / "paper"
 #: Periods [s] whose thousandfold is no short decimal in binary: 20.299999999999997, 52.699999999999996.
 PERIODS = (0.0203, 0.0527)
-#: Results that theory puts on a short number: at half the sampling frequency the closed form is the need itself.
+#: A result that theory puts on a short number: at half the sampling frequency the closed form is the need.
 RESULTS = {("curves", "needed over closed form")}
 _FALL = {"window_s": 0.2, "rest_time_s": 0.05, "phases": 1}
 
@@ -58,7 +58,7 @@ def first(count: int) -> Callable[[tuple[Any, ...]], tuple[Any, ...]]:
     return lambda given: given[:count]
 
 
-#: Slow ones apart; the studies that are missing here show no grid but poses, of which they show the tip's place.
+#: Slow ones apart; studies that are missing here show no grid but poses, as places of the tip.
 SLOW: list[tuple[str, dict[str, Any]]] = [
     ("0_2_passive", {"depths_m": (0.01,), "dampers_n_s_per_m": (2.0,), "seconds": 0.3}),
     ("5_5_corner", {"corners_hz": (2.0, 1000.0)}),

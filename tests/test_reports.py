@@ -17,6 +17,7 @@ from synthetic import DRAG, PERIOD_S, SyntheticRun, slope_run
 
 from cosim.errors import InputError
 from cosim.studies.sweep import Sweep
+from cosim.units import quantity, scale
 from reports import Trial, compare_table, write_report
 from reports.decimate import keep_peaks, merge_spans
 from reports.effects import draw as draw_effects
@@ -26,7 +27,7 @@ from reports.source import View
 from reports.style import look
 from reports.sweep import draw as draw_sweep
 from reports.tables import all_tables
-from reports.text import quantity, ratio, scale, share
+from reports.text import ratio, share
 from reports.words import summary, tiles
 
 

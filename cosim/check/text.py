@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 
 from cosim.check.bench import HIGHEST_HZ
@@ -13,13 +12,15 @@ from cosim.check.noise import BAND_HZ, Noise, PotNoise
 from cosim.check.paths import NAMES, Brake
 from cosim.check.verdict import Severity
 from cosim.circuits.swing import SwingFrom
+from cosim.units import quantity
 
 Row = tuple[str, Sequence[str]]
 _LISTED = 4
 _NO_DELAY_S = 1e-12
+#: What rounding leaves of a leak or an offset that is not there, in any unit.
+_NOTHING = 1e-15
 #: Devices below this share of the whole noise are counted, not listed.
 _LOUD = 0.05
-_PREFIX = {-12: "p", -9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M"}
 
 
 def describe(check: Check) -> str:
@@ -74,7 +75,7 @@ def _constants(check: Check) -> list[str]:
     for name in dict.fromkeys(c.name for c in check.measured.constants):
         rows = [c for c in check.measured.constants if c.name == name]
         merged = _merged(
-            (c.where, [f"{c.stated:.6g} {c.unit}", _figure(c.measured, ".6g"), _percent(c.deviation_percent),
+            (c.where, [_si(c.stated, c.unit, 6), _si(c.measured, c.unit, 6), _percent(c.deviation_percent),
                        _percent(c.ideal_deviation_percent)])
             for c in rows
         )  # fmt: skip
@@ -98,22 +99,27 @@ def _rest(check: Check) -> list[str]:
         )
         for r in check.measured.rest
     ]
-    r_tip = check.measured.stated.r_tip
+    r_tip = _si(check.measured.stated.r_tip, "m", 4)
     head = ("", "current", "force", "spring left", "damper left")
-    return [f"Out of contact (all gains zero; forces at r_tip = {r_tip:g} m)", *_table(head, _merged(rows))]
+    return [
+        f"Out of contact (all gains zero; forces at r_tip = {r_tip})",
+        *_table(head, _merged(rows)),
+    ]
 
 
 def _headroom(check: Check) -> list[str]:
     found, stated = check.measured.headroom, check.measured.stated
     lines = [
-        f"Headroom at rated torque ({stated.i_rated:g} A, {stated.i_rated * stated.kt * stated.gear:.3g} N m)"
+        f"Headroom at rated torque ({_si(stated.i_rated, 'A')}, "
+        f"{_si(stated.i_rated * stated.kt * stated.gear, 'N m')})"
     ]
     for case in found.cases:
         if case.deflection_rad is None or case.current_a is None:
             lines.append(f"  {case.name}: needs more than the full-scale gain")
         else:
             lines.append(
-                f"  {case.name}: {1e3 * case.deflection_rad:.4g} mrad make {case.current_a:.4g} A, "
+                f"  {case.name}: {_si(case.deflection_rad, 'rad', 4)} make "
+                f"{_si(case.current_a, 'A', 4)}, "
                 f"{100 * case.current_a / stated.i_rated:.4g} % of rated"
             )
     rows = [
@@ -121,8 +127,8 @@ def _headroom(check: Check) -> list[str]:
             _short(s.path),
             [
                 s.part,
-                f"{s.peak_v:.3g} V",
-                _figure(s.limit_v, ".3g", " V"),
+                _si(s.peak_v, "V"),
+                _si(s.limit_v, "V"),
                 _figure(s.headroom_percent, ".3g", " %"),
                 s.case,
             ],
@@ -141,15 +147,15 @@ def _headroom(check: Check) -> list[str]:
             lines.append(f"  {', '.join(parts)}: {words}")
     volts = [c.measured for c in check.measured.constants if c.name == "w_rated" and c.measured is not None]
     if volts:
-        lines.append(f"  multiplier output at rated torque and k_fs: {min(volts):.4g} V or more")
+        lines.append(f"  multiplier output at rated torque and k_fs: {_si(min(volts), 'V', 4)} or more")
     for speed in found.speeds:
         lines.append(
             f"  joint {speed.joint} with the damper at c_fs: {_short(speed.path)} reaches its limit at "
-            f"{speed.speed_rad_per_s:.3g} rad/s"
+            f"{_si(speed.speed_rad_per_s, 'rad/s')}"
         )
-    limits = ", ".join(_figure(limit, ".4g", " A") for limit in found.limits_a)
+    limits = ", ".join(_si(limit, "A", 4) for limit in found.limits_a)
     lines.append(f"  motor current with command and spring at the end of their range: {limits}")
-    lines[-1] += f" (i_limit {stated.i_limit:g} A)"
+    lines[-1] += f" (i_limit {_si(stated.i_limit, 'A')})"
     if _below_full(check, "driver"):
         lines[-1] += "; the driver clips at level full only"
     return lines
@@ -209,7 +215,7 @@ def _brake(brake: Brake) -> str:
         f"the spring's delay eats {brake.eta:.3g} of it at k_fs"
     )
     if brake.stiffness_n_per_m is not None:
-        said += f", all of it at {brake.stiffness_n_per_m:.4g} N/m at the tip"
+        said += f", all of it at {_si(brake.stiffness_n_per_m, 'N/m', 4)} at the tip"
     return said
 
 
@@ -219,7 +225,7 @@ def _noise(check: Check) -> list[str]:
         (f"motor {n.joint}", [n.gains, _si(n.torque_n_m, "N m"), _si(n.force_n, "N"), _top(n)])
         for n in measured.noise
     ]
-    lines = [f"Noise of the circuit, rms from {BAND_HZ[0]:g} Hz to {_si(BAND_HZ[1], 'Hz')}"]
+    lines = [f"Noise of the circuit, rms from {_si(BAND_HZ[0], 'Hz')} to {_si(BAND_HZ[1], 'Hz')}"]
     lines += _table(("", "gains", "torque", "force", "most of it"), rows, left=(0, 1, 4))
     if _below_full(check, "opamp", "vca", "driver"):
         lines.insert(
@@ -234,7 +240,7 @@ def _components(check: Check) -> list[str]:
     found = check.measured.components
     lines = [
         "Noise by component (parts at their data sheet's density at any level), rms from "
-        f"{MECHANICAL_HZ[0]:g} Hz to {_si(MECHANICAL_HZ[1], 'Hz')}",
+        f"{_si(MECHANICAL_HZ[0], 'Hz')} to {_si(MECHANICAL_HZ[1], 'Hz')}",
         f"  all of it: {_si(found.rest_n, 'N')} with all gains zero, {_si(found.spring_n, 'N')} with each "
         f"joint's spring at k_fs, and {_si(found.above_n, 'N')} above, to {_si(found.top_hz, 'Hz')}",
     ]
@@ -267,8 +273,9 @@ def _top(noise: Noise) -> str:
 def _pot(pot: PotNoise) -> str:
     spring, soft, damper = (_si(force, "N") for force in (pot.spring_n, pot.soft_n, pot.damper_n))
     return (
-        f"{pot.noise_rad:g} rad of potentiometer noise, white to {_si(pot.bandwidth_hz, 'Hz')}: {spring} "
-        f"through the spring at k_fs, {soft} at {SOFT_N_PER_M:g} N/m, {damper} through the damper at c_fs"
+        f"{_si(pot.noise_rad, 'rad')} of potentiometer noise, white to {_si(pot.bandwidth_hz, 'Hz')}: "
+        f"{spring} through the spring at k_fs, {soft} at {_si(SOFT_N_PER_M, 'N/m')}, {damper} through the "
+        "damper at c_fs"
     )
 
 
@@ -279,7 +286,7 @@ def _coupling(check: Check) -> list[str]:
     if found is None:
         return ["Coupling: no back-EMF, no bound on the step"]
     return [
-        f"Coupling: back-EMF and linkage at {found.rate_per_s:.3g} /s allow steps of 0.5 m_eff/b_eff = "
+        f"Coupling: back-EMF and linkage at {_si(found.rate_per_s, '/s')} allow steps of 0.5 m_eff/b_eff = "
         f"{_si(found.step_s, 's')}; solver.max_step_s is {_si(found.max_step_s, 's')}"
     ]
 
@@ -300,14 +307,11 @@ def _percent(value: float | None) -> str:
     return "-" if value is None else f"{value:+.2g} %" if abs(value) >= 5e-4 else "0 %"
 
 
-def _si(value: float | None, unit: str) -> str:
-    """Return a value with three figures and a prefix from p to M."""
+def _si(value: float | None, unit: str, digits: int = 3) -> str:
+    """Return a value as every command writes it; what is below the rounding of ngspice is zero."""
     if value is None:
         return "-"
-    if abs(value) < 1e-15:
-        return f"0 {unit}"
-    power = min(max(3 * math.floor(math.log10(abs(value) * 1.0005) / 3), -12), 6)
-    return f"{value / 10.0**power:.3g} {_PREFIX[power]}{unit}"
+    return quantity(0.0 if abs(value) < _NOTHING else value, unit, digits)
 
 
 def _grouped(rows: Iterable[Row]) -> list[tuple[list[str], list[str]]]:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.commands.command import Command
 from cosim.commands.progress import progress
+from cosim.units import quantity, signed
 
 if TYPE_CHECKING:
     from cosim.studies.ledger import EffectsLedger
@@ -78,21 +79,25 @@ def table(ledger: "EffectsLedger", measure: str) -> str:
     row = ledger.full[measure]
     unit = str(row["unit"])
     none, last = ledger.null.get(measure), row["value"]
-    first = f"{none['value']:.5g}" if none else f"none ({ledger.lacking.get(measure, 'the scene has none')})"
+    first = (
+        quantity(none["value"], unit, 5)
+        if none
+        else f"none ({ledger.lacking.get(measure, 'the scene has none')})"
+    )
     lines = [
-        f"{measure} [{unit}]: {first} with no effect ({1e3 * ledger.null_s:.3g} ms), "
-        f"{last:.5g} with all ({1e3 * ledger.full_s:.3g} ms); "
+        f"{measure}: {first} with no effect ({quantity(ledger.null_s, 's')}), "
+        f"{quantity(last, unit, 5)} with all ({quantity(ledger.full_s, 's')}); "
         + (f"{ledger.runs} runs" if ledger.runs else "no run is needed"),
         "",
-        f"{'effect':19} {'value':14} {'alone':>12} {'cost [ms]':>10} {'on top of all':>14} {'cost [ms]':>10}",
+        f"{'effect':19} {'value':14} {'alone':>16} {'cost':>9} {'on top of all':>16} {'cost':>9}",
     ]
     size = lambda r: max(abs(r.on.get(measure, 0.0)), abs(r.off.get(measure, 0.0)))  # noqa: E731
     for r in sorted(ledger.rows, key=size, reverse=True):
         sides = [
-            f"{changed[measure]:>+{wide}.3g} {1e3 * cost:>+10.3g}"
+            f"{signed(changed[measure], unit):>16} {signed(cost, 's'):>9}"
             if measure in changed
-            else f"{'-':>{wide}} {'-':>10}"
-            for changed, cost, wide in ((r.on, r.on_s, 12), (r.off, r.off_s, 14))
+            else f"{'-':>16} {'-':>9}"
+            for changed, cost in ((r.on, r.on_s), (r.off, r.off_s))
         ]
         lines.append(f"{r.effect:19} {r.value:14} {' '.join(sides)}" + (f"  {r.note}" if r.note else ""))
     if ledger.not_applicable:

@@ -5,6 +5,7 @@ from typing import Any
 
 from cosim.caution import collected, warn
 from cosim.commands.command import Command, about, load_variants, scene_arguments
+from cosim.units import quantity
 
 
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
@@ -44,22 +45,25 @@ def describe(facts: dict[str, Any]) -> str:
     lines = _of_potentiometers(facts) if "kind" in facts else []
     if "component_force_noise_rms_n" in facts:
         lines.append(
-            f"  the board's components {facts['component_force_noise_rms_n']:9.4g} N along the normal up to "
-            f"{facts['component_noise_bandwidth_hz']:.4g} Hz, the tip held still"
+            f"  the board's components {quantity(facts['component_force_noise_rms_n'], 'N', 4)} along the "
+            f"normal up to {quantity(facts['component_noise_bandwidth_hz'], 'Hz', 4)}, the tip held still"
         )
     return "\n".join([*lines, *(f"  left out: {note}" for note in facts.get("notes", ()))])
 
 
 def _of_potentiometers(facts: dict[str, Any]) -> list[str]:
-    angles = ", ".join(f"{1e3 * x:.4g}" for x in facts["angle_jitter_rms_rad"])
+    angles = ", ".join(quantity(x, "rad", 4) for x in facts["angle_jitter_rms_rad"])
+    force, everything, operator = (
+        quantity(facts[f"{name}_rms_n"], "N", 4)
+        for name in ("force_noise", "force_noise_all", "operator_force_noise")
+    )
+    tip, normal = (quantity(facts[f"{name}_rms_m"], "m", 4) for name in ("jitter", "penetration_jitter"))
     return [
         f"  {facts['kind']} noise of the potentiometers, exact rms over time at rest in contact",
-        f"  force of the motors   {facts['force_noise_rms_n']:10.4g} N along the normal, "
-        f"{facts['force_noise_all_rms_n']:.4g} N in all",
-        f"  force on the operator {facts['operator_force_noise_rms_n']:10.4g} N along the normal",
-        f"  jitter of the tip     {1e3 * facts['jitter_rms_m']:10.4g} mm, "
-        f"{1e3 * facts['penetration_jitter_rms_m']:.4g} mm along the normal",
-        f"  joint angles          {angles} mrad",
+        f"  force of the motors   {force} along the normal, {everything} in all",
+        f"  force on the operator {operator} along the normal",
+        f"  jitter of the tip     {tip}, {normal} along the normal",
+        f"  joint angles          {angles}",
     ]
 
 

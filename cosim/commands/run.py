@@ -245,7 +245,7 @@ _SAME = 1e-12
 def _cell(row: "Mapping[str, Any] | None", before: "Mapping[str, Any] | None") -> str:
     if row is None:
         return "-"
-    from reports.text import quantity
+    from cosim.units import quantity
 
     text = quantity(float(row["value"]), str(row["unit"]), 4)
     if before is None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.caution import collected, warn
 from cosim.commands.command import Command, about, load_variants, out_argument, scene_arguments
+from cosim.units import quantity
 
 if TYPE_CHECKING:
     from cosim.studies.limits import Limits
@@ -56,30 +57,31 @@ def describe(found: "Limits") -> str:
         verdict = "stable" if found.stability.stable else "UNSTABLE"
         goes = "grows" if critical.growth > 1.0 else "decays"
         lines.append(
-            f"  {verdict} at {found.stiffness:.5g} N/m {name}: critical mode {goes} x {critical.growth:.6f} "
-            f"a period, {critical.frequency_hz:.4g} Hz, damping ratio {critical.damping:.3g}"
+            f"  {verdict} at {_stiff(found.stiffness)} {name}: critical mode {goes} x {critical.growth:.6f} "
+            f"a period, {quantity(critical.frequency_hz, 'Hz', 4)}, damping ratio {critical.damping:.3g}"
             + (" (ambiguous: sampling folds it onto another frequency)" if critical.ambiguous else "")
         )
     if facts["border_n_per_m"] is not None and found.border.value > 0.0:
         lines.append(
-            f"  exact border       {found.border.value:10.5g} N/m, at {facts['border_frequency_hz']:.4g} Hz"
+            f"  exact border       {_stiff(found.border.value)}, "
+            f"at {quantity(facts['border_frequency_hz'], 'Hz', 4)}"
         )
     elif found.border.value > 0.0:
         lines.append("  exact border       none up to 1e7 N/m")
     else:
         lines.append("  exact border       nothing is stable")
     if found.passive_n_per_m is not None:
-        lines.append(f"  passive up to      {found.passive_n_per_m:10.5g} N/m")
+        lines.append(f"  passive up to      {_stiff(found.passive_n_per_m)}")
     elif found.least_damping_n_m_s < 0.0:
         lines.append("  passive            never: the analog part alone is active at some frequency")
     if found.gil_hulin_n_per_m is not None:
-        lines.append(f"  Gil and Hulin      {found.gil_hulin_n_per_m:10.5g} N/m (rule of thumb)")
+        lines.append(f"  Gil and Hulin      {_stiff(found.gil_hulin_n_per_m)} (rule of thumb)")
     if found.board_n_per_m is not None:
-        lines.append(f"  board's range      {found.board_n_per_m:10.5g} N/m, its gain DACs at full scale")
+        lines.append(f"  board's range      {_stiff(found.board_n_per_m)}, its gain DACs at full scale")
     lines.append(
-        f"  device's damping   {found.viscosity_n_s_per_m:10.5g} N s/m along the normal"
+        f"  device's damping   {quantity(found.viscosity_n_s_per_m, 'N s/m', 5)} along the normal"
         + (
-            f"; the discrete law needs {found.needed_n_s_per_m:.5g} N s/m"
+            f"; the discrete law needs {quantity(found.needed_n_s_per_m, 'N s/m', 5)}"
             if found.needed_n_s_per_m is not None
             else ""
         )
@@ -90,6 +92,10 @@ def describe(found: "Limits") -> str:
     return "\n".join([*lines, *(f"  left out: {note}" for note in found.stability.notes)])
 
 
+def _stiff(value: float) -> str:
+    return quantity(value, "N/m", 5)
+
+
 def _advice(found: "Limits") -> str:
     """Return which limit to design for, and why the others differ."""
     value, which = found.design
@@ -97,7 +103,7 @@ def _advice(found: "Limits") -> str:
         return "nothing: no stiffness is stable with this circuit and period"
     if math.isinf(value):
         return "any stiffness up to 1e7 N/m"
-    said = f"{value:10.5g} N/m, {which}: "
+    said = f"{_stiff(value)}, {which}: "
     if which == "the board's range":
         said += "no stiffness beyond it can be commanded, and up to it this scene is stable"
     elif which == "the largest passive stiffness":

@@ -73,7 +73,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
 def _text(found: "Sweep", table: Path, picture: Path | None) -> str:
     from cosim.catalogue import UNITS
-    from reports.text import quantity
+    from cosim.units import quantity
 
     rows = [[*found.names, *found.measures]]
     for number, values in enumerate(found.values):
