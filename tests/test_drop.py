@@ -239,9 +239,9 @@ ratio = 1.2
     assert exact["friction alone", 10.0] is None
     assert exact["nothing", 10.0] is None
     told = {verdict.claim: verdict for verdict in result.verdicts}
-    assert told["k_max ~ 1/T: plain"].holds is not None
+    assert told["the limit goes with one over the period: plain"].holds is not None
     for name in ("friction alone", "nothing"):
-        verdict = told[f"k_max ~ 1/T: {name}"]
+        verdict = told[f"the limit goes with one over the period: {name}"]
         assert verdict.holds is None
         assert "linear theory knows no limit" in verdict.found
     from reports.studies import drop as pictures

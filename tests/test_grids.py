@@ -1,42 +1,16 @@
 """Values that a study was asked for stand in its tables as short decimals: 20.3, not 20.299999999999997."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from support import SCENES
+from small_studies import FALL, PERIODS, first, small
 
 from cosim.studies.grid import decimal, even, geometric, milli, steps
-from cosim.studies.points import Points
-from cosim.studies.study import StudyResult, load_study
+from cosim.studies.study import StudyResult
 
-PAPER = SCENES / "paper"
-#: Periods [s] whose thousandfold is no short decimal in binary: 20.299999999999997, 52.699999999999996.
-PERIODS = (0.0203, 0.0527)
 #: A result that theory puts on a short number: at half the sampling frequency the closed form is the need.
 RESULTS = {("curves", "needed over closed form")}
-_FALL = {"window_s": 0.2, "rest_time_s": 0.05, "phases": 1}
-
-
-class Serial(Points):
-    """Points computed one after the other: a pool of processes takes longer to start than these take."""
-
-    def map(
-        self, compute: Callable[[Any], Any], arguments: Mapping[str, Any], workers: int | None = 1
-    ) -> list[Any]:
-        return super().map(compute, arguments, 1)
-
-
-def small(name: str, **changes: Any) -> StudyResult:
-    spec = load_study(PAPER / f"{name}.toml")
-    given = spec.parameters
-    changes = {
-        key: value(getattr(given, key)) if callable(value) else value for key, value in changes.items()
-    }
-    with Serial(None) as points:
-        return spec.study.analyse(replace(spec, parameters=given.model_copy(update=changes)), points)
 
 
 def ragged(result: StudyResult) -> set[tuple[str, str]]:
@@ -54,25 +28,21 @@ def ragged(result: StudyResult) -> set[tuple[str, str]]:
     }
 
 
-def first(count: int) -> Callable[[tuple[Any, ...]], tuple[Any, ...]]:
-    return lambda given: given[:count]
-
-
 #: Slow ones apart; studies that are missing here show no grid but poses, as places of the tip.
 SLOW: list[tuple[str, dict[str, Any]]] = [
     ("0_2_passive", {"depths_m": (0.01,), "dampers_n_s_per_m": (2.0,), "seconds": 0.3}),
     ("5_5_corner", {"corners_hz": (2.0, 1000.0)}),
-    ("8_maps", {**_FALL, "periods_s": PERIODS, "dampings_n_s_per_m": (0.6,), "stiffness_shares": (0.6,),
+    ("8_maps", {**FALL, "periods_s": PERIODS, "dampings_n_s_per_m": (0.6,), "stiffness_shares": (0.6,),
                 "stiffness_n_per_m": (10.0,), "panels": first(1), "widths": first(1)}),
 ]  # fmt: skip
 STUDIES: list[tuple[str, dict[str, Any]]] = [
-    ("1_fig13", {**_FALL, "periods_s": PERIODS, "families": first(1)}),
+    ("1_fig13", {**FALL, "periods_s": PERIODS, "families": first(1)}),
     ("3_fig16_18", {"runs": first(1)}),
     ("5_2_rendering", {"cases": first(1), "stiffness_noticed": (0.07, 0.14), "force_noticed": (0.07, 0.29)}),
     ("5_3_footnote", {"points": 5, "opamps": first(1), "corners_hz": first(1), "drivers_hz": first(1)}),
     ("5_4_shift", {"periods_s": PERIODS, "cases": first(2), "gains": first(1)}),
     ("6a_ceiling", {"boards": first(1), "noise_points": 5}),
-    ("6b_onset", {**_FALL, "periods_s": PERIODS, "stiffness_n_per_m": (20.0, 25.0), "ways": first(1)}),
+    ("6b_onset", {**FALL, "periods_s": PERIODS, "stiffness_n_per_m": (20.0, 25.0), "ways": first(1)}),
 ]  # fmt: skip
 
 

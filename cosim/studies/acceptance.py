@@ -280,11 +280,11 @@ def _verdicts(
                 f"{off:.2g} % at most" + (f" ({others})" if others else ""), off <= 100 * _GAIN),
         Verdict("A3", f"{depth} deep in the poses of the slope, law and board together",
                 "normal within 1 %, tangential about 0",
-                f"normal {normal:.2g} % off, F_t/F_n {tangent:.1g}",
+                f"normal {normal:.2g} % off, tangential {tangent:.1g} of it",
                 normal <= 100 * _NORMAL and tangent <= _TANGENT),
         Verdict("A3", f"{depth} deep elsewhere: (11) is exact to first order only", "a question",
                 f"within 1 % in {within[0]:.0f} % of the workspace, median {np.median(reached):.2g} %; "
-                f"with J half way to the wall in {within[1]:.0f} %", None),
+                f"with the Jacobian half way to the wall in {within[1]:.0f} %", None),
         Verdict("A4", "static slope of computer and circuit together", f"{wanted:g} N/m",
                 f"{both:.4g} N/m; apart {alone:.4g} and {circuit:.4g}",
                 abs(both / wanted - 1.0) <= _SLOPE and abs(both / (alone + circuit) - 1.0) <= _SLOPE),

@@ -17,9 +17,10 @@ from cosim.plan import resolve
 from cosim.scene import Method, PotNoise
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.studies.covariance import noise_covariance
+from cosim.studies.holds import holds_table
 from cosim.studies.points import Points
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
-from cosim.studies.tip import Tip, Wanted, row, tip_of
+from cosim.studies.tip import Case, Tip, Wanted, row, tip_of
 from cosim.studies.tipnoise import pot_density, pot_form
 
 __all__ = ["STUDY", "BudgetParameters", "loaded", "position_errors"]
@@ -198,6 +199,11 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
               "and what is the same at every joint with its sign."),
         Table("forces", "Force noise by source, at the scene's gains", forces,
               f"Along the normal; the components' up to {given.noise_band_hz:g} Hz."),
+        holds_table(
+            spec, (Case(name="the circuit that carries them"),),
+            "The sources in the tables are added one by one, whether the scene holds them or not: the "
+            "errors of potentiometer and computer by their data, components at their data sheets' density.",
+        ),
         verdicts=(
             Verdict("N1", "the potentiometer's 0.006 rad are the paper's accuracy at the fingertip",
                     f"{given.paper_mm:g} mm", f"{noise_mm:.3g} mm at {1e3 * found['r_tip']:.4g} mm",

@@ -343,8 +343,8 @@ def _verdicts(limits: Table, delays: dict[str, Delay], given: CeilingParameters)
         out.append(
             Verdict(
                 "N4", f"delay bounds the spring: {name}",
-                f"b/sum(tau) = {low:.4g} N/m, to {high:.4g} where braking has no delay; within 2 %",
-                f"{found.spring_n_per_m:.4g} N/m, sum(tau) = {1e6 * found.lag_s:.3g} us",
+                f"viscosity over delay, {low:.4g} N/m, to {high:.4g} where braking has no delay; within 2 %",
+                f"{found.spring_n_per_m:.4g} N/m, with a delay of {1e6 * found.lag_s:.3g} us",
                 0.98 * low <= found.spring_n_per_m <= 1.02 * high, own=True,
             )
         )  # fmt: skip

@@ -232,9 +232,9 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         f"formula without it agrees with pressing within {100 * worst_check:.1g} %"
     )
     verdicts = [
-        Verdict("N3", shift, "K_theta = J^T K J + K_g(F)", found, None),
-        Verdict("N3", "adding K_g(F) to the joints' gains restores it", "shift 0", restored,
-                left < 100 * _PRESSED and worst_check < _PRESSED, own=True),
+        Verdict("N3", shift, "the geometric stiffness of the force adds to the commanded one", found, None),
+        Verdict("N3", "the geometric stiffness, added to the joints' gains, restores it", "no shift",
+                restored, left < 100 * _PRESSED and worst_check < _PRESSED, own=True),
     ]  # fmt: skip
     tables = [Table("workspace", "Apparent against commanded stiffness over the workspace", columns)]
     if (sweep := _sweep(spec, chain, normal, points)) is not None:
@@ -257,7 +257,7 @@ def _in_runs(given: CongruenceParameters, sweep: Table) -> Verdict:
     )
     off = max(abs(p / t - 1.0) for p, t in zip(plain, theory, strict=True))
     return Verdict(
-        "N3", "runs with K_g(F) in the law: the shift between two samples is gone",
+        "N3", "runs with the geometric stiffness in the law: the shift between two samples is gone",
         f"at most {100 * _LEFT:g} % of it left", f"{told}; without it {100 * off:.2g} % off theory",
         all(h <= _LEFT * p for p, h in zip(plain, held, strict=True)), own=True,
     )  # fmt: skip

@@ -23,13 +23,14 @@ from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.schema import Damping, Frequency, Stiffness
 from cosim.studies.covariance import covariance, noise_grid
 from cosim.studies.energy import device_of, law_of
+from cosim.studies.holds import holds_table
 from cosim.studies.lifted import lift
 from cosim.studies.linearise import linearise
 from cosim.studies.passivity import least_damping, share_used
 from cosim.studies.points import Points
 from cosim.studies.stability import border, held, with_computer
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
-from cosim.studies.tip import Tip, row, tip_of
+from cosim.studies.tip import Case, Tip, row, tip_of
 from cosim.studies.tipnoise import position_density, pot_density, pot_form
 
 __all__ = ["STUDY", "CornerParameters", "passive"]
@@ -172,6 +173,10 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
               f"{given.speed_m_per_s:g} m/s; 'contact held': {given.discrete_n_per_m:g} N/m by the computer, "
               "exact covariance."),
         Table("board", "The board as it is", {"corner [Hz]": [own]}),
+        holds_table(
+            spec, (Case(name="every corner"),),
+            "The force noise holds each kind of potentiometer noise by itself, and none of the components.",
+        ),
         verdicts=(
             Verdict("N1", "most passive stiffness whose damper stays quiet", "a question: force noise below "
                     f"{given.largest_noise_n:g} N rms", "; ".join(told), None),

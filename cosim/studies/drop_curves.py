@@ -88,7 +88,7 @@ def verdicts(
             steep = family.name != first or abs(seen + 1.0) <= 0.15
             out.append(
                 Verdict(
-                    "F13a", f"k_max ~ 1/T: {family.name}",
+                    "F13a", f"the limit goes with one over the period: {family.name}",
                     "log-log slope -1.0 +- 0.15, and of the exact limit +- 0.05" if family.name == first
                     else "log-log slope of the exact limit +- 0.05",
                     f"slope {seen:.3f}; of the exact limit {theory:.3f}",
@@ -101,7 +101,7 @@ def verdicts(
             told = ", ".join(f"{100 * drift[p]:+.1f} % at {1e3 * p:.3g} ms" for p in shared)
             out.append(
                 Verdict("F13b", f"the discrete limit is 'almost identical': {family.name}",
-                        "<= 3 % for T <= 10 ms", told, max(short) <= 0.03 if short else None)
+                        "within 3 % for periods up to 10 ms", told, max(short) <= 0.03 if short else None)
             )  # fmt: skip
             out.append(_adds_up(family.name, spring, {p: (values[p], shown[family.name][p]) for p in shared}))
         both = compared(found, first, family.name)
@@ -116,7 +116,8 @@ def verdicts(
             out.append(
                 Verdict(
                     "F14", f"analog damping raises the limit: {family.name}",
-                    f"by 2c/T = {wanted:.4g} N/m at {1e3 * period:.3g} ms with an ideal circuit; dropped as "
+                    f"by twice the damping over the period, {wanted:.4g} N/m at {1e3 * period:.3g} ms with "
+                    f"an ideal circuit; dropped as "
                     "the exact limit with its own differentiator",
                     f"{ideal[family.name]:+.4g} N/m with an ideal circuit; with its own differentiator "
                     f"{exact_gain:+.4g} exact, {gain:+.4g} +- {open_by:.2g} dropped "
@@ -137,7 +138,12 @@ def _without_border(name: str, values: Mapping[float, float], exact: Mapping[flo
     if len(exact) < len(values) or not values:
         seen += "; linear theory knows no limit: nothing is damped but by friction, if at all"
     return Verdict(
-        "F13a", f"k_max ~ 1/T: {name}", "three limits and those of linear theory", seen, None, own=True
+        "F13a",
+        f"the limit goes with one over the period: {name}",
+        "three limits and those of linear theory",
+        seen,
+        None,
+        own=True,
     )
 
 

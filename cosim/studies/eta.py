@@ -144,9 +144,9 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         Table("workspace", "The device's viscosity over the workspace", spread),
         verdicts=(
             Verdict("N1a", "delay eats a small share of the device's damping",
-                    f"eta = k sum(tau)/b below {100 * given.largest_eta:g} %", told,
+                    f"eta, stiffness times delay over viscosity, below {100 * given.largest_eta:g} %", told,
                     bool(eta < given.largest_eta)),
-            Verdict("N1a", "the practical limit b/sum(tau) is where the analog spring turns active",
+            Verdict("N1a", "the practical limit, viscosity over delay: there the analog spring turns active",
                     "the same from the fitted circuit over all frequencies, within 1 %",
                     f"{first['active']:.5g} N/m, off by {100 * off:.2g} %", bool(off < 0.01), own=True),
         ),

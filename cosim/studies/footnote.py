@@ -24,12 +24,13 @@ from cosim.scene import PotNoise
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.schema import Damping, Frequency, Stiffness
 from cosim.studies.grid import geometric
+from cosim.studies.holds import holds_table
 from cosim.studies.points import Points
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 from cosim.studies.tip import Case, Tip, Wanted, row, tip_of
 from cosim.studies.tipnoise import NoiseForm, component_form, pot_density, pot_form
 
-__all__ = ["STUDY", "FootnoteParameters", "shares"]
+__all__ = ["STUDY", "FootnoteParameters", "shares", "verdicts"]
 
 Array = NDArray[np.float64]
 
@@ -37,6 +38,13 @@ Array = NDArray[np.float64]
 _KINDS = (PotNoise.POSITION, PotNoise.PEAK_TO_PEAK, PotNoise.WHITE)
 #: Frequencies of the band of motion at which stiffness is looked at.
 _LOOKS = 13
+
+
+#: What the criteria hold beside the scene's effects, for the page.
+_ADDS = (
+    "The force noise holds besides, whatever the scene says, each kind of potentiometer noise by itself "
+    "and the noise of all components at their data sheets' density. The tip is held: no mass moves."
+)
 
 
 class FootnoteParameters(Parameters):
@@ -238,11 +246,13 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         Table("board", "The board as it is", board),
         Table("gains", "Over stiffness and damping", gains),
         Table("parts", "Over op-amp, driver and differentiator", parts),
-        verdicts=_verdicts(given, at, thresholds),
+        holds_table(spec, given.opamps, _ADDS),
+        verdicts=verdicts(given, at, thresholds),
     )  # fmt: skip
 
 
-def _verdicts(given: FootnoteParameters, at: dict[str, list[Any]], thresholds: str) -> list[Verdict]:
+def verdicts(given: FootnoteParameters, at: dict[str, list[Any]], thresholds: str) -> list[Verdict]:
+    """Judge footnote 1 at the paper's point, and whether the op-amp decides it; `at` is the table there."""
     found = []
     for number, damping in enumerate(given.dampings_n_s_per_m):
         silent, white = (at[f"force noise, {k.value} [N rms]"][number] for k in (_KINDS[0], _KINDS[-1]))
@@ -264,9 +274,20 @@ def _verdicts(given: FootnoteParameters, at: dict[str, list[Any]], thresholds: s
     worst = max(
         max(spread[key][j::count]) - min(spread[key][j::count]) for key in spread for j in range(count)
     )
+    limits = {"eta [%]": 100.0 * given.largest_eta, "stiffness error [%]": 100.0 * given.largest_error}
+    decides = [
+        f"{damping:g} N s/m"
+        for j, damping in enumerate(given.dampings_n_s_per_m)
+        if any(len({value < limits[key] for value in spread[key][j::count]}) > 1 for key in spread)
+    ]
+    if len(names) < 2:
+        answer = "one op-amp cannot tell"
+    else:
+        answer = f"yes, at {', '.join(decides)}" if decides else "no"
     found.append(
-        Verdict("N1", f"the op-amp decides ({', '.join(names)})", "a question",
-                f"no: error and eta move by at most {worst:.2g} percentage points", None)
+        Verdict("N1", f"the op-amp decides ({', '.join(names)})",
+                "a question: on different sides of a threshold with different op-amps",
+                f"{answer}: error and eta move by at most {worst:.2g} percentage points", None)
     )  # fmt: skip
     return found
 

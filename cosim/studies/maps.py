@@ -292,8 +292,8 @@ def verdicts(found: Found, given: MapParameters) -> list[Verdict]:
         default=math.nan,
     )  # fmt: skip
     out.append(
-        Verdict("M1", "what is passive is stable", "passive / exact <= 1 everywhere",
-                f"at most {worst:.4g}", worst <= 1.0 + 1e-9, own=True)
+        Verdict("M1", "what is passive is stable", "passive limit nowhere above the exact one",
+                f"at most {worst:.4g} of it", worst <= 1.0 + 1e-9, own=True)
     )  # fmt: skip
     for panel in given.panels:
         rows = [row for (_, name, _), row in found.items() if name == panel.name]

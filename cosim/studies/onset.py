@@ -277,7 +277,8 @@ def _verdicts(rows: _Rows, given: OnsetParameters, flight: Fall) -> Iterator[Ver
     told = ", ".join(f"{1e3 * shown[base, t]['onset_max']:.3g} mJ at {1e3 * t:.3g} ms" for t in periods)
     yield Verdict(
         "N4", f"energy of switching on at samples, {k:g} N/m",
-        f"closed form of a fall within 1 %; at worst about k (v T)^2 / 2, v = {v:.3g} m/s",
+        f"closed form of a fall within 1 %; at worst about that of the spring, pressed "
+        f"at {v:.3g} m/s for a period",
         f"{100 * max(map(abs, off.values())):.2g} % off; largest {told}",
         max(map(abs, off.values())) <= 0.01, own=True,
     )  # fmt: skip
@@ -287,7 +288,7 @@ def _verdicts(rows: _Rows, given: OnsetParameters, flight: Fall) -> Iterator[Ver
     )
     yield Verdict(
         "N4", f"the 'rapid change' at the onset of a contact, {k:g} N/m",
-        "up to k v T, half on average; the fall goes on meanwhile: k x(T)",
+        "up to the force of the depth that a period's fall reaches, half of it on average",
         told, all(shown[base, t]["jump_max"] <= 1.01 * k * flight.depth(t) for t in periods),
     )  # fmt: skip
     at = min(periods, key=lambda t: abs(t - given.show_s))

@@ -242,20 +242,22 @@ def _verdicts(needed: Table, dampers: Table, energies: Table) -> list[Verdict]:
     told = ", ".join(f"{least:.3g} of {bound:.3g} mJ" for _, bound, least, _, _ in held)
     free = [row for row in rows if row[1] == 0.0]
     return [
-        Verdict("A5", "viscosity that a sampled wall needs", "k_p T/2 + |k_d|",
+        Verdict("A5", "viscosity that a sampled wall needs",
+                "stiffness times half a period, plus the size of the virtual damping",
                 f"by search {off:.1g} off, for {len(needed.columns['wall'])} walls", off <= _EXACT),
         Verdict("A6", "a passive hand lets go of the spring inside the wall: energy the display takes up",
-                "never below -k x(0)^2/2", f"least {told}",
+                "never gives back more than the spring held", f"least {told}",
                 all(least >= bound - doubt for _, bound, least, doubt, _ in held)),
         *(
             Verdict("A6", "(20) takes the spring as always on; a wall's is switched on at samples",
                     "a question",
                     f"{name} on it: {least:.3g} mJ in the first contact, where (20) says 0; at most "
-                    f"-k (v T)^2/2, {-late:.3g} mJ",
+                    f"the spring of a period's fall, {-late:.3g} mJ",
                     None)
             for name, _, least, _, late in free
         ),
-        Verdict("A7", "largest passive stiffness with the circuit's damper", "2 (b + k_sd - |k_d|)/T",
+        Verdict("A7", "largest passive stiffness with the circuit's damper",
+                "twice the damping over the period, the virtual damping's size taken off",
                 f"by search {away:.1g} off, by the sum over aliases {summed:.1g}; "
                 f"{columns['commanded k_sd [N s/m]'][last]:g} N s/m more raise "
                 f"{closed[0]:.4g} to {closed[last]:.4g} N/m", away <= _EXACT and summed <= _SUMMED),

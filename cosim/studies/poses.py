@@ -208,21 +208,22 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     uneven_drag = np.array(columns["mismatch, F_t/F_n"], float)
     coupled = max(abs(value) for value in at.columns["coupled, F_t/F_n"])
     told = (
-        f"joint PD: |F_t/F_n| median {np.median(np.abs(diagonals)):.2g}, to one side in "
+        f"joint PD: median {np.median(np.abs(diagonals)):.2g}, to one side in "
         f"{100 * np.mean(diagonals > 0):.0f} % of the poses; coupled {coupled:.1g}"
     )
     percent = 100.0 * given.mismatch
     curls = np.array(columns["curl [N/m]"], float)
     noise = (
-        f"F_t/F_n {100 * np.median(uneven_drag):.2g} % median, "
+        f"force along the wall over its normal {100 * np.median(uneven_drag):.2g} % median, "
         f"{100 * np.percentile(uneven_drag, 95):.2g} % at the 95th percentile; "
         f"curl {np.median(curls):.2g} N/m median"
     )
     return spec.result(
         Table("workspace", "Over the workspace", columns), at,
         verdicts=(
-            Verdict("F18", "per-joint PD drags along the wall", "|F_t/F_n| >> coupled, sign by pose", told,
-                    bool(np.median(np.abs(diagonals)) > 10 * coupled)),
+            Verdict("F18", "per-joint PD drags along the wall",
+                    "force along the wall over its normal far above that of coupled gains, sign by pose",
+                    told, bool(np.median(np.abs(diagonals)) > 10 * coupled)),
             Verdict("N4", f"{percent:g} % of mismatch between the multipliers drags and feeds energy",
                     "a question", noise, None),
         ),

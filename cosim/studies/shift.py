@@ -21,6 +21,7 @@ from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.schema import Damping, Period, Stiffness
 from cosim.studies.covariance import covariance, noise_grid
 from cosim.studies.grid import milli
+from cosim.studies.holds import holds_table
 from cosim.studies.lifted import lift
 from cosim.studies.linearise import Output, linearise
 from cosim.studies.points import Points
@@ -154,10 +155,16 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         Table("limits", "Largest discrete stiffness, and by how much it moves without a part of the circuit",
               columns, "Exact borders, contact held."),
         Table("rest", "At rest in contact under the potentiometer's noise", rest),
+        holds_table(
+            spec, given.cases,
+            "Every case is looked at with the analog gains and periods of the tables; the borders hold no "
+            "noise, the speeds at rest one kind of potentiometer noise each.",
+        ),
         verdicts=(
-            Verdict("N1", "shift of k_max without each part of the circuit", "a question",
+            Verdict("N1", "shift of the largest stiffness without each part of the circuit", "a question",
                     f"at most: {told}", None),
-            Verdict("N1", "shift of k_max by the potentiometer's noise", "a question", noise, None),
+            Verdict("N1", "shift of the largest stiffness by the potentiometer's noise", "a question",
+                    noise, None),
         ),
     )  # fmt: skip
 

@@ -24,6 +24,7 @@ from cosim.run import run
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.staging import scratch_folder
 from cosim.studies.grid import steps
+from cosim.studies.holds import in_words
 from cosim.studies.points import Points
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 
@@ -115,7 +116,7 @@ def traced(spec: StudyFile, given: Traced, every_s: float, child: Child | None =
         return {
             "measures": {name: row["value"] for name, row in result.measures.items()},
             "model": result.plan["model"],
-            "effects": [_in_words(row) for row in result.plan["effects"]],
+            "effects": [in_words(row["name"], row["value"]) for row in result.plan["effects"]],
             "seconds": result.stats["wall_s"],
             "signals": {
                 _SHOWN[0]: at.tolist(),
@@ -198,7 +199,8 @@ def verdicts(given: TraceParameters, found: dict[str, Any]) -> list[Verdict]:
             )  # fmt: skip
         if one.beside is None and mine["tangential_ratio"] >= _DRAGS:
             out.append(
-                Verdict("F18", f"{one.name} drags along the wall", "|F_t/F_n| >> coupled",
+                Verdict("F18", f"{one.name} drags along the wall",
+                        "force along the wall over its normal far above that of coupled gains",
                         f"{mine['tangential_ratio']:.3g} against {base['tangential_ratio']:.2g}",
                         mine["tangential_ratio"] > 10 * base["tangential_ratio"])
             )  # fmt: skip
@@ -223,19 +225,19 @@ def verdicts(given: TraceParameters, found: dict[str, Any]) -> list[Verdict]:
     )
     left = float(np.sqrt(np.mean((error - inertia) ** 2) / np.mean(error**2)))
     text = (
-        f"up to {np.abs(error).max():.2g} N, about {mass:.2g} kg times the tip's acceleration; M q'' + h of "
-        f"the arm explain all but {100 * left:.0f} %"
+        f"up to {np.abs(error).max():.2g} N, about {mass:.2g} kg times the tip's acceleration; inertia "
+        f"and Coriolis forces of the arm explain all but {100 * left:.0f} %"
     )
     out.append(
-        Verdict("N2", "J^-T tau is the force, quasi-statically", "errs by M q'' + h", text, left < 0.2)
+        Verdict(
+            "N2",
+            "the motors' torques are the force at the hand, quasi-statically",
+            "errs by inertia and Coriolis forces of the arm",
+            text,
+            left < 0.2,
+        )
     )
     return out
-
-
-def _in_words(effect: Mapping[str, Any]) -> str:
-    """Return an effect in force as ``opamp gbw``, or its name where it is on or off."""
-    value = effect["value"]
-    return str(effect["name"]) if value is True else f"{effect['name']} {value}"
 
 
 def _everything(one: Traced, mine: Mapping[str, float], plain: Mapping[str, float]) -> Verdict:
@@ -246,7 +248,8 @@ def _everything(one: Traced, mine: Mapping[str, float], plain: Mapping[str, floa
 
     text = (
         f"rendered {change('rendered_stiffness')} N/m, depth {1e3 * mine['steady_penetration']:.3g} for "
-        f"{1e3 * plain['steady_penetration']:.3g} mm at {change('steady_normal_force')} N, |F_t/F_n| "
+        f"{1e3 * plain['steady_penetration']:.3g} mm at {change('steady_normal_force')} N, along over "
+        "normal force "
         f"{change('tangential_ratio')}, ripple {1e3 * mine['force_ripple']:.3g} for "
         f"{1e3 * plain['force_ripple']:.3g} mN"
     )
