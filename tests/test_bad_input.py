@@ -349,18 +349,25 @@ int ngSpice_Command(char *c) { return 0; }
 # --- Ctrl-C ------------------------------------------------------------------------------------------
 
 
-def interrupted(project: Project, setting: str, when: str, how: signal.Signals) -> subprocess.Popen[str]:
-    """Start a run in a process of its own, and interrupt it when a file like `when` appears."""
+def interrupted(project: Project, setting: str, after: int, how: signal.Signals) -> subprocess.Popen[str]:
+    """Start runs in a process of their own, and interrupt the one behind `after` finished ones."""
+    scratch = project.folder.parent / "scratch"
+    scratch.mkdir()
     process = subprocess.Popen(
         [sys.executable, "-m", "cosim.cli", "run", "scene.toml", "-o", "out", "--set", setting],
         cwd=project.folder,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        env={**os.environ, "TMPDIR": str(scratch)},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored behind a shell's &
     )
-    end = time.monotonic() + 30
-    while not any(path.stat().st_size for path in project.folder.glob(when)) and time.monotonic() < end:
+    end = time.monotonic() + 300
+    while time.monotonic() < end:
         assert process.poll() is None, process.communicate()
+        rows = [path for path in scratch.glob("cosim-ngspice.*/out/rows.f64") if path.stat().st_size]
+        if rows and len(list(project.folder.glob("out/*/run.json"))) == after:
+            break
         time.sleep(0.02)
     process.send_signal(how)
     return process
@@ -368,7 +375,7 @@ def interrupted(project: Project, setting: str, when: str, how: signal.Signals) 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_interrupt_leaves_nothing_half_written_and_no_child(project: Project, how: signal.Signals) -> None:
-    process = interrupted(project, "duration_s=5000", ".out.*/rows.f64", how)
+    process = interrupted(project, "duration_s=5000", 0, how)
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
     out, err = process.communicate(timeout=20)
     assert process.returncode == 130
@@ -380,7 +387,7 @@ def test_interrupt_leaves_nothing_half_written_and_no_child(project: Project, ho
 
 
 def test_interrupt_in_a_series_keeps_what_is_finished(project: Project) -> None:
-    process = interrupted(project, "duration_s=0.1,5000", "out/.duration_s=5000.*/rows.f64", signal.SIGINT)
+    process = interrupted(project, "duration_s=0.1,5000", 1, signal.SIGINT)
     process.communicate(timeout=20)
     assert process.returncode == 130
     assert [path.name for path in (project.folder / "out").iterdir()] == ["duration_s=0.1"]
