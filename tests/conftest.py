@@ -1,9 +1,14 @@
 """Tests compile into the same folder as the program, so that both are warm after the first run."""
 
 import os
+import signal
 
 from cosim.compiled import cache_folder
 
 os.environ["NUMBA_CACHE_DIR"] = cache_folder()
 # results carry the date of their run: for tests that compare bytes all have the same
 os.environ.setdefault("SOURCE_DATE_EPOCH", "0")
+
+# a shell's `&` and nohup leave Ctrl-C ignored, which child processes inherit: some tests interrupt theirs
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)

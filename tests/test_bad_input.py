@@ -360,7 +360,6 @@ def interrupted(project: Project, setting: str, after: int, how: signal.Signals)
         stderr=subprocess.PIPE,
         text=True,
         env={**os.environ, "TMPDIR": str(scratch)},
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored behind a shell's &
     )
     end = time.monotonic() + 300
     while time.monotonic() < end:

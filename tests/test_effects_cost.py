@@ -60,13 +60,13 @@ def test_ideal_levels_add_no_equations() -> None:
     # mid and inn for a branch; then its op-amp has a pole as any other
     assert count("differentiator=corner") - bare == 2
     assert count("differentiator=corner", "opamp=gbw") - bare == 2 + 8
-    # single effects: a node before the driver's output where it has none yet, else nothing
-    assert count("driver_limit=true") - bare == stages["driver"]
+    # single effects: the limit is a node before the output of the driver and one on either side
+    assert count("driver_limit=true") - bare == 3 * stages["driver"]
     for name in ("opamp_offset", "vca_offset", "vca_gain_error", "vca_nonlinearity", "temperature"):
         assert count(f"{name}=true") == bare
     for name in ("opamp_slew", "opamp_saturation"):
         assert count("opamp=gbw", f"{name}=true") - bare == stages["opamp"]
-    assert count("driver_level=gbw", "driver_limit=true") - bare == stages["driver"]
+    assert count("driver_level=gbw", "driver_limit=true") - bare == 3 * stages["driver"]
 
 
 def test_ideal_level_leaves_no_trace_of_the_deeper_ones() -> None:

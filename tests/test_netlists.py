@@ -184,7 +184,7 @@ def test_an_effect_that_is_off_costs_no_equation(tmp_path: Path) -> None:
     assert equations(potentiometer="full") == null
     assert equations(motor="full") == null + 2 * 2, "a node and a branch for each L"
     assert equations(level="gbw") == null + 10 + 8, "a pole for each of 8 op-amps, 2 drivers, 8 multipliers"
-    assert equations(level="full") == null + 10 * 3 + 8 * 5
+    assert equations(level="full") == null + 10 * 3 + 8 * 5 + 2 * 2, "two nodes more for each driver's limit"
 
 
 # ------------------------------------------------------------------- benches
