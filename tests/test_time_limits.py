@@ -1,11 +1,12 @@
 """The scene's time limit holds for every call that a command makes of a child process."""
 
+import ast
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
-from project import Project, lay_out
+from project import ROOT, Project, lay_out
 
 from cosim import cli
 from cosim.compiled import cache_folder
@@ -111,3 +112,23 @@ def test_what_hangs_is_ended(
     monkeypatch.setattr(child.Child, "call", hung)
     assert cli.main(command) == 1
     assert "the time limit of 1 s is over" in capsys.readouterr().err
+
+
+def test_no_call_is_without_a_limit() -> None:
+    """What no command above reaches in a short test, such as the longer studies."""
+    silent, count = [], 0
+    for file in sorted((ROOT / "cosim").rglob("*.py")):
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        imported = {
+            each.name
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ImportFrom) and node.module == "cosim.ngspice.child"
+            for each in node.names
+        }
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "call":
+                count += "call" in imported
+                if "call" in imported and "time_limit_s" not in {each.arg for each in node.keywords}:
+                    silent.append(f"{file.relative_to(ROOT)}:{node.lineno}")
+    assert count > 10
+    assert silent == []
