@@ -150,7 +150,7 @@ def accepted(data: Any, count: int, ident: int, user: Any) -> int:
         value = vector_value(vectors, s.node_index[i])
         if not abs(value) <= s.node_peak[i]:
             s.node_peak[i] = abs(value)
-            if not abs(value) < NO_VOLTAGE:
+            if s.fault == 0 and not abs(value) < NO_VOLTAGE:  # a device that ran away is the cause
                 s.fault = _NOT_FINITE
         if abs(value) >= s.node_limit[i]:
             s.node_clipped[i] += step
