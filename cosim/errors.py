@@ -180,6 +180,10 @@ class StepTooSmall(SimulationError):
     """ngspice's steps became endlessly short."""
 
 
+class Crawl(SimulationError):
+    """ngspice takes far more work than was predicted, and still gets on."""
+
+
 def _rebuild(message: str, deck: str | None, time_s: float | None, last_words: str | None) -> SimulationError:
     return SimulationError(message, deck=deck, time_s=time_s, last_words=last_words)
 

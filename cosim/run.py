@@ -116,6 +116,7 @@ def _run(
                 "recorded": plan.recorded,
                 "watched": plan.watched,
                 "tolerances": plan.tolerances,
+                "predicted_points": plan.cost()["points"],
                 "folder": OUTBOX,
             },
             time_limit_s=scene.solver.time_limit_s,

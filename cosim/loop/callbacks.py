@@ -28,7 +28,7 @@ from cosim.loop.lockstep import (
 from cosim.loop.native import call_plain, doubles_at, vector_value
 from cosim.loop.state import STATE, Fault
 
-_NOT_FINITE, _COLLAPSED = Fault.NOT_FINITE, Fault.STEP_COLLAPSED
+_NOT_FINITE, _COLLAPSED, _CRAWLS = Fault.NOT_FINITE, Fault.STEP_COLLAPSED, Fault.CRAWLS
 _NEVER = 1e300
 #: V that no board has: rails of 100 V times the highest open-loop gains, 140 dB, are three decades below. In
 #: ngspice a division by zero gives some 1e32, with which a loose tolerance can go on.
@@ -144,6 +144,12 @@ def accepted(data: Any, count: int, ident: int, user: Any) -> int:
     s.points += 1
     if s.points - s.points_before > s.most_points:
         s.fault = _COLLAPSED
+    if s.points == 1:
+        s.calls_start = s.source_calls
+    else:
+        most = s.calls_free + s.calls_per_s * t + s.calls_per_event * (s.discontinuities + s.knot)
+        if s.source_calls - s.calls_start > most:
+            s.fault = _CRAWLS
     row = carray(doubles_at(s.rows + 8 * s.columns * s.rows_used), (s.columns,))
     at = write_row(s, t, row)
     for i in range(s.nodes):

@@ -354,6 +354,7 @@ def pack(
     # A million is thousands of times what a period needs, ten times more than it was asked for is too.
     fine = min([float(s["h_max"]), *grids])
     s["most_points"] = max(1_000_000, math.ceil(10 * period / fine))
+    s["calls_free"] = math.inf  # `convergence` bounds what may be tried again
     s["delta_min"] = 1e-12 * max(period, scene.duration_s * 1e-3)
     rows = np.zeros((row_capacity, len(columns(circuit, recorded, shafts=scene.effects.shaft))))
     samples = np.zeros((sample_capacity, len(sample_columns(n))))

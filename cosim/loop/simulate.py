@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from cosim.circuits.port import DesignConstants
 from cosim.circuits.probes import external_probes
-from cosim.circuits.spice import Drive, Tolerances, lockstep_deck, saved
+from cosim.circuits.spice import Drive, lockstep_deck, saved
 from cosim.circuits.swing import swings as measured_swings
-from cosim.errors import CosimError, InputError, Problem, SimulationError, StepTooSmall, nearest
+from cosim.errors import CosimError, Crawl, InputError, Problem, SimulationError, StepTooSmall, nearest
 from cosim.loop import lockstep
 from cosim.loop.component_noise import ComponentGrid, component_grid
-from cosim.loop.convergence import Aid, aided, plain_start
+from cosim.loop.convergence import PATIENCE, Aid, aided, bound_work, plain_start
 from cosim.loop.driven import drive
 from cosim.loop.setup import Memory, columns, pack, sample_columns
 from cosim.loop.signals import Layout, write_signals
@@ -46,7 +46,10 @@ _FAULTS = {
     "gains and loop margins), the operator, and the stiffness that the sampling period allows "
     "(cosim stability)",
     Fault.STOPPED: "stopped",
+    Fault.CRAWLS: f"ngspice crawls: Newton's method takes {PATIENCE:g} times the steps that were predicted",
 }
+#: Faults that another error control may get around.
+_KINDS = {Fault.STEP_COLLAPSED: StepTooSmall, Fault.CRAWLS: Crawl}
 #: Frequency of the low-frequency limit of the back-EMF's viscosity: far below L/R, far above leakage.
 _LOW_HZ = 0.1
 #: Streamed while the simulation runs, in the result's temporary folder.
@@ -102,7 +105,7 @@ class Recorder:
             except BaseException as error:
                 raise in_users_words(self.person, error, float(s["t"])) from error
             if s["fault"]:
-                kind = StepTooSmall if s["fault"] == Fault.STEP_COLLAPSED else SimulationError
+                kind = _KINDS.get(int(s["fault"]), SimulationError)
                 raise kind(self._words(s), deck=self.deck, time_s=float(s["t"]))
             self.report({"time_s": float(s["t"]), "points": int(s["points"])})
         except BaseException as error:
@@ -184,8 +187,8 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     Parameters
     ----------
     payload
-        'scene': Scene; 'board': Deck; 'recorded', 'watched': node names; 'tolerances': Tolerances; 'folder':
-        where signals.raw and samples.f64 are written
+        'scene': Scene; 'board': Deck; 'recorded', 'watched': node names; 'tolerances': Tolerances;
+        'predicted_points': of the run; 'folder': where signals.raw and samples.f64 are written
     report
         called with the simulated time and the points so far
 
@@ -198,8 +201,15 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         'said' (what the law printed), 'component_noise' (as `ComponentGrid.about`); signals.raw and
         samples.f64 are in the folder
     """
-    asked: Tolerances = payload["tolerances"]
-    return aided(asked, lambda aid: _simulate(payload, report, aid))
+    attempts = 0
+
+    def attempt(aid: Aid) -> dict[str, Any]:
+        nonlocal attempts
+        attempts += 1
+        number = attempts  # each begins at t = 0
+        return _simulate(payload, lambda p: report({**p, "attempt": number} if "time_s" in p else p), aid)
+
+    return aided(payload["tolerances"], attempt)
 
 
 def _simulate(payload: dict[str, Any], report: Report, aid: Aid) -> dict[str, Any]:
@@ -226,6 +236,9 @@ def _simulate(payload: dict[str, Any], report: Report, aid: Aid) -> dict[str, An
         probes = tuple((simulator.called(name), sign) for name, sign in component.probes)
         component = replace(component, probes=probes)
     memory = pack(scene, constants, circuit, recorded, nodes[len(recorded) :], component=component)
+    if not aid.patient:
+        tolerance = scene.solver.coupling_tolerance_rad
+        bound_work(memory, payload["predicted_points"], scene.duration_s, tolerance)
     swings = {a.out_node: measured[a.path].limit_v for a in board.amplifiers if a.path in measured}
     swings |= {
         a.out_node: simulator.constant(a.swing_param)

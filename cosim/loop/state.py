@@ -143,6 +143,10 @@ STATE = np.dtype(
         ("points_before", "i8"),  # up to the last sample
         ("rejected", "i8"),
         ("source_calls", "i8"),
+        ("calls_start", "i8"),  # of them before the first point: an operating point takes what it takes
+        ("calls_free", "f8"),  # allowed at once, a second, and a jump or knot, before it counts as a crawl
+        ("calls_per_s", "f8"),
+        ("calls_per_event", "f8"),
         ("discontinuities", "i8"),
         ("defect", "f8"),
         ("defect_max", "f8"),
@@ -163,3 +167,4 @@ class Fault:
     SAMPLE_LOST = 4
     RAN_AWAY = 5
     STOPPED = 6
+    CRAWLS = 7

@@ -304,12 +304,14 @@ class _Watch:
         self._start = self._beat = time.monotonic()
         self._limit, self._stall = time_limit_s, stall_limit_s
         self.time_s: float | None = None
+        self._attempt = 1
 
     def beat(self, progress: Mapping[str, Any]) -> None:
-        """Note a report; the same simulated time again is no sign of life."""
+        """Note a report; the same simulated time again is no sign of life, except in a further attempt."""
         time_s = progress.get("time_s")
         if time_s is not None:
-            if self.time_s is not None and time_s <= self.time_s:
+            again, self._attempt = self._attempt, progress.get("attempt", 1)
+            if again == self._attempt and self.time_s is not None and time_s <= self.time_s:
                 return
             self.time_s = float(time_s)
         self._beat = time.monotonic()
