@@ -170,7 +170,7 @@ class Run:
             When the folder holds no result, or a damaged one.
         """
         place = Path(folder)
-        if not (place / RECORD).is_file():
+        if not os.path.isfile(place / RECORD):
             fail("is not a result folder: it holds no run.json", file=str(place))
         record = read_sealed(place / RECORD, _FORMAT_VERSION)
         if any(not isinstance(record.get(name), kind) for name, kind in _CONTENT.items()):

@@ -6,6 +6,7 @@ signature: whoever writes a result can seal what they like.
 
 import hashlib
 import json
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NoReturn
@@ -32,14 +33,14 @@ _MANIFEST_FORM = 1
 
 def file_sums(folder: Path, names: Iterable[str]) -> dict[str, str]:
     """Return the SHA-256 of those of the files that are in `folder`."""
-    return {name: _sum(folder / name) for name in names if (folder / name).is_file()}
+    return {name: _sum(folder / name) for name in names if os.path.isfile(folder / name)}
 
 
 def check_files(folder: Path, sums: Mapping[str, str]) -> None:
     """Raise an `InputError` for the first file that is missing or not what `sums` says."""
     for name, expected in sums.items():
         file = folder / name
-        if Path(name).name != name or not file.is_file():
+        if Path(name).name != name or not os.path.isfile(file):
             fail("is missing: the result is not whole", file=str(file))
         if _sum(file) != expected:
             fail("is damaged: its content is not what the run has written", file=str(file))
@@ -50,7 +51,7 @@ def intact(folder: Path, sums: Mapping[str, str]) -> set[str]:
     return {
         name
         for name, expected in sums.items()
-        if (folder / name).is_file() and _sum(folder / name) == expected
+        if os.path.isfile(folder / name) and _sum(folder / name) == expected
     }
 
 

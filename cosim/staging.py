@@ -42,14 +42,14 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     target = Path(os.path.realpath(path))
     with disk_errors(path):
-        if target.exists() and not target.is_file():
+        if os.path.exists(target) and not os.path.isfile(target):
             fail("is not a regular file", file=os.fspath(path))
         _sweep(target)
         handle, name = tempfile.mkstemp(prefix=_prefix(target), suffix=target.suffix, dir=target.parent)
         os.close(handle)
         temporary = Path(name)
         try:
-            temporary.chmod(target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask())
+            temporary.chmod(target.stat().st_mode & 0o777 if os.path.exists(target) else 0o666 & ~_umask())
             yield temporary
             temporary.replace(target)
         except BaseException:
@@ -79,11 +79,11 @@ def own_file(path: str | os.PathLike[str], ours: Callable[[str], bool]) -> None:
     """
     file = Path(path)
     writable_folder(file.parent)
-    if not file.parent.is_dir():
+    if not os.path.isdir(file.parent):
         fail("is no place for a file: there is no such folder", file=os.fspath(file.parent))
     if not os.path.lexists(file):
         return
-    if not file.is_file():
+    if not os.path.isfile(file):
         fail("is no place for a file: it is something else", file=os.fspath(path))
     with disk_errors(path), file.open("rb") as stream:
         head = stream.read(4096).decode("utf-8", "replace")
@@ -103,7 +103,7 @@ def writable_folder(path: str | os.PathLike[str]) -> None:
     place = Path(os.path.abspath(path))
     while not os.path.lexists(place):
         place = place.parent
-    if not place.is_dir():
+    if not os.path.isdir(place):
         fail("exists and is not a folder", file=str(place))
     with disk_errors(path):
         handle, name = tempfile.mkstemp(prefix=_prefix(place), dir=place)
@@ -150,7 +150,7 @@ def _sweep_killed(place: Path, before: str, ending: str = "") -> None:
         match = form.fullmatch(entry.name)
         if match is None or entry.is_symlink() or _lives(int(match[1])):
             continue
-        if entry.is_dir():
+        if os.path.isdir(entry):
             shutil.rmtree(entry, ignore_errors=True)
         else:
             with suppress(PermissionError):  # another user's, in a folder for everybody
@@ -162,7 +162,7 @@ def _files(folder: Path) -> set[str]:
     return {
         path.relative_to(folder).as_posix()
         for path in folder.rglob("*")
-        if path.is_symlink() or not path.is_dir()
+        if path.is_symlink() or not os.path.isdir(path)
     }
 
 
@@ -223,7 +223,7 @@ class Staging:
         with disk_errors(self.target):
             if not os.path.lexists(self.target):
                 return
-            if not self.target.is_dir():
+            if not os.path.isdir(self.target):
                 fail("exists and is not a folder", file=str(self.target))
             if not any(self.target.iterdir()):
                 return
@@ -268,7 +268,7 @@ class Staging:
             pass
         for name in self._ours(old):
             (old / name).unlink(missing_ok=True)
-        for folder in sorted((path for path in old.rglob("*") if path.is_dir()), reverse=True):
+        for folder in sorted((path for path in old.rglob("*") if os.path.isdir(path)), reverse=True):
             with suppress(OSError):
                 folder.rmdir()
         try:

@@ -1,6 +1,7 @@
 """``cosim report``: one self-contained page about results, or about studies that it runs first."""
 
 import argparse
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -98,7 +99,8 @@ def study_files(given: list[Path]) -> list[Path]:
 
     found: list[Path] = []
     for path in given:
-        inside = [path] if is_study(path) else sorted(filter(is_study, path.glob("*.toml")))
+        listed = path.glob("*.toml") if os.path.isdir(path) else ()
+        inside = [path] if is_study(path) else sorted(filter(is_study, listed))
         if found and not inside:
             fail("holds no study file: studies and results need pages of their own", file=str(path))
         found += inside
@@ -115,7 +117,7 @@ def _report_studies(args: argparse.Namespace, files: list[Path]) -> tuple[dict[s
     changes = overrides(args.set)
     specs = [load_study(file, changes) for file in files]  # all are checked before the first runs
     # the claims of a folder are about all of its studies, not about one of them
-    folders = [path for path in map(Path, args.results) if path.is_dir()]
+    folders = [path for path in map(Path, args.results) if os.path.isdir(path)]
     claims = load_claims(folders[0]) if len(folders) == 1 else Claims()
     out = (
         Path(args.out)
@@ -152,7 +154,7 @@ def _report_studies(args: argparse.Namespace, files: list[Path]) -> tuple[dict[s
 
 def result_folders(folder: Path) -> list[Path]:
     """Return the folder itself if it is a result, else the results in it (a ``--set`` run), in order."""
-    if (folder / "run.json").is_file():
+    if os.path.isfile(folder / "run.json") or not os.path.isdir(folder):
         return [folder]
     inside = sorted(
         (path.parent for path in folder.glob("*/run.json")), key=lambda path: path.stat().st_mtime

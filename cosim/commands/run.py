@@ -1,6 +1,7 @@
 """``cosim run``: simulate a scene, or one for each value of ``--set``."""
 
 import argparse
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -95,7 +96,7 @@ def _keep_apart(base: Path, *, series: bool) -> None:
     """Refuse a series inside of a single result and a result in place of a series: one would be lost."""
     from cosim.errors import fail
 
-    if series and (base / "run.json").is_file():
+    if series and os.path.isfile(base / "run.json"):
         fail("holds the result of a single run; give the series a folder of its own (--out)", file=str(base))
     inside = sorted(path.parent.name for path in base.glob("*/run.json"))
     if not series and inside:

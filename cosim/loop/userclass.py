@@ -6,6 +6,7 @@ They run in the simulation's process, under all that guards it, and are trusted 
 from __future__ import annotations
 
 import io
+import os
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
@@ -74,7 +75,7 @@ def load_class(where: str, scene: Path | None, *, key: str, what: str, method: s
     path = Path(file) if scene is None else scene.parent / file
     if not file or not name:
         raise refuse(f"{what} is named as 'file.py:Class'")
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise refuse(f"there is no file {path}")
     try:
         with said.listening():

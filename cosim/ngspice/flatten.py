@@ -1,5 +1,6 @@
 """From files that include files to one list of lines."""
 
+import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -27,7 +28,7 @@ def including(folders: Iterable[str | Path]) -> Iterator[None]:
         For what is not a folder.
     """
     paths = tuple(Path(folder) for folder in folders)
-    missing = [path for path in paths if not path.is_dir()]
+    missing = [path for path in paths if not os.path.isdir(path)]
     if missing:
         raise InputError(Problem("is not a folder", key="--include", value=str(path)) for path in missing)
     before = _granted.set(paths)
@@ -156,8 +157,8 @@ class Reader:
         if not fault and not self.trust and not inside:
             lifted = f"--include {target.parent} or --trust allows it"
             fault = f"include leaves the project's folder {self.root} ({lifted})"
-        elif not fault and not target.is_file():
-            there = [entry.name for entry in target.parent.iterdir()] if target.parent.is_dir() else []
+        elif not fault and not os.path.isfile(target):
+            there = [entry.name for entry in target.parent.iterdir()] if os.path.isdir(target.parent) else []
             near = nearest(target.name, there)
             fault = f"there is no file {target}" + (f"; nearest is {near}" if near else "")
         elif (target.resolve(), section) in stack:

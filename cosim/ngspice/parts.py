@@ -1,5 +1,6 @@
 """Parts by name or role: which file, which level, and which other part stands in for it."""
 
+import os
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -155,7 +156,7 @@ class Shelf:
         if name == "driver":
             kind = self.levels.get("driver", "voltage")
             block = self.folder / "blocks" / f"driver_{kind}.cir"
-            if not block.is_file():
+            if not os.path.isfile(block):
                 kinds = [
                     found.stem.partition("_")[2] for found in (self.folder / "blocks").glob("driver_*.cir")
                 ]

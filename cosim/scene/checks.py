@@ -6,9 +6,9 @@ single-key and cross-key problems together.
 """
 
 import math
+import os
 from collections.abc import Callable, Iterator
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 from cosim.errors import Problem
@@ -312,7 +312,7 @@ def _times_increase(key: str) -> Check:
 def _file_exists(key: str) -> Check:
     def check(get: Get) -> Iterator[Problem]:
         value = get(key)
-        if value is not None and not Path(value).is_file():
+        if value is not None and not os.path.isfile(value):
             yield Problem("no such file", key=key, value=str(value))
 
     return check
@@ -328,7 +328,7 @@ def _class_in_file(key: str, needed: Callable[[Get], bool]) -> Check:
             yield Problem(
                 "must name a Python file and a class in it", key=key, value=value, allowed='"file.py:Class"'
             )
-        elif not Path(path).is_file():
+        elif not os.path.isfile(path):
             yield Problem("no such file", key=key, value=path)
 
     return check

@@ -66,7 +66,7 @@ class Scene(SceneTables):
         own = (name for name in self.measures.names if ":" in name)
         for where in (self.computer.law, getattr(self.operator, "file", None), *own):
             path = Path(str(where).rpartition(":")[0]) if where else None
-            found.update(path.read_bytes() if path is not None and path.is_file() else b"")
+            found.update(path.read_bytes() if path is not None and os.path.isfile(path) else b"")
             found.update(b"\0")
         return found.hexdigest()
 

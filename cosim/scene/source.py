@@ -63,7 +63,7 @@ def read_layers(path: Path) -> list[Layer]:
     if not isinstance(parent, str):
         fail("must be the path of a scene file", file=layer.name, key="extends", value=parent, line=line)
     base_path = Path(os.path.abspath(path.parent / parent))
-    if not base_path.is_file():
+    if not os.path.isfile(base_path):
         fail("no such scene file", file=layer.name, key="extends", value=parent, line=line)
     base = read_layer(base_path)
     if "extends" in base.data:

@@ -5,6 +5,7 @@ The file names the page and lists the claims in their order, so that one that no
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -47,7 +48,7 @@ def load_claims(folder: Path) -> Claims:
         With every problem of the file; an id that stands twice is one.
     """
     file = folder / FILE
-    if not file.is_file():
+    if not os.path.isfile(file):
         return Claims()
     found, problems = read_parameters(_Listed, read_layer(file).data)
     if found is None:

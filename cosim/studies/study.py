@@ -176,7 +176,7 @@ def _sources() -> str:
 
 def is_study(path: Path) -> bool:
     """Whether a file is a study file: TOML with a key ``study``."""
-    return path.suffix == ".toml" and path.is_file() and "study" in read_layer(path).data
+    return path.suffix == ".toml" and os.path.isfile(path) and "study" in read_layer(path).data
 
 
 def study_named(name: str) -> Study:
@@ -236,7 +236,7 @@ def load_study(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
             for p in refused
         )
     scene_file = Path(os.path.abspath(file.parent / data["scene"]))
-    if not scene_file.is_file():
+    if not os.path.isfile(scene_file):
         raise InputError(at("no such scene file", "scene", data["scene"]))
     return StudyFile(file, study, data["title"], scene_file, (*changes, *overrides), parameters)
 
@@ -298,7 +298,7 @@ def table_text(table: Table) -> str:
 def _load(folder: Path) -> StudyResult | None:
     """Return the stored result; None when there is none."""
     file = folder / RECORD
-    if not file.is_file():
+    if not os.path.isfile(file):
         return None
     data = read_sealed(file, _FORMAT_VERSION)
     del data["format"]
