@@ -71,6 +71,8 @@ class Library:
         self.exited = False
         self.loaded = False
         self.end_s = math.inf  # of the transient analysis that runs
+        self._stop_waits = False  # for the next step: ngspice 47 takes no command while it tells its words
+        self._compiled_steps = False
         self.restore: Callable[[str], str] = str
         self.on_time: Callable[[float], None] | None = None
         self.init: Init | None = None
@@ -170,6 +172,7 @@ class Library:
         return self._kept[-1]
 
     def _sync(self, sync: int | Sync | None) -> Any:
+        self._compiled_steps = sync is not None and not callable(sync)
         if sync is None:
             return self._no_sync
         if not callable(sync):
@@ -197,6 +200,9 @@ class Library:
         With a step callback attached, ngspice 44 cuts such a step to 1.1 of its least step short of the end,
         and then stops with "timestep too small", since nothing is left. A step to the very end is not cut.
         """
+        if self._stop_waits:
+            self._stop_waits = False
+            self.stop()
         if time < self.end_s < time + delta[0]:
             left = self.end_s - time
             while time + left > self.end_s:  # the sum is rounded
@@ -217,7 +223,9 @@ class Library:
                     self.on_time(float(reference[1]))
             except BaseException as error:
                 self.failure = self.failure or error
-                self.stop()
+                self._stop_waits = not self._compiled_steps
+                if self._compiled_steps:
+                    self.stop()
             return 0
         text = self.restore(text)
         if text in self.lines[-2:]:  # a failing B-source repeats itself thousands of times
