@@ -174,6 +174,8 @@ def plain_start(
     rows = ["cosim start", *(line.text for line in board.lines[1:]), *testbench(board, circuit, sources)]
     rows += [aid.tolerances.line(), *aid.lines, ".end"]
     simulator.load("\n".join(rows) + "\n", lines=board.lines, name=str(board.path))
+    # the board's probes may be external, for noise that begins at zero: ngspice 47 asks for them here as well
+    simulator.attach(source=lambda name, t: 0.0)
     simulator.command("op")
     nodes = [name for name in simulator.vector_names() if "#" not in name]
     found = {name: float(np.real(simulator.vector(name)[0])) for name in nodes}

@@ -131,7 +131,8 @@ def load_problems(said: Sequence[str], rows: Sequence[str], lines: Sequence[Line
     words = [line.strip() for line in said if worth_quoting("stderr " + line) and line.strip()]
     words = list(dict.fromkeys(words))
     number = next((int(match[1]) for line in said if (match := _NUMBERED.search(line))), None)
-    index = number - 1 if number is not None and 0 < number <= len(rows) else _find(words, rows)
+    named = any(_PARAMETER.search(word) for word in words)  # surer than 47's number of a line, one of its own
+    index = number - 1 if number is not None and 0 < number <= len(rows) and not named else _find(words, rows)
     message = (
         "ngspice does not accept the netlist: " + "; ".join(words[:6])
         if words
