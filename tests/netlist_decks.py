@@ -33,10 +33,17 @@ def measures(printed: str) -> dict[str, float]:
     return {name: float(value) for name, value in _MEASURE.findall(printed)}
 
 
+def _beside(folder: Path) -> None:
+    """Put the netlists beside a deck: ngspice takes no path with a blank in ``.lib``, quoted or not."""
+    if not folder.is_relative_to(NETLISTS) and not (folder / "netlists").exists():
+        (folder / "netlists").symlink_to(NETLISTS)
+
+
 def run_program(deck: Path) -> str:
     """Run a deck with ``ngspice -b`` from its own folder and return all it prints."""
     if shutil.which("ngspice") is None:
         pytest.skip("the ngspice program is not installed")
+    _beside(deck.parent)
     done = subprocess.run(
         ["ngspice", "-b", deck.name], cwd=deck.parent, capture_output=True, text=True, timeout=60, check=False
     )
@@ -48,6 +55,7 @@ def run_program(deck: Path) -> str:
 
 def run_library(deck: Path, *arguments: str) -> str:
     """Run a deck with libngspice in a process of its own, from the deck's folder."""
+    _beside(deck.parent)
     done = subprocess.run(
         [sys.executable, "-c", _LIBRARY, *arguments],
         input=deck.read_text(),
@@ -79,7 +87,7 @@ def libraries(level: str = "ideal", motor: str = "ideal", potentiometer: str = "
     """Return ``.lib`` lines for all parts; `levels` names parts that differ from `level`."""
     chosen = {"tl072": level, "ad633": level, "opa548": level, "motor": motor, "potentiometer": potentiometer}
     chosen.update(levels)
-    return "".join(f".lib '{NETLISTS}/parts/{part}.lib' {of}\n" for part, of in chosen.items())
+    return "".join(f".lib 'netlists/parts/{part}.lib' {of}\n" for part, of in chosen.items())
 
 
 def board_deck(
@@ -95,7 +103,7 @@ def board_deck(
     **levels: str,
 ) -> Path:
     """Write a deck with one board `xboard`, a source ``V<pin>`` at each input (0 unless told) and `body`."""
-    board = board_text(joints).replace(".include 'blocks", f".include '{NETLISTS}/blocks")
+    board = board_text(joints).replace(".include 'blocks", ".include 'netlists/blocks")
     given = dict(sources or {})
     inputs = [pin for pin in pin_names(joints) if not pin.startswith(("imot", "vcc", "vee"))]
     assert set(given) <= set(inputs), "unknown pin"
@@ -103,7 +111,7 @@ def board_deck(
     deck.write_text(
         "a board and its sources\n"
         + board
-        + f".include '{NETLISTS}/blocks/driver_{driver}.cir'\n"
+        + f".include 'netlists/blocks/driver_{driver}.cir'\n"
         + libraries(level, motor, potentiometer, **levels)
         + "".join(f"V{pin} {pin} 0 {given.get(pin, '0')}\n" for pin in inputs)
         + "Vcc vcc 0 15\nVee vee 0 -15\n"

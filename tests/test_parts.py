@@ -36,7 +36,7 @@ def test_parts_say_their_role_and_have_all_levels(part: str) -> None:
 def part_deck(folder: Path, part: str, level: str, circuit: str) -> dict[str, float]:
     deck = folder / "part.cir"
     rails = "Vcc vcc 0 15\nVee vee 0 -15\n"
-    deck.write_text(f"a part alone\n.lib '{NETLISTS}/parts/{part}.lib' {level}\n{rails}{circuit}\n.end\n")
+    deck.write_text(f"a part alone\n.lib 'netlists/parts/{part}.lib' {level}\n{rails}{circuit}\n.end\n")
     return measures(run_program(deck))
 
 
@@ -89,7 +89,7 @@ def test_op_amp_noise_is_its_data_sheet_density(tmp_path: Path) -> None:
     for part in ("tl072", "ua741", "opa2134", "opa548"):
         deck = tmp_path / "noise.cir"
         deck.write_text(
-            f"noise of a follower\n.lib '{NETLISTS}/parts/{part}.lib' full\nVcc vcc 0 15\nVee vee 0 -15\n"
+            f"noise of a follower\n.lib 'netlists/parts/{part}.lib' full\nVcc vcc 0 15\nVee vee 0 -15\n"
             f"Vin in 0 dc 0 ac 1\nx1 in out vcc vee out {part}\n"
             ".noise v(out) Vin lin 2 1k 2k\n.print noise all\n.end\n"
         )

@@ -31,6 +31,7 @@ from cosim.settings import parse_settings, variants
 from cosim.studies.points import Points
 from cosim.studies.study import load_study
 from cosim.studies.sweep import parse_range
+from cosim.terminal import printable
 
 from .inputs import TOKENS, damaged, mutated, numbers, scene_keys, values
 
@@ -89,7 +90,7 @@ def exercise(target: Target, seed: int, cases: int, home: Path) -> Outcome:
             counts["accepted"] += 1
         except CosimError as error:
             counts["refused"] += 1
-            check_words(str(error))
+            check_words(printable(str(error)))
         slowest = max(slowest, time.perf_counter() - begun)
 
     once()
