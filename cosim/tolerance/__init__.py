@@ -1,0 +1,1 @@
+"""Tolerances: what the devices that are built from one design will do."""
