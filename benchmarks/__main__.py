@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cosim.compiled import cache_folder
+from cosim.numba_cache import cache_folder
 
 if TYPE_CHECKING:
     from benchmarks.figure import Figure

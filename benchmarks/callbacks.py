@@ -22,9 +22,9 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from benchmarks.rig import lockstep
-from cosim.loop import simulate as simulation
-from cosim.loop.native import doubles_at, vector_value
+from cosim.loop.numba_calls import doubles_at, vector_value
 from cosim.loop.setup import Memory, pack
+from cosim.loop.spice import run_spice as simulation
 from cosim.ngspice.simulator import Simulator
 from cosim.plan import Plan
 

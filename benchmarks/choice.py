@@ -10,11 +10,11 @@ from pathlib import Path
 
 from benchmarks.figure import Figure, figure
 from benchmarks.rig import ROOT
+from cosim.comparisons.choose_effects import choose
+from cosim.comparisons.effect_candidates import Candidates
 from cosim.measures import tolerances
 from cosim.ngspice.child import Child
-from cosim.run import run
-from cosim.studies.auto import choose
-from cosim.studies.candidates import Candidates
+from cosim.runner import run
 
 #: The scenes, with what each of them decides itself: how the arm lies, who holds it, whether its
 #: potentiometer is noisy.

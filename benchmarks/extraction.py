@@ -15,11 +15,11 @@ import numpy as np
 
 from benchmarks.figure import Figure, figure, interleaved
 from benchmarks.rig import slope
-from cosim.circuits.alter import altered
-from cosim.circuits.extraction import extract
-from cosim.circuits.linear import LinearCircuit
-from cosim.circuits.reextraction import Reextraction
-from cosim.circuits.spice import Drive, testbench
+from cosim.circuits.decks import Drive, testbench
+from cosim.circuits.extraction.alter import altered
+from cosim.circuits.extraction.extract import extract
+from cosim.circuits.extraction.reextract import Reextraction
+from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.ngspice.child import Child
 from cosim.ngspice.deck import Deck
 from cosim.plan import Plan

@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from benchmarks import monolithic
 from benchmarks.figure import Figure, figure, interleaved
 from benchmarks.rig import ROOT, SMOOTH, Outcome, at, instants, lockstep, retold, tight
-from cosim.circuits.extraction import extract
-from cosim.circuits.linear import LinearCircuit
-from cosim.circuits.port import DesignConstants
-from cosim.loop import propagation
-from cosim.loop.lockstep import begin
-from cosim.loop.propagate_run import Propagation, prepare, rest
+from cosim.circuits.design_constants import DesignConstants
+from cosim.circuits.extraction.extract import extract
+from cosim.circuits.linear_circuit import LinearCircuit
+from cosim.loop.linear import stepper
+from cosim.loop.linear.run_linear import Propagation, prepare, rest
 from cosim.loop.setup import columns
+from cosim.loop.spice.coupling import begin
 from cosim.ngspice.child import Child
 from cosim.plan import Plan, resolve
 from cosim.scene import load_scene
@@ -106,7 +106,7 @@ def loop_wall(run: Propagation) -> float:
     begin(state)
     run.bench.states[:] = rest(run.circuit, state)
     begun = time.perf_counter()
-    propagation.run(run.tables, run.first_s)
+    stepper.run(run.tables, run.first_s)
     return time.perf_counter() - begun
 
 

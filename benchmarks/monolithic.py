@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from benchmarks.callbacks import END, NO_DATA, NO_SYNC
 from benchmarks.rig import Outcome, Signals, bare_run
-from cosim.circuits.port import DesignConstants
-from cosim.circuits.spice import SUPPLY_V
+from cosim.circuits.decks import SUPPLY_V
+from cosim.circuits.design_constants import DesignConstants
 from cosim.export.mechanics import mechanics
-from cosim.loop.driven import channels
+from cosim.loop.dac_channels import channels
 from cosim.loop.setup import mechanism, operator, start
 from cosim.ngspice.simulator import Simulator
 from cosim.plan import Plan

@@ -15,10 +15,10 @@ import numpy as np
 from PySpice.Spice.NgSpice.Shared import NgSpiceShared, ffi
 
 from benchmarks.rig import Outcome, Signals
-from cosim.circuits.port import DesignConstants
-from cosim.circuits.spice import lockstep_deck, saved
+from cosim.circuits.decks import lockstep_deck, saved
+from cosim.circuits.design_constants import DesignConstants
 from cosim.loop.computer import law, read_encoders, to_volts
-from cosim.loop.driven import channels
+from cosim.loop.dac_channels import channels
 from cosim.loop.setup import pack
 from cosim.plan import Plan
 from mech.kernels import dynamics

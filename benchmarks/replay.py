@@ -16,8 +16,8 @@ from numba import carray, cfunc, njit, types
 from numpy.typing import NDArray
 
 from benchmarks.rig import Outcome, Signals, bare_run
-from cosim.circuits.spice import Drive, lockstep_deck, saved
-from cosim.loop.native import call_with_time, doubles_at, vector_value
+from cosim.circuits.decks import Drive, lockstep_deck, saved
+from cosim.loop.numba_calls import call_with_time, doubles_at, vector_value
 from cosim.loop.setup import FIRST_STEP_SHARE
 from cosim.ngspice.simulator import Simulator
 from cosim.plan import Plan

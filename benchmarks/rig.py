@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.circuits.port import DesignConstants
-from cosim.circuits.spice import Tolerances, lockstep_deck
-from cosim.loop.simulate import simulate
+from cosim.circuits.decks import Tolerances, lockstep_deck
+from cosim.circuits.design_constants import DesignConstants
+from cosim.loop.spice.run_spice import simulate
 from cosim.ngspice.simulator import Simulator
 from cosim.plan import Plan, resolve
 from cosim.rawfile import read_raw

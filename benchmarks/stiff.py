@@ -22,9 +22,9 @@ from scipy.linalg import expm
 from benchmarks.figure import Figure, figure, interleaved
 from benchmarks.models import Prepared, model, packed, scene, signals
 from benchmarks.rig import lockstep, retold
-from cosim.circuits.linear import LinearCircuit
-from cosim.loop import lockstep as loop
-from cosim.loop.propagate_run import Propagation, prepare, rest
+from cosim.circuits.linear_circuit import LinearCircuit
+from cosim.loop.linear.run_linear import Propagation, prepare, rest
+from cosim.loop.spice import coupling as loop
 from cosim.ngspice.child import Child
 from mech.kernels import dynamics
 

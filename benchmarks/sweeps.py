@@ -22,12 +22,12 @@ from benchmarks import monolithic
 from benchmarks.figure import Figure, figure
 from benchmarks.models import ACCURACY, Report, model, packed, signals, tip_errors
 from benchmarks.rig import ROOT, SMOOTH, Outcome, instants, lockstep, retold, tight
+from cosim.analysis.extracted import circuit_of
+from cosim.analysis.stability import border, held, touching, with_computer
+from cosim.analysis.stiffness_map import Axis, border_map
 from cosim.ngspice.child import Child
 from cosim.plan import resolve
-from cosim.studies.border_map import Axis, border_map
-from cosim.studies.drop import Job, jobs, scan
-from cosim.studies.model import circuit_of
-from cosim.studies.stability import border, held, touching, with_computer
+from cosim.studies.drop_test import Job, jobs, scan
 from cosim.studies.study import StudyFile, load_study
 
 FIG13 = ROOT / "scenes" / "paper" / "1_fig13.toml"

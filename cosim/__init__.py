@@ -2,7 +2,7 @@
 
 import os
 
-from cosim.compiled import LOCATORS, cache_folder
+from cosim.numba_cache import LOCATORS, cache_folder
 
 __version__ = "0.1.0"
 

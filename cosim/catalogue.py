@@ -2,7 +2,7 @@
 
 A scene's `[measures]` and `[tolerance]`, ``--measure`` of every command, tables and pages know a measure by
 its name here. Those that need a run come from `cosim.measures`, the others from
-`cosim.studies.board_measures`, which simulates nothing.
+`cosim.comparisons.board_measures`, which simulates nothing.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""numba's cache of our compiled code, kept where `cosim.compiled` says and believed only where it is whole.
+"""numba's cache of our compiled code, kept where `numba_cache` says, believed only where it is whole.
 
 Every file carries a check sum: one that is empty, cut or flipped is compiled anew, where numba would raise an
 error or run it. numba imports this module by the name in ``NUMBA_CACHE_LOCATOR_CLASSES`` when it is about to
@@ -12,7 +12,7 @@ from typing import Any, Self
 
 from numba.core import caching
 
-from cosim.compiled import ROOT, cache_folder, code_folder
+from cosim.numba_cache import ROOT, cache_folder, code_folder
 
 __all__ = ["SourceTreeLocator"]
 

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.caution import Caution
-from cosim.circuits.aaa import poles_of
-from cosim.circuits.encirclements import pivots, winding
-from cosim.circuits.motor_response import MotorResponse
+from cosim.circuits.extraction.motor_response import MotorResponse
+from cosim.circuits.fitting.aaa import poles_of
+from cosim.circuits.instability.encirclements import pivots, winding
 
 __all__ = ["growing", "hidden"]
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from cosim import effects
 from cosim.caution import Caution
-from cosim.circuits import motor_response
-from cosim.circuits.port import DesignConstants
-from cosim.circuits.spice import SUPPLY_V
-from cosim.circuits.stability_verdict import Question, Verdict, keep, known
+from cosim.circuits.decks import SUPPLY_V
+from cosim.circuits.design_constants import DesignConstants
+from cosim.circuits.extraction import motor_response
+from cosim.circuits.instability.stability_verdict import Question, Verdict, keep, known
 from cosim.coupled import growing, hidden
 from cosim.loop.setup import mechanism, operator, start
 from cosim.ngspice.child import TIME_LIMIT_S, Child, call
@@ -104,7 +104,7 @@ def verdict(
     found = known(asked)
     if found is None:
         found = call(
-            "cosim.circuits.instability:judge",
+            "cosim.circuits.instability.search:judge",
             {"question": asked},
             time_limit_s=time_limit_s,
             deck=str(path),
@@ -121,7 +121,7 @@ def coupled(plan: Plan, child: Child | None = None) -> list[Caution]:
     response = motor_response.known(board)
     if response is None:
         response = call(
-            "cosim.circuits.motor_response:measure", {"board": board},
+            "cosim.circuits.extraction.motor_response:measure", {"board": board},
             time_limit_s=scene.solver.time_limit_s, deck=str(plan.board.path), child=child,
         )  # fmt: skip
         motor_response.keep(board, response)
@@ -166,7 +166,7 @@ def latched(
     if not stuck or end["speed_rad_per_s"] > _REST_RAD_PER_S:
         return []
     asked: list[float] = call(
-        "cosim.circuits.instability:at_rest",
+        "cosim.circuits.instability.search:at_rest",
         {"board": _finite(plan, vendors=False), "pins": end["pins"], "nodes": list(stuck)},
         time_limit_s=plan.scene.solver.time_limit_s,
         deck=str(plan.board.path),

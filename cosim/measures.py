@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.catalogue import MEASURES, NAMES, UNITS
-from cosim.circuits.port import DesignConstants
+from cosim.circuits.design_constants import DesignConstants
 from cosim.errors import InputError, Problem, nearest
-from cosim.loop.driven import channels
+from cosim.loop.dac_channels import channels
 from cosim.scene import PotNoise, Scene
 from cosim.traces import Trace, changes, together
 

@@ -10,13 +10,13 @@ from typing import Any
 from cosim import effects, plausibility
 from cosim.caution import Caution, collected, warn
 from cosim.circuits import cache
-from cosim.circuits.port import Stated
-from cosim.circuits.spice import MOST_NODES, Drive, Tolerances
-from cosim.circuits.stated import kept
+from cosim.circuits.decks import MOST_NODES, Drive, Tolerances
+from cosim.circuits.design_constants import Stated
+from cosim.circuits.extraction.design_numbers import kept
+from cosim.effects.idle_keys import stated_in_vain
 from cosim.effects.prediction import predict
-from cosim.effects.unused import stated_in_vain
 from cosim.errors import InputError, Problem
-from cosim.loop.driven import drive
+from cosim.loop.dac_channels import drive
 from cosim.measures import check_names, tolerances
 from cosim.ngspice.child import Child, call
 from cosim.ngspice.deck import Deck, load_deck
@@ -65,7 +65,7 @@ class Plan:
             known = kept(self.board)
             if known is None:
                 known = call(
-                    "cosim.circuits.stated:read",
+                    "cosim.circuits.extraction.design_numbers:read",
                     {"board": self.board},
                     time_limit_s=self.scene.solver.time_limit_s,
                     deck=str(self.board.path),
@@ -82,7 +82,7 @@ class Plan:
         """Extract the model `ideal` or `linear`, which tells its order; from the cache where it is there."""
         if self.model != "spice":
             call(
-                "cosim.circuits.extraction:extract",
+                "cosim.circuits.extraction.extract:extract",
                 self._asked_of_board(),
                 time_limit_s=self.scene.solver.time_limit_s,
                 deck=str(self.board.path),

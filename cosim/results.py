@@ -5,7 +5,7 @@ A result folder holds
 * ``signals.raw``: every recorded point, ngspice's binary raw format;
 * ``signals.parquet`` and, on request, ``signals.csv``: the same for other tools;
 * ``samples.csv``: one row for each sample of the computer;
-* ``board.json``: the board that ran, flat, for comparisons with later ones (written by `cosim.run`);
+* ``board.json``: the board that ran, flat, for comparisons with later ones (written by `cosim.runner`);
 * ``scene.toml``: the resolved scene, every key stated, to be run again;
 * ``run.json``: resolved scene, plan, events, measures, energy ledger, statistics, provenance.
 """

@@ -4,9 +4,9 @@ Importing it costs numpy only; the compiled kernels (`mech.kernels`) load numba 
 """
 
 from mech.chain import Chain
-from mech.checks import ParameterError
 from mech.linkage import Linkage
 from mech.operator import Hand, NoOperator, Operator, PointMass, UserOperator, load_user
+from mech.parameter_checks import ParameterError
 from mech.slider import Slider
 
 __all__ = [

@@ -7,8 +7,8 @@ from typing import Any, final
 
 import numpy as np
 
-from mech.checks import Checker, ParameterError, Refusal
 from mech.linkage import Array, Linkage, PerJoint
+from mech.parameter_checks import Checker, ParameterError, Refusal
 from mech.records import NMAX
 
 __all__ = ["Chain"]

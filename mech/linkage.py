@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mech.checks import Checker, ParameterError, Refusal, vector
 from mech.operator import NoOperator, Operator
+from mech.parameter_checks import Checker, ParameterError, Refusal, vector
 from mech.records import LINKAGE, NMAX, new_work
 
 __all__ = ["Array", "Linkage", "PerJoint"]
@@ -46,7 +46,7 @@ class Linkage(ABC):
         Motor turns a joint turn.
     viscous_n_m_s, coulomb_n_m
         Friction at the joints. Coulomb friction is coulomb tanh(v / coulomb_speed), or holds and slips at
-        located instants where the integrator can (`mech.held`).
+        located instants where the integrator can (`mech.stiction`).
     coulomb_speed_rad_per_s
         Width of that step.
     stops_rad

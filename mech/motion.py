@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mech.checks import Checker, vector
 from mech.linkage import Linkage
 from mech.operator import NoOperator, Operator
+from mech.parameter_checks import Checker, vector
 from mech.records import new_work
 
 __all__ = ["WORKS", "Motion", "free_motion"]

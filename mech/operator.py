@@ -15,7 +15,7 @@ from typing import Any, final
 
 import numpy as np
 
-from mech.checks import Checker, ParameterError, Refusal
+from mech.parameter_checks import Checker, ParameterError, Refusal
 from mech.records import KNOTS, OPERATOR, OperatorKind
 from mech.userfile import load_file
 

@@ -4,7 +4,7 @@
 """
 
 from reports.page import write_report
-from reports.source import RunLike
 from reports.tables import Trial, compare_table
+from reports.view import RunLike
 
 __all__ = ["RunLike", "Trial", "compare_table", "write_report"]

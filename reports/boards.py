@@ -18,8 +18,8 @@ from reports.style import FAINT, JOINTS, Drawn, figure, legend, look
 from reports.tables import Table, Trial, command_line
 
 if TYPE_CHECKING:
-    from cosim.circuits.linear import LinearCircuit
-    from cosim.studies.compare import Row, Side
+    from cosim.circuits.linear_circuit import LinearCircuit
+    from cosim.comparisons.compare_boards import Row, Side
 
 _DASHES = ("-", (0, (5, 2)), (0, (2, 1.5)), (0, (6, 1.5, 1, 1.5)))
 _MARKS = ("o", "x", "+", "d")

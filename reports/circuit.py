@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from cosim.units import quantity
-from reports.source import View
+from reports.formatting import share
 from reports.style import FAINT, INK, JOINTS, LIMIT, Drawn, curve, figure, held, legend, sample_ticks, shade
-from reports.text import share
+from reports.view import View
 
 __all__ = ["currents", "gains", "headroom", "nodes"]
 

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import Any
 
-from reports.source import View
 from reports.style import FAINT, JOINTS, Drawn, curve, figure, legend
 from reports.tables import Trial
+from reports.view import View
 
 __all__ = ["overlay"]
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from cosim.studies.ledger import EffectsLedger
+    from cosim.comparisons.effects_ledger import EffectsLedger
 
 
 def write_effects(ledger: "EffectsLedger", measure: str, folder: Path, title: str = "") -> Path:

@@ -7,7 +7,6 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from cosim.units import scale
-from reports.source import View
 from reports.style import (
     FAINT,
     FORCE,
@@ -21,6 +20,7 @@ from reports.style import (
     sample_ticks,
     shade,
 )
+from reports.view import View
 
 __all__ = ["tangent_normal", "zoom"]
 

@@ -18,9 +18,9 @@ from cosim.caution import Caution, grouped
 from cosim.errors import fail
 from cosim.seal import MANIFEST, listed, write_manifest
 from cosim.staging import disk_errors
-from reports.source import RunLike, View
+from reports.summary import summary, tiles
 from reports.tables import Table, Trial, all_tables, command_line, compare_table
-from reports.words import summary, tiles
+from reports.view import RunLike, View
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,8 +41,8 @@ FIGURES: tuple[tuple[str, str, str, str], ...] = (
     ("gains", "VCA gains", "circuit", "gains"),
     ("headroom", "Headroom of the amplifiers", "circuit", "headroom"),
     ("nodes", "Recorded nodes", "circuit", "nodes"),
-    ("energy", "Energy ledger", "effort", "energy"),
-    ("steps", "Time steps and cost", "effort", "steps"),
+    ("energy", "Energy ledger", "energy_and_cost", "energy"),
+    ("steps", "Time steps and cost", "energy_and_cost", "steps"),
 )
 
 

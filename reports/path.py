@@ -5,8 +5,8 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from reports.decimate import keep_peaks
-from reports.source import View, WallFrame
 from reports.style import FAINT, FORCE, INK, POSITION, WALL, Drawn, figure
+from reports.view import View, WallFrame
 
 __all__ = ["path"]
 

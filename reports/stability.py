@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.circuits.linear import LinearCircuit
-from cosim.circuits.port import DesignConstants
+from cosim.analysis.stability import with_computer
+from cosim.analysis.stiffness_limits import Limits, limits, locus
+from cosim.circuits.design_constants import DesignConstants
+from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.scene import Scene
 from cosim.staging import disk_errors, whole_file
 from cosim.studies.grid import decimal
-from cosim.studies.limits import Limits, limits, locus
-from cosim.studies.stability import with_computer
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -4,14 +4,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cosim.catalogue import UNITS
+from cosim.comparisons.sweep import unit_of
 from cosim.ngspice.lines import number
 from cosim.staging import whole_file
-from cosim.studies.sweep import unit_of
 from cosim.units import heading, scale
 from reports.style import JOINTS, Drawn, figure, legend, look
 
 if TYPE_CHECKING:
-    from cosim.studies.sweep import Sweep
+    from cosim.comparisons.sweep import Sweep
 
 _DASHES = ("-", (0, (5, 2)), (0, (2, 1.5)), (0, (6, 1.5, 1, 1.5)), (0, (1, 1)), (0, (8, 2)))
 #: Steps of equal ratio, this far apart at least, ask for a logarithmic axis.

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from cosim.units import quantity
-from reports.source import RunLike, View, plain
-from reports.text import cell, plain_name
+from reports.formatting import cell, plain_name
+from reports.view import RunLike, View, plain
 
 __all__ = ["Table", "Trial", "all_tables", "compare_table", "inputs_table"]
 

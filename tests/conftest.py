@@ -3,7 +3,7 @@
 import os
 import signal
 
-from cosim.compiled import cache_folder
+from cosim.numba_cache import cache_folder
 
 os.environ["NUMBA_CACHE_DIR"] = cache_folder()
 # results carry the date of their run: for tests that compare bytes all have the same

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.circuits.linear import LinearCircuit, channel_names
+from cosim.circuits.linear_circuit import LinearCircuit, channel_names
 from cosim.ngspice.child import Child, call, start_early
 from cosim.ngspice.deck import Deck, load_deck
 from cosim.ngspice.simulator import Simulator
@@ -66,7 +66,7 @@ _child: list[Child] = []
 def in_child(target: str, payload: Mapping[str, Any], on_progress: Callable[..., None] | None = None) -> Any:
     """Call a function in a process that all tests share; a failed call ends it."""
     if not _child:
-        _child.append(start_early("cosim.circuits.extraction"))
+        _child.append(start_early("cosim.circuits.extraction.extract"))
     try:
         return call(target, dict(payload), child=_child[0], time_limit_s=120.0, on_progress=on_progress)
     except Exception:
@@ -77,7 +77,7 @@ def in_child(target: str, payload: Mapping[str, Any], on_progress: Callable[...,
 def extract(deck: Deck, model: str = "linear", **more: Any) -> LinearCircuit:
     """Extract without the cache, unreduced unless asked for."""
     payload = {"board": deck, "model": model, "band_hz": 0.0, "tolerance": 0.0, "cache": False} | more
-    circuit = in_child("cosim.circuits.extraction:extract", payload)
+    circuit = in_child("cosim.circuits.extraction.extract:extract", payload)
     assert isinstance(circuit, LinearCircuit)
     return circuit
 
@@ -149,8 +149,8 @@ def random_board(seed: int) -> Deck:
 
 def networks_and_truth(payload: dict[str, Any], report: Any) -> list[Any]:
     """In a child: networks fitted to the usual sweep, and all paths at other frequencies, for each board."""
-    from cosim.circuits.extraction import SWEEP, networks
-    from cosim.circuits.measure import Session
+    from cosim.circuits.extraction.extract import SWEEP, networks
+    from cosim.circuits.extraction.path_measurement import Session
 
     found = []
     for deck in payload["boards"]:

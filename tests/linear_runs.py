@@ -16,9 +16,9 @@ from support import (
     V_NM,
 )
 
-from cosim.circuits.linear import LinearCircuit
-from cosim.circuits.port import DesignConstants
-from cosim.loop.propagate_run import Propagation, prepare
+from cosim.circuits.design_constants import DesignConstants
+from cosim.circuits.linear_circuit import LinearCircuit
+from cosim.loop.linear.run_linear import Propagation, prepare
 from cosim.loop.setup import columns, sample_columns
 from cosim.scene import Scene
 

@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from cosim.circuits.spice import lockstep_deck
+from cosim.circuits.decks import lockstep_deck
 from cosim.errors import CosimError
-from cosim.loop import simulate as simulation
+from cosim.loop.spice import run_spice as simulation
 from cosim.ngspice.child import Child, start_early
 from cosim.ngspice.simulator import Simulator
 from cosim.plan import resolve
 from cosim.results import Run
-from cosim.run import run as run_plan
+from cosim.runner import run as run_plan
 from cosim.scene import Scene, load_scene
 
 Array = NDArray[np.float64]
@@ -105,7 +105,7 @@ _child: list[Child] = []
 def shared_child() -> Child:
     """The simulation's process, shared by all tests of a session; replaced after a run that failed."""
     if not _child:
-        _child.append(start_early("cosim.loop.simulate"))
+        _child.append(start_early("cosim.loop.spice.run_spice"))
     return _child[0]
 
 

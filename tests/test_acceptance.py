@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from support import K_FS, SCENES, SPRING_TRUE
 
+from cosim.analysis.extracted import circuit_of
+from cosim.checkpoint import Points
 from cosim.plan import resolve
-from cosim.studies import acceptance, passive
-from cosim.studies.model import circuit_of
-from cosim.studies.points import Points
+from cosim.studies import equations, paper_passivity
 from cosim.studies.study import load_study
 from mech import Chain
 
@@ -28,12 +28,12 @@ def arm():
 
 def test_the_jacobian_s_error_is_that_of_differences():
     """h^2/6 times a third derivative of at most 0.2 m: 3e-12; rounding of 1e-17 m over 2 h: 1e-12."""
-    assert acceptance.jacobian_error(CHAIN, np.array([0.6, 1.1])) < 1e-11
+    assert equations.jacobian_error(CHAIN, np.array([0.6, 1.1])) < 1e-11
 
 
 def test_gains_are_those_of_the_resistors(arm):
     """Springs: 169k/10k, 10k/24.3k, 20k/10k, 5 Ohm, by hand; what op-amps of gain 1e9 leave out is 1e-7."""
-    found = {name: (wanted, got) for name, _, wanted, got in acceptance.gains(*arm, np.array([0.6, 1.1]))}
+    found = {name: (wanted, got) for name, _, wanted, got in equations.gains(*arm, np.array([0.6, 1.1]))}
     assert len(found) == 12
     w = np.array([[-0.15563073, -0.09916648], [0.06964911, -0.01288445]]).T @ NORMAL  # J^T n of theory
     assert found["ksp12"][0] == pytest.approx(100.0 * w[0] * w[1], rel=1e-6)
@@ -44,12 +44,12 @@ def test_gains_are_those_of_the_resistors(arm):
 
 def test_the_force_is_that_of_kinematics_and_resistors(arm):
     q = np.array([0.6, 1.1])
-    normal, tangent = acceptance.static_force(*arm, q, 0.01)
-    share, half_way = acceptance.linearised(CHAIN, q, NORMAL, 0.01)
+    normal, tangent = equations.static_force(*arm, q, 0.01)
+    share, half_way = equations.linearised(CHAIN, q, NORMAL, 0.01)
     assert normal == pytest.approx(100.0 * 0.01 * (1.0 + share) * SPRING_TRUE / K_FS, rel=1e-5)
     assert abs(tangent) < 1e-12
     # first order in the depth with J of the pose, second order half way
-    there, there_half_way = acceptance.linearised(CHAIN, q, NORMAL, 0.001)
+    there, there_half_way = equations.linearised(CHAIN, q, NORMAL, 0.001)
     assert share / there == pytest.approx(10.0, rel=0.2)
     assert half_way / there_half_way == pytest.approx(100.0, rel=0.2)
 
@@ -61,7 +61,7 @@ def test_the_arm_s_rows_hold_and_a_resistor_breaks_one(change, holds):
     given = spec.parameters
     small = given.model_copy(update={"levels": given.levels[:1], "points": 5})
     with Points(None) as points:
-        result = acceptance.analyse(type(spec)(**{**vars(spec), "parameters": small}), points)
+        result = equations.analyse(type(spec)(**{**vars(spec), "parameters": small}), points)
     said = {}
     for verdict in result.verdicts:
         said.setdefault(verdict.id, verdict.holds)
@@ -79,14 +79,14 @@ def test_the_arm_s_rows_hold_and_a_resistor_breaks_one(change, holds):
     [(1.6625, 0.0, 0.025, 133.0), (1.5, -1.0, 1e-3, 1000.0), (0.1 + 2.0, 0.0, 0.025, 168.0)],
 )
 def test_the_largest_passive_stiffness(damping, wall_damping, period, known):
-    assert passive.largest_passive(damping, wall_damping, period) == pytest.approx(known, rel=1e-9)
+    assert paper_passivity.largest_passive(damping, wall_damping, period) == pytest.approx(known, rel=1e-9)
 
 
 def test_the_slider_s_rows_hold():
     spec = load_study(PAPER / "0_2_passive.toml")
     small = spec.parameters.model_copy(update={"depths_m": (0.01,), "dampers_n_s_per_m": (2.0,)})
     with Points(None) as points:
-        result = passive.analyse(type(spec)(**{**vars(spec), "parameters": small}), points)
+        result = paper_passivity.analyse(type(spec)(**{**vars(spec), "parameters": small}), points)
     assert [(v.id, v.holds) for v in result.verdicts] == [
         ("A5", True), ("A6", True), ("A6", None), ("A7", True)
     ]  # fmt: skip

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cosim.loop.adams import correct, predict
+from cosim.loop.spice.adams import correct, predict
 from cosim.loop.state import STATE
 
 Q0, V0, OLD, H = 0.3, -1.2, 0.7e-3, 1.1e-3

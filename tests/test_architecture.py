@@ -1,48 +1,13 @@
 """A room imports only from floors below it, and only one module touches PySpice or matplotlib."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
+from floors import FLOORS, TOGETHER
 
 ROOT = Path(__file__).resolve().parents[1]
-#: Floor of a module, by the longest prefix that fits (design of the project).
-FLOORS = {
-    "mech": 0,
-    "cosim": 0,
-    "cosim.errors": 0,
-    "cosim.caution": 0,
-    "cosim.assets": 0,
-    "cosim.codecache": 0,
-    "cosim.compiled": 0,
-    "cosim.seal": 0,
-    "cosim.staging": 0,
-    "cosim.terminal": 0,
-    "cosim.units": 0,
-    "cosim.scene": 0,
-    "cosim.ngspice": 0,
-    "cosim.circuits": 1,
-    "cosim.rawfile": 1,
-    "cosim.results": 1,
-    "cosim.loop": 2,
-    "cosim.effects": 2,
-    "cosim.plan": 2,
-    "cosim.judgement": 2,
-    "cosim.coupled": 2,
-    "cosim.catalogue": 0,
-    "cosim.plausibility": 2,
-    "cosim.measures": 2,
-    "cosim.newproject": 2,
-    "cosim.run": 3,
-    "cosim.export": 3,
-    "cosim.check": 3,
-    "cosim.studies": 4,
-    "cosim.tolerance": 4,
-    "reports": 5,
-    "cosim.commands": 6,
-    "cosim.cli": 6,
-    "cosim.__main__": 6,
-}
 
 
 def modules():
@@ -52,8 +17,13 @@ def modules():
             yield name.removesuffix(".__init__"), path
 
 
+@cache
 def imports(name, path):
     """Absolute names of the modules that a file imports, function bodies included."""
+    return tuple(_imports(name, path))
+
+
+def _imports(name, path):
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -86,7 +56,7 @@ def test_imports_point_down(name, path):
         there, other = floor(target)
         if other is None or other == room or (other == "cosim" and target not in NAMES):
             continue
-        same_floor_is_fine = there == here and here in (0, 1, 2, 4, 6) and room.split(".")[0] != "mech"
+        same_floor_is_fine = there == here and here in TOGETHER and room.split(".")[0] != "mech"
         assert there < here or same_floor_is_fine, f"{name} (floor {here}) imports {target} (floor {there})"
 
 
@@ -110,6 +80,15 @@ def test_a_library_has_one_home(library, home):
     for name, path in FOUND:
         if any(target.split(".")[0] == library for target in imports(name, path)):
             assert name == home or name.startswith(home + "."), f"{name} imports {library}"
+
+
+def test_no_module_name_occurs_twice():
+    """A name says what is inside: twice the same says less. Commands have the name of their function."""
+    places = {}
+    for name, _ in FOUND:
+        if name.startswith("cosim.") and not name.startswith("cosim.commands."):
+            places.setdefault(name.rpartition(".")[2], []).append(name)
+    assert not {name: where for name, where in places.items() if len(where) > 1}
 
 
 def test_no_import_cycles():

@@ -9,6 +9,9 @@ import pytest
 from benchmarks.choice import SCENES, compared
 from cosim.assets import netlists_folder, scenes_folder
 from cosim.cli import main
+from cosim.comparisons import choose_effects, measuring
+from cosim.comparisons.choose_effects import choose
+from cosim.comparisons.effect_candidates import Candidates, ladder
 from cosim.effects import EFFECTS
 from cosim.errors import InputError
 from cosim.measures import Tolerance, tolerances
@@ -16,9 +19,6 @@ from cosim.plan import resolve
 from cosim.results import Run, effects_digest
 from cosim.scene import Level, load_scene
 from cosim.scene.schema import CHOICES
-from cosim.studies import auto, measuring
-from cosim.studies.auto import choose
-from cosim.studies.candidates import Candidates, ladder
 
 DROP = scenes_folder() / "drop.toml"
 BOARD = netlists_folder() / "board1.cir"
@@ -213,7 +213,7 @@ def test_a_measure_that_the_scene_does_not_have_is_an_error(device):
 
 
 def test_everything_at_once_is_left_alone_where_it_takes_too_long(device, monkeypatch):
-    monkeypatch.setattr(auto, "CHECK_S", 0.0)
+    monkeypatch.setattr(choose_effects, "CHECK_S", 0.0)
     plan, _ = choose(DROP, (*FREE, "tolerance.peak_force=0.01"))
     assert "was not run" in plan.choice["verified"][1]
 
@@ -222,7 +222,7 @@ def test_everything_at_once_is_left_alone_where_it_takes_too_long(device, monkey
 
 
 def test_plan_shows_what_would_be_tried_and_runs_nothing(capsys, monkeypatch):
-    monkeypatch.setattr("cosim.run.run", lambda *_, **__: pytest.fail("ran"))
+    monkeypatch.setattr("cosim.runner.run", lambda *_, **__: pytest.fail("ran"))
     asked = ["plan", str(DROP), "--set", FREE[0], "--set", FREE[1], "--set", "tolerance.peak_force=0.01"]
     assert main([*asked, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["plans"][0]

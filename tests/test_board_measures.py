@@ -22,15 +22,15 @@ from support import (
     slider,
 )
 
+from cosim.analysis.device_passivity import law_of
 from cosim.catalogue import MEASURES, NAMES, OF_A_RUN
-from cosim.circuits.delay import spring_delays
+from cosim.circuits.extraction.block_delays import spring_delays
 from cosim.cli import main
+from cosim.comparisons import measuring
+from cosim.comparisons.board_measures import board_measures, needing_no_run
 from cosim.plan import resolve
 from cosim.results import Run
 from cosim.scene import load_scene
-from cosim.studies import measuring
-from cosim.studies.board_measures import board_measures, needing_no_run
-from cosim.studies.energy import law_of
 
 IDEAL = ("opamp=ideal", "vca=ideal", "driver_level=ideal", "motor=emf", "differentiator=ideal")
 DROP, SLOPE, PRESS = (str(SCENES / f"{name}.toml") for name in ("drop", "slope", "press"))

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from support import BOARD1, BOARD2, SCENES, scene_of, slider
 
-from cosim.check.bench import Bench
-from cosim.check.check import check
-from cosim.check.loops import encirclements, gain_margins, measure_loops, phase_margins
-from cosim.check.subject import load_subject
-from cosim.check.text import describe
-from cosim.check.verdict import Severity
-from cosim.circuits.swing import swings
+from cosim.checking.bench import Bench
+from cosim.checking.check import check
+from cosim.checking.loops import encirclements, gain_margins, measure_loops, phase_margins
+from cosim.checking.printout import describe
+from cosim.checking.subject import load_subject
+from cosim.checking.verdict import Severity
+from cosim.circuits.extraction.swing import swings
 from cosim.cli import main
 from cosim.errors import InputError
 from cosim.ngspice.child import call, start_early
@@ -23,7 +23,7 @@ from cosim.ngspice.deck import load_deck
 from cosim.ngspice.simulator import Simulator
 from cosim.plan import resolve
 from cosim.scene import load_scene
-from cosim.settings import parse_settings, variants
+from cosim.variants import parse_settings, variants
 
 KT, GEAR, MOTOR_OHM, MOTOR_H, R_TIP = 0.04, 8.0, 5.0, 1.5e-3, 0.1333
 #: Where log |T| and the phase are joined by straight lines (see `phase_margins`), doubled.
@@ -32,7 +32,7 @@ PHASE_DEG, LEVEL = 0.1, 1e-3
 
 @pytest.fixture(scope="module")
 def child():
-    with start_early("cosim.check.measure") as process:
+    with start_early("cosim.checking.measured") as process:
         yield process
 
 

@@ -15,13 +15,13 @@ from extraction_boards import extract
 from netlist_decks import NETLISTS, measures, parameters, run_program
 from support import KT, MOTOR_OHM, TORQUE, merge, quick, scene_of, shared_child, slider
 
+from cosim.analysis.extracted import circuit_of
 from cosim.effects.circuit import CARRIED
 from cosim.errors import InputError
-from cosim.loop.propagate_run import prepare
+from cosim.loop.linear.run_linear import prepare
 from cosim.ngspice.deck import Deck, Feature, load_deck
 from cosim.plan import resolve
 from cosim.results import Run
-from cosim.studies.model import circuit_of
 
 OPAMP = parameters("parts/tl072.lib")
 VCA = parameters("parts/ad633.lib")

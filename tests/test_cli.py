@@ -13,7 +13,7 @@ from cosim import cli
 from cosim.assets import scenes_folder
 from cosim.commands import command
 from cosim.errors import InputError, SimulationError
-from cosim.settings import parse_settings, split_values, variants
+from cosim.variants import parse_settings, split_values, variants
 
 
 def test_new_lays_out_a_project(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -199,7 +199,7 @@ def test_a_series_and_a_single_result_do_not_replace_each_other(tmp_path: Path) 
 def test_export_looks_at_its_place_before_the_scene_runs(
     place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("cosim.run.run", pytest.fail)
+    monkeypatch.setattr("cosim.runner.run", pytest.fail)
     assert cli.main(["export", str(scenes_folder() / "drop.toml"), "-o", str(tmp_path / place)]) == 2
     assert "is no place for a file" in capsys.readouterr().err
 

@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 
 from cosim.assets import netlists_folder, scenes_folder
-from cosim.circuits.port import Stated
-from cosim.circuits.spice import SUPPLY_V
+from cosim.circuits.decks import SUPPLY_V
+from cosim.circuits.design_constants import Stated
 from cosim.cli import main
+from cosim.comparisons import effects_ledger
+from cosim.comparisons.board_figures import Figure
+from cosim.comparisons.compare_boards import changes, sides_of
+from cosim.comparisons.dissipation import dissipation
 from cosim.effects import EFFECTS
 from cosim.effects.circuit import CIRCUIT
 from cosim.errors import InputError
-from cosim.ngspice import stored
+from cosim.ngspice import deck_file
 from cosim.ngspice.deck import load_deck
 from cosim.ngspice.lines import Line
 from cosim.plan import resolve
 from cosim.scene import load_scene
-from cosim.settings import Variant
-from cosim.studies import ledger
-from cosim.studies.compare import changes, sides_of
-from cosim.studies.dissipation import dissipation
-from cosim.studies.figures import Figure
+from cosim.variants import Variant
 from reports.boards import felt
 
 DROP = str(scenes_folder() / "drop.toml")
@@ -160,21 +160,21 @@ def test_what_can_be_compared(tmp_path, capsys):
 
 def test_a_stored_board_is_the_same_and_is_checked_like_any_netlist(tmp_path):
     board = load_deck(BOARD, levels={"opamp": "full"})
-    stored.save(board, tmp_path)
-    assert stored.load(tmp_path) == board
-    record = json.loads((tmp_path / stored.FILE).read_text())
+    deck_file.save(board, tmp_path)
+    assert deck_file.load(tmp_path) == board
+    record = json.loads((tmp_path / deck_file.FILE).read_text())
     for line, reason in ((".include /etc/passwd", "not allowed"), ("shell rm x", "not allowed")):
         bad = replace(board, lines=(*board.lines, Line(line)))
-        stored.save(bad, tmp_path)
+        deck_file.save(bad, tmp_path)
         with pytest.raises(InputError, match=reason):
-            stored.load(tmp_path)
+            deck_file.load(tmp_path)
     record["lines"][3]["text"] += " "
-    (tmp_path / stored.FILE).write_text(json.dumps(record))
+    (tmp_path / deck_file.FILE).write_text(json.dumps(record))
     with pytest.raises(InputError, match="was changed"):
-        stored.load(tmp_path)
-    (tmp_path / stored.FILE).write_text("{}")
+        deck_file.load(tmp_path)
+    (tmp_path / deck_file.FILE).write_text("{}")
     with pytest.raises(InputError, match="cannot be read"):
-        stored.load(tmp_path)
+        deck_file.load(tmp_path)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -222,11 +222,11 @@ def test_effects_ledger_knows_what_matters(tmp_path, capsys):
 def test_every_choice_of_the_ledger_runs_on_a_board_of_its_own():
     """What one effect makes of the netlist may not be the board of another."""
     path = scenes_folder() / "press.toml"
-    runner = ledger._Runner(path, ("solver.model=auto", "device.temperature_c=50"), (), None, None)
+    runner = effects_ledger._Runner(path, ("solver.model=auto", "device.temperature_c=50"), (), None, None)
     null = {effect.name: effect.null for effect in EFFECTS}
     for effect in CIRCUIT:
         for value in effect.on:
-            settings = {**ledger._with_required(null, effect), effect.name: value}
-            words = [f"effects.{name}={ledger._toml(each)}" for name, each in settings.items()]
+            settings = {**effects_ledger._with_required(null, effect), effect.name: value}
+            words = [f"effects.{name}={effects_ledger._toml(each)}" for name, each in settings.items()]
             alone = resolve(load_scene(path, [*runner.overrides, *words]))
             assert runner._plan(settings).board.text == alone.board.text, (effect.name, value)

@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
-from cosim import compiled
+from cosim import numba_cache
 
 ROOT = Path(__file__).resolve().parents[1]
 #: A small function with a known value; prints it, and how often numba compiled it.
 CALL = """
 import cosim
-from cosim.loop.divided import expm1
+from cosim.loop.linear.divided_differences import expm1
 print(expm1(1.0 + 0.0j).real, sum(expm1.stats.cache_misses.values()))
 """
 
@@ -78,32 +78,34 @@ def test_a_moved_installation_keeps_its_code(warm: Path, tmp_path: Path) -> None
 
 def test_a_module_is_compiled_anew_when_what_it_imports_changes(tmp_path, monkeypatch):
     """The folder changes with every source in the closure, and with no other."""
-    before = {name: compiled.code_folder(name).name for name in compiled._sources()}
-    sources = dict(compiled._sources())
+    before = {name: numba_cache.code_folder(name).name for name in numba_cache._sources()}
+    sources = dict(numba_cache._sources())
     sources["mech.kinematics"] += b"\n"
-    monkeypatch.setattr(compiled, "_sources", lambda: sources)
-    changed = {name for name, folder in before.items() if compiled.code_folder(name).name != folder}
-    assert changed == {name for name in sources if "mech.kinematics" in compiled._closure(name)}
+    monkeypatch.setattr(numba_cache, "_sources", lambda: sources)
+    changed = {name for name, folder in before.items() if numba_cache.code_folder(name).name != folder}
+    assert changed == {name for name in sources if "mech.kinematics" in numba_cache._closure(name)}
     assert "mech.kinematics" in changed
-    assert "cosim.loop.lockstep" in changed
-    assert "cosim.loop.phi" not in changed
+    assert "cosim.loop.spice.coupling" in changed
+    assert "cosim.loop.linear.matrix_phi" not in changed
 
 
 def test_imports_are_found_in_every_form(monkeypatch):
     text = b"import mech.a, mech.b as b\nfrom mech.c import (\n    d,\n    e,  # word\n)\n"
     text += b"if x:\n    from mech import f, g as h\n"
     names = ("x", *(f"mech.{c}" for c in "abcfg"), "mech.c.d", "mech.c.e", "mech")
-    monkeypatch.setattr(compiled, "_sources", lambda: {name: text if name == "x" else b"" for name in names})
-    compiled._imports.cache_clear()
+    monkeypatch.setattr(
+        numba_cache, "_sources", lambda: {name: text if name == "x" else b"" for name in names}
+    )
+    numba_cache._imports.cache_clear()
     try:
-        assert compiled._closure("x") == set(names)
+        assert numba_cache._closure("x") == set(names)
     finally:
-        compiled._imports.cache_clear()
+        numba_cache._imports.cache_clear()
 
 
 def test_warm_compiles_ahead_and_says_where(capsys: pytest.CaptureFixture[str]) -> None:
     from cosim import cli
-    from cosim.compiled import cache_folder, is_warm
+    from cosim.numba_cache import cache_folder, is_warm
 
     assert cli.main(["warm"]) == 0
     out, err = capsys.readouterr()

@@ -15,19 +15,19 @@ from extraction_boards import board, in_child, shipped
 from numpy.typing import NDArray
 from support import BOARD1, GEAR, K_FS, KT, SIEMENS, TORQUE, V_FS, merge, scene_of, simulate, slider
 
-from cosim.check.check import check
-from cosim.check.subject import load_subject
-from cosim.check.text import describe
-from cosim.circuits.linear import channel_names
-from cosim.circuits.noise import ComponentNoise
-from cosim.circuits.spice import lockstep_deck
+from cosim.checking.check import check
+from cosim.checking.printout import describe
+from cosim.checking.subject import load_subject
+from cosim.circuits.decks import lockstep_deck
+from cosim.circuits.extraction.noise_contributions import ComponentNoise
+from cosim.circuits.linear_circuit import channel_names
 from cosim.errors import InputError
 from cosim.loop.component_noise import realise
 from cosim.ngspice.deck import Deck
-from cosim.ngspice.noisy import noisy
+from cosim.ngspice.noise_deck import noisy
 from cosim.ngspice.simulator import Simulator
 from cosim.plan import resolve
-from cosim.settings import parse_settings, variants
+from cosim.variants import parse_settings, variants
 
 Array = NDArray[np.float64]
 R_TIP = 0.1333
@@ -70,7 +70,7 @@ def ac_of(payload: dict[str, Any], report: Any) -> NDArray[np.complex128]:
 
 def extracted(payload: dict[str, Any], report: Any) -> ComponentNoise:
     """Measure without the cache."""
-    from cosim.circuits.noise import extract_noise
+    from cosim.circuits.extraction.noise_contributions import extract_noise
 
     return extract_noise(payload["board"])
 
@@ -415,7 +415,7 @@ def test_check_tells_it_by_device() -> None:
 def test_spice_needs_probes_and_says_so(tmp_path: Path) -> None:
     scene = scene_of(tmp_path, tables("spice", on=True))
     from cosim.loop.component_noise import ComponentGrid
-    from cosim.loop.simulate import _with_probes
+    from cosim.loop.spice.run_spice import _with_probes
 
     grid = ComponentGrid(np.zeros((2, 3)), 1e-3, np.zeros(2, np.int64), (), (), 0, {})
     with pytest.raises(InputError, match="probe in series with X"):

@@ -29,7 +29,7 @@ from support import (
 from cosim.errors import InputError, SimulationError
 from cosim.loop.computer import SAMPLE, Method, law, read_encoders, to_volts
 from cosim.loop.computer import Path as CommandPath
-from cosim.loop.driven import channels
+from cosim.loop.dac_channels import channels
 from cosim.scene import load_scene
 
 RADIUS = 0.1333

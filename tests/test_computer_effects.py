@@ -20,8 +20,8 @@ from support import BOARD1, BOARD2, GEAR, Array, merge, quick, scene_of, slider
 from cosim.errors import InputError, SimulationError
 from cosim.loop.computer import Method
 from cosim.loop.computer import Path as CommandPath
+from cosim.loop.linear.run_linear import prepare
 from cosim.loop.noise import period_jitter
-from cosim.loop.propagate_run import prepare
 
 MODELS = ("ideal", "linear", "spice")
 RADIUS = 0.1333

@@ -8,11 +8,11 @@ import pytest
 from support import SCENES, quick, simulate, slider
 
 from cosim.caution import Caution, collected
-from cosim.circuits.spice import Tolerances
+from cosim.circuits.decks import Tolerances
 from cosim.errors import Crawl, InputError, NoOperatingPoint, Problem, SimulationError, StepTooSmall
-from cosim.loop.convergence import ITERATIONS, PATIENCE, Aid, aided
+from cosim.loop.spice.convergence import ITERATIONS, PATIENCE, Aid, aided
 from cosim.ngspice.dcpath import has_dc_path
-from cosim.ngspice.words import operating_point_problem
+from cosim.ngspice.messages import operating_point_problem
 from cosim.plan import resolve
 from cosim.scene import load_scene
 

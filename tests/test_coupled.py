@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cosim.circuits.motor_response import MotorResponse
+from cosim.circuits.extraction.motor_response import MotorResponse
 from cosim.coupled import growing, hidden
 
 HZ = np.geomspace(1e-3, 1e9, 121)

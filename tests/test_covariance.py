@@ -11,18 +11,25 @@ from scipy.linalg import solve_continuous_lyapunov
 from scipy.stats import chi2
 from support import COMMAND_TRUE, SCENES, SPRING_TRUE, V_NM, at_times, merge, quick, scene_of, slider
 
+from cosim.analysis.control_law import law_point
+from cosim.analysis.covariance_steps import (
+    exact_step,
+    integral,
+    repeated,
+    stationary,
+    summed,
+    white_covariance,
+)
+from cosim.analysis.extracted import circuit_of
+from cosim.analysis.linearise import linearise
+from cosim.analysis.noise_covariance import noise_covariance, noise_grid
+from cosim.analysis.period_map import lift
 from cosim.errors import InputError
 from cosim.loop.computer import COMPUTER, SAMPLE, law, to_volts
 from cosim.loop.noise import potentiometer_noise
 from cosim.loop.setup import computer_record, mechanism
 from cosim.plan import resolve
 from cosim.scene import load_scene
-from cosim.studies.contact import law_point
-from cosim.studies.covariance import noise_covariance, noise_grid
-from cosim.studies.gramian import exact_step, integral, repeated, stationary, summed, white_covariance
-from cosim.studies.lifted import lift
-from cosim.studies.linearise import linearise
-from cosim.studies.model import circuit_of
 
 
 def held(folder, *more):

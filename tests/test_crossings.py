@@ -19,13 +19,13 @@ from slope import RADIUS
 from support import BOARD2, GEAR, merge, scene_of, slider
 
 from cosim.errors import InputError
-from cosim.loop.propagate_run import Propagation
+from cosim.loop.linear.run_linear import Propagation
 from cosim.loop.setup import mechanism
 from cosim.plan import resolve
 from mech import NoOperator
-from mech.held import settle
 from mech.kernels import dynamics, energy
 from mech.records import NMAX, new_work
+from mech.stiction import settle
 
 Array = Any
 MASS = 0.2

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from extraction_boards import NETLISTS, board, shipped
 
-from cosim.circuits.delay import spring_delays
+from cosim.circuits.extraction.block_delays import spring_delays
 from cosim.ngspice.child import call
 from cosim.ngspice.deck import load_deck
 
@@ -17,7 +17,7 @@ MOTOR_S = 1.5e-3 / 5.0
 
 def extracted(deck):
     return call(
-        "cosim.circuits.extraction:extract",
+        "cosim.circuits.extraction.extract:extract",
         {"board": deck, "model": "linear", "cache": False},
         deck=str(deck.path),
     )

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from support import COMMAND_TRUE, K_FS, SCENES, SPRING_TRUE, V_NM
 
+from cosim.analysis.extracted import circuit_of
+from cosim.analysis.stiffness_limits import limits
 from cosim.effects import without_dynamics
-from cosim.loop.propagate_run import prepare
+from cosim.loop.linear.run_linear import prepare
 from cosim.loop.setup import shift_samples
 from cosim.plan import resolve
 from cosim.scene import load_scene
-from cosim.studies.drop import Falls, Job, Rest, displayed, friction_balance, jobs, scan
 from cosim.studies.drop_curves import Family, slope, verdicts
-from cosim.studies.limits import limits
-from cosim.studies.model import circuit_of
+from cosim.studies.drop_test import Falls, Job, Rest, displayed, friction_balance, jobs, scan
 from cosim.studies.study import load_study, run_study
 
 QUIET = (

@@ -11,12 +11,12 @@ import pytest
 from support import GEAR, KT, MOTOR_OHM, SCENES, merge, scene_of, shared_child, simulate, slider
 
 from cosim import effects
+from cosim.comparisons.effects_ledger import effects_ledger
 from cosim.effects import EFFECTS
 from cosim.effects.scale import scale
 from cosim.errors import InputError
 from cosim.plan import Plan, resolve
 from cosim.scene import Effects, load_scene
-from cosim.studies.ledger import effects_ledger
 
 NAMES = {effect.name: effect for effect in EFFECTS}
 FORCES = ("peak_force", "peak_normal_force", "mean_normal_force", "steady_normal_force", "force_ripple")

@@ -15,9 +15,9 @@ from linear_runs import CONSTANTS, ideal, lagging, propagate, rows
 from scipy.linalg import expm
 from support import scene_of, slider
 
-from cosim.circuits.linear import LinearCircuit
-from cosim.loop.exact import system, transition
-from cosim.loop.propagate_run import prepare
+from cosim.circuits.linear_circuit import LinearCircuit
+from cosim.loop.linear.exact_slider import system, transition
+from cosim.loop.linear.run_linear import prepare
 from cosim.scene import Scene
 
 Array = Any

@@ -16,8 +16,8 @@ import pytest
 
 from cosim.errors import InputError
 from cosim.export import command as to_run
-from cosim.export.deck import _deck as exported
-from cosim.ngspice import stored
+from cosim.export.scene_deck import _deck as exported
+from cosim.ngspice import deck_file
 from cosim.ngspice.aliases import Aliases
 from cosim.ngspice.command import spelled
 from cosim.ngspice.deck import load_deck
@@ -259,9 +259,9 @@ def test_a_stored_board_is_a_strangers(tmp_path: Path) -> None:
     shutil.copytree(PROJECT, tmp_path / "p")
     folder = tmp_path / "p"
     board = load_deck(folder / "board.cir")
-    stored.save(board, folder)
-    assert stored.load(folder).text == board.text
-    record = json.loads((folder / stored.FILE).read_text())
+    deck_file.save(board, folder)
+    assert deck_file.load(folder).text == board.text
+    record = json.loads((folder / deck_file.FILE).read_text())
     evil = [
         {"text": "R999 a 0 1k\n.control\nshell touch owned\n.endc"},
         {"text": "R999 a 0 1k\u2028.control"},
@@ -277,9 +277,9 @@ def test_a_stored_board_is_a_strangers(tmp_path: Path) -> None:
         import hashlib
 
         changed["digest"] = hashlib.sha256(text.encode()).hexdigest()
-        (folder / stored.FILE).write_text(json.dumps(changed))
+        (folder / deck_file.FILE).write_text(json.dumps(changed))
         with pytest.raises(InputError):
-            stored.load(folder)
+            deck_file.load(folder)
 
 
 def test_a_board_of_any_name_has_our_title(tmp_path: Path) -> None:

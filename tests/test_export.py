@@ -11,12 +11,12 @@ from scipy.interpolate import PchipInterpolator
 from support import SCENES, merge, shared_child, simulate, slider, toml
 
 from cosim.circuits.boardgen import write_board
-from cosim.circuits.spice import Tolerances
+from cosim.circuits.decks import Tolerances
 from cosim.errors import InputError
 from cosim.export import export
 from cosim.export.waveform import RISE_S, channel, source, straightened
 from cosim.plan import resolve
-from cosim.run import run as run_plan
+from cosim.runner import run as run_plan
 from cosim.scene import load_scene
 
 #: Both sides converge to each other within these (issue: 1 micrometre, 1e-4 of the peak force).

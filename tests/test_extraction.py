@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from extraction_boards import DAMPER, STATED, SUM, board, differences, extract, in_child, shipped
 
-from cosim.circuits.certificate import cautions
+from cosim.circuits.extraction.certificate import cautions
 from cosim.circuits.rest import STEPPING, at_rest
 from cosim.errors import InputError, NoOperatingPoint, Problem
 from cosim.ngspice.deck import PartSwap, load_deck
@@ -253,7 +253,7 @@ def test_one_per_cent_of_a_resistor_moves_the_gain_by_its_share():
 
 def test_cache_serves_the_same_board_only(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    from cosim.circuits import extraction
+    from cosim.circuits.extraction import extract as extraction
 
     deck = board(tmp_path)
     stages: list[dict[str, object]] = []
@@ -285,7 +285,7 @@ def in_fresh_child(payload):
     """A child that sees the test's environment."""
     from cosim.ngspice.child import call
 
-    return call("cosim.circuits.extraction:extract", payload, time_limit_s=60.0)
+    return call("cosim.circuits.extraction.extract:extract", payload, time_limit_s=60.0)
 
 
 def test_damaged_cache_is_ignored_with_a_word(tmp_path, monkeypatch):

@@ -8,14 +8,14 @@ import pytest
 from linear_runs import CONSTANTS, ideal
 from support import BOARD2, SCENES, merge, scene_of, slider
 
-from cosim.circuits.linear import LinearCircuit
-from cosim.circuits.port import DesignConstants
+from cosim.analysis.extracted import circuit_of
+from cosim.analysis.stability import held, stability, with_computer
+from cosim.analysis.stiffness_limits import limits
+from cosim.circuits.design_constants import DesignConstants
+from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.commands.stability import describe
 from cosim.plan import resolve
 from cosim.scene import Scene, load_scene
-from cosim.studies.limits import limits
-from cosim.studies.model import circuit_of
-from cosim.studies.stability import held, stability, with_computer
 
 Board = tuple[Scene, LinearCircuit, DesignConstants]
 
@@ -112,8 +112,8 @@ def test_the_words_name_the_limit_to_design_for(press: Board) -> None:
 
 
 def _lever(scene: Scene, constants: DesignConstants):
+    from cosim.analysis.stability import touching
     from cosim.loop.setup import mechanism
-    from cosim.studies.stability import touching
 
     assert scene.wall is not None
     jac = mechanism(scene, constants.gear).jacobian(touching(scene, constants))

@@ -7,22 +7,22 @@ import pytest
 from scipy import optimize
 from support import SCENES
 
-from cosim.circuits.delay import spring_delays
+from cosim.analysis.stability import with_computer
+from cosim.analysis.stiffness_limits import limits
+from cosim.analysis.tip import Wanted, reached, tip_of
+from cosim.analysis.tip_noise import component_form, flat, position_density, pot_density, pot_form
+from cosim.checkpoint import Points
+from cosim.circuits.extraction.block_delays import spring_delays
 from cosim.errors import InputError
 from cosim.ngspice.child import call
 from cosim.plan import resolve
 from cosim.scene import Method, PotNoise, load_scene
 from cosim.studies.budget import loaded
-from cosim.studies.corner import CornerParameters, passive
-from cosim.studies.eta import active_from, block_delays, unstable_from
-from cosim.studies.limits import limits
-from cosim.studies.points import Points
+from cosim.studies.delay_damping import active_from, block_delays, unstable_from
+from cosim.studies.differentiator_corner import CornerParameters, passive
+from cosim.studies.limit_shift import Gains, largest, speed_rms
 from cosim.studies.rendering import passes, shown
-from cosim.studies.shift import Gains, largest, speed_rms
-from cosim.studies.stability import with_computer
 from cosim.studies.study import load_study
-from cosim.studies.tip import Wanted, reached, tip_of
-from cosim.studies.tipnoise import component_form, flat, position_density, pot_density, pot_form
 
 PAPER = SCENES / "paper"
 
@@ -195,7 +195,11 @@ def test_the_density_of_drawn_noise_has_the_kind_s_variance():
 def test_component_noise_is_what_noise_says(carriage):
     """The form in (1, k, c) against `ComponentNoise.rms` at the same gains, another rule of integration."""
     board = resolve(carriage.scene).board
-    noise = call("cosim.circuits.noise:component_noise", {"board": board}, deck=str(board.path))
+    noise = call(
+        "cosim.circuits.extraction.noise_contributions:component_noise",
+        {"board": board},
+        deck=str(board.path),
+    )
     form = component_form(carriage, noise, 1e3)
     for wanted in (Wanted(), Wanted(100.0), Wanted(150.0, 2.0)):
         current = noise.rms(carriage.control(wanted), (0.1, 1e3))[0]
@@ -330,7 +334,11 @@ def test_budgets_have_the_sizes_of_their_data_sheets(arm):
     assert newtons["encoder, discrete stiffness"] == pytest.approx(133 * w * 0.3927e-3 / 12**0.5, rel=1e-3)
     assert newtons["DAC of cmd"] == pytest.approx(motion * 20 / 4096 / 15.625 / 12**0.5, rel=1e-9)
     board = resolve(arm.scene).board
-    noise = call("cosim.circuits.noise:component_noise", {"board": board}, deck=str(board.path))
+    noise = call(
+        "cosim.circuits.extraction.noise_contributions:component_noise",
+        {"board": board},
+        deck=str(board.path),
+    )
     together = float(component_form(arm, noise, 1e3).rms(100.0, 0.0))
     assert newtons["all together"] == pytest.approx(together, rel=1e-9)
     assert all(verdict.holds is not False for verdict in result.verdicts)

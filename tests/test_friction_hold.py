@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from support import merge, quick, slider
 
-from mech.held import settle
 from mech.operator import Hand
 from mech.records import NMAX, WORK
 from mech.slider import Slider
+from mech.stiction import settle
 
 RADIUS, MASS, FRICTION = 0.1333, 0.2, 0.016
 

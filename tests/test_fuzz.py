@@ -7,7 +7,7 @@ import pytest
 from fuzz import commands, targets
 
 from cosim.plan import resolve
-from cosim.run import run
+from cosim.runner import run
 from cosim.scene import load_scene
 
 SEED = 20261129

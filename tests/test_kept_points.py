@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from cosim.assets import scenes_folder
+from cosim.checkpoint import Points
 from cosim.cli import main
 from cosim.errors import InputError, StorageError
 from cosim.staging import Staging, make_scratch, scratch_folder, whole_file
-from cosim.studies.points import Points
 
 DROP = str(scenes_folder() / "drop.toml")
 FAST = ["--set", "duration_s=0.02", "--set", "solver.model=linear"]

@@ -7,7 +7,7 @@ import pytest
 from support import scene_of, slider
 
 from cosim.effects import EFFECTS
-from cosim.effects.unused import ACTS_THROUGH, stated_in_vain
+from cosim.effects.idle_keys import ACTS_THROUGH, stated_in_vain
 from cosim.scene import Scene
 
 #: Effect, value in force, and a value for each of its keys that is not the default.

@@ -8,14 +8,14 @@ import pytest
 from linear_runs import CONSTANTS, ideal, lagging
 from support import COMMAND_TRUE, SCENES, SPRING_TRUE, V_NM, merge, scene_of, slider
 
+from cosim.analysis.stability import border, held, touching, with_computer
+from cosim.analysis.stiffness_map import Axis, border_map, changed, pencil
+from cosim.checkpoint import Points
 from cosim.loop.setup import sample_columns
 from cosim.scene import load_scene
-from cosim.studies.border_map import Axis, border_map, changed, pencil
-from cosim.studies.ceiling import delay
-from cosim.studies.drop import Falls, Job, Rest
+from cosim.studies.analog_limit import delay
+from cosim.studies.drop_test import Falls, Job, Rest
 from cosim.studies.onset import Fall, _Work, first_contact, sweep
-from cosim.studies.points import Points
-from cosim.studies.stability import border, held, touching, with_computer
 
 RADIUS = 0.1333
 COMMAND, SPRING = COMMAND_TRUE * V_NM, SPRING_TRUE / CONSTANTS.k_fs

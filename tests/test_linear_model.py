@@ -7,7 +7,7 @@ import pytest
 from extraction_boards import board, extract, in_child, shipped
 from scipy.linalg import expm
 
-from cosim.circuits.linear import LinearCircuit, channel_names
+from cosim.circuits.linear_circuit import LinearCircuit, channel_names
 
 
 def blank(joints=1, **more):

@@ -3,7 +3,7 @@
 import numpy as np
 from extraction_boards import STATED, differences, extract, shipped
 
-from cosim.circuits.fit import GOOD
+from cosim.circuits.fitting.rational_fit import GOOD
 from cosim.ngspice.deck import PartSwap
 
 #: Boltzmann's voltage at 27 degC, ngspice's own temperature [V].

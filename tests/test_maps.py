@@ -10,11 +10,11 @@ from held_scenes import RADIUS
 from linear_runs import CONSTANTS, ideal, lagging
 from support import COMMAND_TRUE, EMF_TRUE, KT, SCENES, SPRING_TRUE, V_NM, merge, scene_of, slider
 
+from cosim.analysis import closed_form_limits
+from cosim.analysis.impedance import displayed, full_scale, impedance, largest
+from cosim.analysis.stability import held, stability, with_computer
 from cosim.cli import main
-from cosim.studies import rules
 from cosim.studies.device import device_numbers, forces, workspace
-from cosim.studies.impedance import displayed, full_scale, impedance, largest
-from cosim.studies.stability import held, stability, with_computer
 from cosim.studies.study import load_study, run_study
 from mech import Chain
 
@@ -84,7 +84,7 @@ def test_the_stiffest_walls(tmp_path):
     viscous = {"device": {"slider": {"viscous_n_m_s": 1.6 * RADIUS**2}}, "effects": {"viscous": True}}
     scene, plain = carriage(tmp_path, viscous), ideal(1, emf=False)
     wall = displayed(scene, CONSTANTS, plain, spring=False, damper=False, margin=0.8)
-    border = rules.held_mass(0.2, 1.6, 0.025)
+    border = closed_form_limits.held_mass(0.2, 1.6, 0.025)
     assert wall.computer.discrete_stiffness_n_per_m * COMMAND == pytest.approx(0.8 * border, rel=1e-6)
     assert wall.computer.analog_stiffness_n_per_m == 0.0
     wall = displayed(scene, CONSTANTS, plain, spring=True, damper=False)
@@ -132,7 +132,9 @@ def test_numbers_of_a_carriage(tmp_path):
     assert (found.analog_n_per_m.by, found.analog_n_per_m.value) == (
         "full scale", pytest.approx(CONSTANTS.k_fs / RADIUS**2),
     )  # fmt: skip
-    assert found.discrete_n_per_m.value * COMMAND == pytest.approx(rules.held_mass(0.2, 1.6, 0.025), rel=1e-6)
+    assert found.discrete_n_per_m.value * COMMAND == pytest.approx(
+        closed_form_limits.held_mass(0.2, 1.6, 0.025), rel=1e-6
+    )
     # the largest damping by the map of a period, written out by hand
     damped = found.discrete_n_s_per_m.value * COMMAND
     tau, period = 0.2 / 1.6, 0.025
@@ -217,7 +219,9 @@ def test_the_maps_hold_what_theory_says(tmp_path):
     b = EMF_TRUE / 0.1333**2 + 5e-4 / 0.1333**2
     for row, period in enumerate((0.01, 0.05)):
         # 2e-5: rotor and carriage make 0.2 kg to 4e-6; what the board states and what its resistors make
-        assert limits["exact border [N/m]"][row] == pytest.approx(rules.held_mass(0.2, b, period), rel=2e-5)
+        assert limits["exact border [N/m]"][row] == pytest.approx(
+            closed_form_limits.held_mass(0.2, b, period), rel=2e-5
+        )
         passive = limits["passive (Colgate, Schenkel) [N/m]"][row]
         assert passive == pytest.approx(2 * b / period, rel=1e-4)
         assert limits["Abbott, Okamura [N/m]"][row] == pytest.approx(2 * b / period, rel=1e-5)

@@ -8,7 +8,7 @@ import pytest
 from numba import types as numba_types
 from numpy.typing import NDArray
 
-from cosim.loop.native import kind_of
+from cosim.loop.numba_calls import kind_of
 
 # What `NDArray[x]` is: expanded (numpy up to 2.4, and any numpy on Python 3.11), or an alias of the language
 EXPANDED: Any = lambda element: np.ndarray[tuple[Any, ...], np.dtype[element]]  # noqa: E731

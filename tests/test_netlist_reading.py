@@ -10,7 +10,7 @@ import pytest
 from support import scene_of, slider
 
 from cosim.caution import collected
-from cosim.circuits.port import DesignConstants
+from cosim.circuits.design_constants import DesignConstants
 from cosim.errors import InputError
 from cosim.ngspice.deck import Deck, Feature, PartSwap, load_deck
 from cosim.ngspice.dialect import Dialect

@@ -8,8 +8,8 @@ import pytest
 from netlist_decks import NETLISTS, measures, parameters, run_program
 from support import BOARD1, ROOT, scene_of, slider
 
-from cosim.circuits.port import DesignConstants
-from cosim.circuits.stated import of_deck
+from cosim.circuits.design_constants import DesignConstants
+from cosim.circuits.extraction.design_numbers import of_deck
 from cosim.errors import InputError
 from cosim.ngspice.deck import load_deck
 from cosim.plan import resolve

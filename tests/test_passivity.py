@@ -8,9 +8,9 @@ from held_scenes import RADIUS, carriage
 from linear_runs import CONSTANTS, ideal, lagging
 from support import EMF_TRUE, merge, quick, slider
 
-from cosim.studies.energy import delivered, device_of, law_of
-from cosim.studies.passivity import Device, Law, _used, least_damping, needed_damping, share_used, wall
-from cosim.studies.stability import touching
+from cosim.analysis.device_passivity import delivered, device_of, law_of
+from cosim.analysis.passivity import Device, Law, _used, least_damping, needed_damping, share_used, wall
+from cosim.analysis.stability import touching
 
 
 def plain(b):

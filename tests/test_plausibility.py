@@ -204,7 +204,7 @@ def test_an_open_ledger_is_told() -> None:
 
 
 def _of(run: Run, **changed: object) -> list[Caution]:
-    from cosim.circuits.port import DesignConstants
+    from cosim.circuits.design_constants import DesignConstants
 
     given = {"signals": run.signals, "ledger": run.ledger} | changed
     return of_run(

@@ -32,13 +32,13 @@ from support import (
     slider,
 )
 
-from cosim.circuits.linear import LinearCircuit
+from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import InputError
-from cosim.loop import maps
-from cosim.loop.divided import TOP, double, single
-from cosim.loop.layout import plan
+from cosim.loop.linear import step_maps
+from cosim.loop.linear.divided_differences import TOP, double, single
+from cosim.loop.linear.matrix_phi import phi_functions
+from cosim.loop.linear.step_layout import plan
 from cosim.loop.noise import potentiometer_noise
-from cosim.loop.phi import phi_functions
 from cosim.loop.setup import mechanism
 from cosim.scene import load_scene
 from mech import NoOperator
@@ -117,7 +117,7 @@ def test_one_step_maps_against_the_exponential_of_everything(n: int, before: int
     k = plan(circuit, range(m), gear=GEAR, commands=True, speeds=True, bent=True)
     gains, features = rng.normal(size=m), rng.normal(size=k.features)
     # a chain of integrators makes each polynomial; three more take the moments of each current
-    widths = [maps.ANGLE] * n + [maps.DAC] * 2 * n + [maps.SPEED] * n
+    widths = [step_maps.ANGLE] * n + [step_maps.DAC] * 2 * n + [step_maps.SPEED] * n
     start = np.cumsum([0, *widths])
     z, w = slice(0, before), slice(before, before + after)
     inputs, moments = before + after, before + after + start[-1]
@@ -148,7 +148,7 @@ def test_one_step_maps_against_the_exponential_of_everything(n: int, before: int
         at = moments + 3 * o
         a[at], a[at + 1, at], a[at + 2, at + 1] = current[o], 1.0, 1.0
     x1 = expm(a * h) @ x0
-    powers = np.vander(maps.NODES, 3, increasing=True)
+    powers = np.vander(step_maps.NODES, 3, increasing=True)
     expected = np.zeros(k.results)
     for o in range(n):
         # the parabola c with int (1-x)^(l-1)/(l-1)! c dx = moment l
@@ -159,18 +159,18 @@ def test_one_step_maps_against_the_exponential_of_everything(n: int, before: int
     expected[4 * n : 4 * n + after], expected[4 * n + after :] = x1[w], x1[z]
 
     out, matrix, moving = np.zeros(k.results), np.zeros((3 * n, k.moving)), np.zeros(k.moving)
-    slot = maps.slot_of(k, h)
-    maps.currents(k, slot, gains, features, out, matrix)
+    slot = step_maps.slot_of(k, h)
+    step_maps.currents(k, slot, gains, features, out, matrix)
     for j in range(n):
-        at = inputs + maps.ANGLE * j
-        moving[3 * n + maps.ANGLE * j :][: maps.ANGLE] = features[at : at + maps.ANGLE]
+        at = inputs + step_maps.ANGLE * j
+        moving[3 * n + step_maps.ANGLE * j :][: step_maps.ANGLE] = features[at : at + step_maps.ANGLE]
         at = inputs + start[3 * n + j]
         curve = np.array([features[at + 1], 2 * features[at + 2], 3 * features[at + 3]]) / (GEAR * h)
         moving[3 * j : 3 * j + 3] = powers @ curve
     out[: 3 * n] += matrix @ moving
     for f in np.flatnonzero(k.move >= 0):
         features[f] = moving[k.move[f]]
-    maps.finish(k, slot, gains, features, out)
+    step_maps.finish(k, slot, gains, features, out)
     assert np.abs(out - expected).max() < 1e-12 * np.abs(expected).max()
 
 
@@ -188,7 +188,7 @@ def test_nearly_equal_poles_in_one_chain() -> None:  # 4
     for h in (0.5, 1.0, 2.0):
         features, out = np.zeros(k.features), np.zeros(k.results)
         features[0] = 1.0
-        maps.finish(k, maps.slot_of(k, h), np.ones(size), features, out)
+        step_maps.finish(k, step_maps.slot_of(k, h), np.ones(size), features, out)
         assert out[5] == pytest.approx(h * math.exp(-h), abs=1e-7)
 
 

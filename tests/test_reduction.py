@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from extraction_boards import in_child, random_board
 
-from cosim.circuits.blocks import derivatives
-from cosim.circuits.certificate import cautions
-from cosim.circuits.fit import FitError, Modes, fit
-from cosim.circuits.linear import rational
-from cosim.circuits.reduce import TERMS, error_bound, path_scale, reduce, rest
+from cosim.circuits.extraction.certificate import cautions
+from cosim.circuits.fitting.networks import derivatives
+from cosim.circuits.fitting.rational_fit import FitError, Modes, fit
+from cosim.circuits.fitting.reduction import TERMS, error_bound, path_scale, reduce, rest
+from cosim.circuits.linear_circuit import rational
 
 SWEEP = 2j * np.pi * np.geomspace(1e-3, 1e9, 241)
 BETWEEN = 2j * np.pi * np.geomspace(0.1, 1e8, 997)

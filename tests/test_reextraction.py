@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from extraction_boards import NETLISTS, board, extract, in_child, shipped
 
-from cosim.circuits.alter import Way, altered, handle
-from cosim.circuits.rowfit import GOOD
+from cosim.circuits.extraction.alter import Way, altered, handle
+from cosim.circuits.fitting.refit import GOOD
 from cosim.errors import InputError
 from cosim.ngspice.deck import load_deck
 
@@ -21,7 +21,7 @@ NOMINAL = {
 
 def again(deck, sets, band_hz=0.0, tolerance=0.0, **more):
     payload = {"board": deck, "band_hz": band_hz, "tolerance": tolerance, "sets": sets} | more
-    return in_child("cosim.circuits.reextraction:circuits", payload)
+    return in_child("cosim.circuits.extraction.reextract:circuits", payload)
 
 
 def apart(first, second, highest_hz, volts=None):

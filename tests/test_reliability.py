@@ -132,7 +132,7 @@ def test_the_parent_survives(
 
 def test_a_hang_is_told_from_slow_work(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without progress for a while it hangs, however long the run may take in all."""
-    from cosim import run as runs
+    from cosim import runner as runs
     from cosim.plan import resolve
     from cosim.scene import load_scene
 

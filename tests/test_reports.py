@@ -15,20 +15,20 @@ import pytest
 from browser import Browser, require
 from synthetic import DRAG, PERIOD_S, SyntheticRun, slope_run
 
+from cosim.comparisons.sweep import Sweep
 from cosim.errors import InputError
-from cosim.studies.sweep import Sweep
 from cosim.units import quantity, scale
 from reports import Trial, compare_table, write_report
 from reports.decimate import keep_peaks, merge_spans
 from reports.effects import draw as draw_effects
-from reports.effort import energy
+from reports.energy_and_cost import energy
+from reports.formatting import ratio, share
 from reports.page import FIGURES, draw_all, glue
-from reports.source import View
 from reports.style import look
+from reports.summary import summary, tiles
 from reports.sweep import draw as draw_sweep
 from reports.tables import all_tables
-from reports.text import ratio, share
-from reports.words import summary, tiles
+from reports.view import View
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from held_scenes import RADIUS
 from linear_runs import ideal, propagate, samples
 from support import COMMAND_TRUE, V_NM, scene_of, slider
 
-from cosim.studies import rules
+from cosim.analysis import closed_form_limits
 
 #: What the hand-made board renders of what the computer asks.
 COMMAND = COMMAND_TRUE * V_NM
@@ -24,7 +24,7 @@ COMMAND = COMMAND_TRUE * V_NM
 def test_exact_border_of_a_held_mass(mass, viscosity, known):
     """`known` are given to four digits; beside them the double root of the map itself, by hand."""
     for period, value in zip((3e-3, 5e-3, 10e-3, 25e-3, 50e-3, 100e-3), known, strict=True):
-        found = rules.held_mass(mass, viscosity, period)
+        found = closed_form_limits.held_mass(mass, viscosity, period)
         assert found == pytest.approx(value, abs=0.051)
         tau = mass / viscosity
         e = math.exp(-period / tau)
@@ -37,53 +37,59 @@ def test_exact_border_of_a_held_mass(mass, viscosity, known):
 def test_passive_stiffness():
     """b = 1.6625: 2 b/T; Colgate and Schenkel's own K = 1000, B = +-1, T = 1 ms needs b = 1.5."""
     for period, value in ((3e-3, 1108), (5e-3, 665), (10e-3, 333), (25e-3, 133), (50e-3, 66.5), (0.1, 33.3)):
-        assert rules.colgate_schenkel(1.6625, period) == pytest.approx(value, rel=2e-3)
+        assert closed_form_limits.colgate_schenkel(1.6625, period) == pytest.approx(value, rel=2e-3)
     for damping in (1.0, -1.0):
-        assert rules.colgate_schenkel(1.5, 1e-3, damping) == pytest.approx(1000.0, rel=1e-12)
-    assert rules.colgate_schenkel(0.5, 1e-3, 1.0) == 0.0
+        assert closed_form_limits.colgate_schenkel(1.5, 1e-3, damping) == pytest.approx(1000.0, rel=1e-12)
+    assert closed_form_limits.colgate_schenkel(0.5, 1e-3, 1.0) == 0.0
 
 
 def test_gil_and_hulin():
     """b = 0.1, T = 1 ms: 200; with B = 1 N s/m 2200, where the exact border is 2178; a sample late: 66.7."""
-    assert rules.gil_hulin(0.1, 1e-3) == pytest.approx(200.0, rel=1e-12)
-    assert rules.gil_hulin(0.1, 1e-3, 1.0) == pytest.approx(2200.0, rel=1e-12)
-    assert rules.gil_hulin(0.1, 1e-3, delay=1e-3) == pytest.approx(0.1 / 1.5e-3, rel=1e-12)
+    assert closed_form_limits.gil_hulin(0.1, 1e-3) == pytest.approx(200.0, rel=1e-12)
+    assert closed_form_limits.gil_hulin(0.1, 1e-3, 1.0) == pytest.approx(2200.0, rel=1e-12)
+    assert closed_form_limits.gil_hulin(0.1, 1e-3, delay=1e-3) == pytest.approx(0.1 / 1.5e-3, rel=1e-12)
     # its condition, b T/m = 1e-3, is what it is off by: b T/(6 m)
-    assert rules.held_mass(0.1, 0.1, 1e-3) == pytest.approx(200.03, abs=0.006)
+    assert closed_form_limits.held_mass(0.1, 0.1, 1e-3) == pytest.approx(200.03, abs=0.006)
 
 
 def test_abbott_and_okamura():
     """b = 0.1, T = 1 ms, Delta = 0.1 mm, f_c = 0.1: 200 by damping; by friction 2000."""
-    assert rules.abbott_okamura(0.1, 1e-3, 0.1, 1e-4) == pytest.approx(200.0, rel=1e-12)
-    assert rules.abbott_okamura(10.0, 1e-3, 0.1, 1e-4) == pytest.approx(2000.0, rel=1e-12)
-    assert rules.abbott_okamura(0.1, 1e-3, 0.0, 1e-4) == 0.0
-    assert rules.abbott_okamura(0.1, 1e-3, 0.0, 0.0) == pytest.approx(200.0, rel=1e-12)
+    assert closed_form_limits.abbott_okamura(0.1, 1e-3, 0.1, 1e-4) == pytest.approx(200.0, rel=1e-12)
+    assert closed_form_limits.abbott_okamura(10.0, 1e-3, 0.1, 1e-4) == pytest.approx(2000.0, rel=1e-12)
+    assert closed_form_limits.abbott_okamura(0.1, 1e-3, 0.0, 1e-4) == 0.0
+    assert closed_form_limits.abbott_okamura(0.1, 1e-3, 0.0, 0.0) == pytest.approx(200.0, rel=1e-12)
 
 
 def test_diolaitis_plane_and_cycle():
     """Borders at 1/2, with delay 1/2 + t_d/T; m = 0.1, b = 0.05, K = 200, T = 1 ms: a cycle of 11.39 mm."""
-    at = rules.diolaiti(200.0, 0.1, 1e-3, 0.01, 1e-4)
+    at = closed_form_limits.diolaiti(200.0, 0.1, 1e-3, 0.01, 1e-4)
     assert (at.beta, at.sigma) == pytest.approx((0.5, 0.5), rel=1e-12)
     assert (at.beta_border, at.sigma_border) == (0.5, 0.5)
-    assert rules.diolaiti(200.0, 0.1, 1e-3, 0.01, 1e-4, delay=5e-4).beta_border == pytest.approx(1.0)
-    assert rules.beta_stiffness(0.1, 1e-3, 5e-4) == pytest.approx(100.0)
-    regions = {rules.diolaiti(k, 0.1, 1e-3, f, 1e-4).region for k in (150.0, 250.0) for f in (0.005, 0.02)}
+    assert closed_form_limits.diolaiti(200.0, 0.1, 1e-3, 0.01, 1e-4, delay=5e-4).beta_border == pytest.approx(
+        1.0
+    )
+    assert closed_form_limits.beta_stiffness(0.1, 1e-3, 5e-4) == pytest.approx(100.0)
+    regions = {
+        closed_form_limits.diolaiti(k, 0.1, 1e-3, f, 1e-4).region
+        for k in (150.0, 250.0)
+        for f in (0.005, 0.02)
+    }
     assert len(regions) == 4
     case = (0.1, 0.05, 1e-3, 0.02)
-    found = rules.cycle_amplitude(200.0, *case)
+    found = closed_form_limits.cycle_amplitude(200.0, *case)
     assert found == pytest.approx(11.39e-3, abs=0.006e-3)
-    assert rules.stiffness_of_cycle(found, *case) == pytest.approx(200.0, rel=1e-9)
-    assert rules.cycle_amplitude(99.0, *case) == math.inf
+    assert closed_form_limits.stiffness_of_cycle(found, *case) == pytest.approx(200.0, rel=1e-9)
+    assert closed_form_limits.cycle_amplitude(99.0, *case) == math.inf
     # without viscosity: 4 f_c sqrt(m)/(pi A T/2) = K^(3/2)
-    bare = rules.stiffness_of_cycle(0.01, 0.1, 0.0, 1e-3, 0.02)
-    assert rules.cycle_amplitude(bare, 0.1, 0.0, 1e-3, 0.02) == pytest.approx(0.01, rel=1e-9)
+    bare = closed_form_limits.stiffness_of_cycle(0.01, 0.1, 0.0, 1e-3, 0.02)
+    assert closed_form_limits.cycle_amplitude(bare, 0.1, 0.0, 1e-3, 0.02) == pytest.approx(0.01, rel=1e-9)
 
 
 @pytest.mark.parametrize(("period", "known"), [(3e-3, 0.09e-3), (25e-3, 6.1e-3), (0.1, 98e-3)])
 def test_energy_of_switching_on_late(period, known):
     """10 mm drop, k = 100 N/m: v^2 = 2 g h."""
     speed = math.sqrt(2.0 * 9.81 * 0.01)
-    assert rules.switching_energy(100.0, speed, period) == pytest.approx(known, rel=0.025)
+    assert closed_form_limits.switching_energy(100.0, speed, period) == pytest.approx(known, rel=0.025)
 
 
 def swing(folder, amplitude, seconds):
@@ -114,7 +120,7 @@ def test_a_simulated_swing_turns_at_diolaitis_cycle(tmp_path):
     Theory averages over a turn. The hold delays by exactly T/2 only to (w T)^2/24 = 8e-5, b takes no part
     in w, and friction's own distortion of the sine is of order f_c/(K A) = 0.9 %; 2 % are allowed.
     """
-    cycle = rules.cycle_amplitude(200.0, 0.1, 0.05, 1e-3, 0.02)
+    cycle = closed_form_limits.cycle_amplitude(200.0, 0.1, 0.05, 1e-3, 0.02)
     begin, end = swing(tmp_path, 0.98 * cycle, 8.0)
     assert begin == pytest.approx(0.98 * cycle, rel=0.01)
     assert end < 0.9 * begin
@@ -133,8 +139,12 @@ def test_a_quantised_wall_rests_as_far_as_friction_holds_half_a_step(tmp_path, s
     step = 2.0 * math.pi / (pulses * 8) * RADIUS
     stiffness = share * 2.0 * coulomb / step
     viscosity = 10.0 * stiffness * period / 2.0
-    assert rules.abbott_okamura(viscosity, period, coulomb, step) == pytest.approx(stiffness / share)
-    assert (rules.diolaiti(stiffness, viscosity, period, coulomb, step).region == "rests") is rests
+    assert closed_form_limits.abbott_okamura(viscosity, period, coulomb, step) == pytest.approx(
+        stiffness / share
+    )
+    assert (
+        closed_form_limits.diolaiti(stiffness, viscosity, period, coulomb, step).region == "rests"
+    ) is rests
     push = 500.5 * step * stiffness
     scene = scene_of(tmp_path, slider(
         duration_s=3.0,

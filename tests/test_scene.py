@@ -421,7 +421,7 @@ def test_no_replacement_of_a_value_gets_past_the_problems(
     """Any value put in any place gives a scene or problems with a place: never another exception."""
     resolved = load_scene(folder / "scene.toml").as_dict()
     current: dict[str, object] = {}
-    monkeypatch.setattr("cosim.scene.source.tomllib.loads", lambda _text: copy.deepcopy(current["data"]))
+    monkeypatch.setattr("cosim.scene.layers.tomllib.loads", lambda _text: copy.deepcopy(current["data"]))
     for path in leaves(resolved)[1:]:
         for value in NONSENSE:
             data = copy.deepcopy(resolved)

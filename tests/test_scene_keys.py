@@ -10,7 +10,7 @@ from support import ROOT, SCENES, merge, quick, scene_of, simulate, slider, toml
 
 from cosim import cli
 from cosim.effects import EFFECTS
-from cosim.effects.unused import ACTS_THROUGH
+from cosim.effects.idle_keys import ACTS_THROUGH
 from cosim.results import Run
 from cosim.scene import load_scene
 from cosim.scene.keys import keys, section

@@ -7,9 +7,9 @@ import pytest
 from support import SCENES
 
 from cosim.scene import Scene, load_scene
-from cosim.settings import TABLES, overrides, parse_settings
 from cosim.studies.device import PRESETS
 from cosim.studies.poses import unevenness
+from cosim.variants import TABLES, overrides, parse_settings
 from mech import Chain
 
 

@@ -33,15 +33,15 @@ from support import (
     slider,
 )
 
+from cosim.analysis.control_law import law_point
 from cosim.errors import InputError
 from cosim.export import export
-from cosim.loop import runge
 from cosim.loop.setup import mechanism
+from cosim.loop.spice import runge_kutta
 from cosim.loop.state import STATE
 from cosim.plan import resolve
 from cosim.results import Run
 from cosim.scene import load_scene
-from cosim.studies.contact import law_point
 from mech import Chain, ParameterError, Slider
 from mech.motion import free_motion
 
@@ -117,7 +117,7 @@ def test_runge_kutta_takes_next_to_nothing_from_a_ringing_shaft(z: float) -> Non
     shares = np.array([-MOTOR, JOINT]) / (JOINT + MOTOR)
     s["q"][:2], s["v"][:2] = shares * twist, shares * rate
     q, v = np.zeros(6), np.zeros(6)
-    runge.step(s, 2 * z / w, True, q, v, np.zeros(6))
+    runge_kutta.step(s, 2 * z / w, True, q, v, np.zeros(6))
     grown = math.hypot(q[1] - q[0], (v[1] - v[0]) / w) / math.hypot(twist, rate / w)
     assert grown - 1 == pytest.approx(-(z**6) / 72 + z**8 / 576, abs=1e-14)
 

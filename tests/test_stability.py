@@ -11,14 +11,14 @@ from linear_runs import CONSTANTS, ideal, lagging, propagate, rows, samples
 from scipy.linalg import expm
 from support import COMMAND_TRUE, EMF_TRUE, SCENES, SPRING_TRUE, V_NM, Arm, merge, scene_of, slider
 
+from cosim.analysis.control_law import law_point, resting_pose
+from cosim.analysis.linearise import linearise
+from cosim.analysis.period_map import lift
+from cosim.analysis.stability import border, held, stability, touching, with_computer
 from cosim.cli import main
 from cosim.errors import InputError
 from cosim.loop.setup import mechanism, operator
 from cosim.scene import load_scene
-from cosim.studies.contact import law_point, resting_pose
-from cosim.studies.lifted import lift
-from cosim.studies.linearise import linearise
-from cosim.studies.stability import border, held, stability, touching, with_computer
 
 #: What the hand-made board renders of what the computer asks: 5e-7 off one.
 COMMAND = COMMAND_TRUE * V_NM

@@ -11,13 +11,13 @@ from slips import KINDS, NETLISTS, bench_text, slipped
 from support import BOARD1, BOARD2, scene_of, shared_child, slider
 
 from cosim.circuits.boardgen import board_text
-from cosim.circuits.stability_verdict import Instability, Latched, Question, Verdict
+from cosim.circuits.instability.stability_verdict import Instability, Latched, Question, Verdict
 from cosim.cli import main
 from cosim.errors import InputError
 from cosim.judgement import FINITE, latched, question, verdict
 from cosim.ngspice.deck import load_deck
 from cosim.plan import resolve
-from cosim.run import run
+from cosim.runner import run
 
 #: Joints, one after the other, whose boards the suite judges; the slow test takes all six.
 QUICK_JOINTS = (1, 2)

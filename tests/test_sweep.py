@@ -8,10 +8,10 @@ import pytest
 
 from cosim.assets import scenes_folder
 from cosim.cli import main
+from cosim.comparisons import sweep as module
+from cosim.comparisons.sweep import parse_range
 from cosim.errors import InputError, SimulationError
-from cosim.studies import sweep as module
 from cosim.studies.study import load_study
-from cosim.studies.sweep import parse_range
 
 DROP = str(scenes_folder() / "drop.toml")
 FAST = ["--set", "duration_s=0.05", "--set", "solver.model=linear"]

@@ -9,8 +9,8 @@ import pytest
 from project import ROOT, Project, lay_out
 
 from cosim import cli
-from cosim.compiled import cache_folder
 from cosim.ngspice import child
+from cosim.numba_cache import cache_folder
 
 LIMIT_S = 543.5
 Limits = dict[str, set[float | None]]
@@ -56,26 +56,32 @@ def limits(monkeypatch: pytest.MonkeyPatch) -> Limits:
 @pytest.mark.parametrize(
     ("command", "asks"),
     [
-        (("check", "scene.toml"), {"cosim.check.measure", "cosim.circuits.instability"}),
+        (("check", "scene.toml"), {"cosim.checking.measured", "cosim.circuits.instability.search"}),
         (
             ("noise", "scene.toml", "--set", "effects.component_noise=true"),
-            {"cosim.studies.model", "cosim.circuits.noise"},
+            {"cosim.analysis.extracted", "cosim.circuits.extraction.noise_contributions"},
         ),
         (("nodes", "scene.toml"), {"cosim.loop.recordable"}),
-        (("plan", "scene.toml"), {"cosim.circuits.stated"}),
-        (("run", "scene.toml", "-o", "out"), {"cosim.loop.propagate_run", "cosim.circuits.instability"}),
-        (("run", "scene.toml", "-o", "out", "--model", "spice"), {"cosim.loop.simulate"}),
+        (("plan", "scene.toml"), {"cosim.circuits.extraction.design_numbers"}),
+        (
+            ("run", "scene.toml", "-o", "out"),
+            {"cosim.loop.linear.run_linear", "cosim.circuits.instability.search"},
+        ),
+        (("run", "scene.toml", "-o", "out", "--model", "spice"), {"cosim.loop.spice.run_spice"}),
         (
             ("compare", "scene.toml", "--set", "r_sum_spring=20k", "--measure", "peak_current", "--most", "1",
              "-o", "out"),
-            {"cosim.loop.propagate_run", "cosim.circuits.instability"},
+            {"cosim.loop.linear.run_linear", "cosim.circuits.instability.search"},
         ),
         (
             ("sweep", "scene.toml", "computer.analog_stiffness_n_per_m=50,60", "--measure", "peak_current",
              "--measure", "eta", "-o", "out"),
-            {"cosim.loop.propagate_run", "cosim.circuits.delay"},
+            {"cosim.loop.linear.run_linear", "cosim.circuits.extraction.block_delays"},
         ),
-        (("report", "eta.toml", "-o", "out"), {"cosim.studies.model", "cosim.circuits.delay"}),
+        (
+            ("report", "eta.toml", "-o", "out"),
+            {"cosim.analysis.extracted", "cosim.circuits.extraction.block_delays"},
+        ),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
 )  # fmt: skip

@@ -10,7 +10,7 @@ from support import SCENES, Arm
 
 from cosim.scene import load_scene
 from cosim.studies.study import load_study, run_study
-from cosim.studies.trace import SINK, TraceParameters, quasi_static, verdicts
+from cosim.studies.wall_trace import SINK, TraceParameters, quasi_static, verdicts
 
 #: The discrete part alone, and with the analog one, as the paper has them [N/m].
 ALONE, BOTH = 133.0, 233.0

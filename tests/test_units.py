@@ -8,7 +8,7 @@ from support import SCENES
 from cosim.cli import main
 from cosim.commands.effects import table
 from cosim.commands.run import measure_table
-from cosim.studies.ledger import EffectsLedger, Row
+from cosim.comparisons.effects_ledger import EffectsLedger, Row
 from cosim.units import quantity, signed
 
 _PREFIX = {"p": 1e-12, "n": 1e-9, "µ": 1e-6, "m": 1e-3, "": 1.0, "k": 1e3, "M": 1e6}

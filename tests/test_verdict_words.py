@@ -10,11 +10,11 @@ import pytest
 from small_studies import PAPER, PERIODS, first, small
 
 import cosim.studies
+from cosim.analysis.tip import Case
+from cosim.studies.case_effects import holds_table
 from cosim.studies.claims import load_claims
-from cosim.studies.footnote import FootnoteParameters, verdicts
-from cosim.studies.holds import holds_table
+from cosim.studies.footnote1_map import FootnoteParameters, verdicts
 from cosim.studies.study import load_study
-from cosim.studies.tip import Case
 from reports.study_page import write_study_page
 
 #: Symbols of our code and of formulas that plain words replace.

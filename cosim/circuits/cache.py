@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.circuits.linear import LinearCircuit
+from cosim.circuits.linear_circuit import LinearCircuit
 
 __all__ = ["Asked", "folder", "load", "load_arrays", "store", "store_arrays"]
 

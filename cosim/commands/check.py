@@ -33,11 +33,11 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
-    with start_early("cosim.check.measure") as child:  # it imports while the netlists are read
-        from cosim.check.check import check
-        from cosim.check.subject import load_subject
-        from cosim.check.text import describe
-        from cosim.settings import parse_settings, variants
+    with start_early("cosim.checking.measured") as child:  # it imports while the netlists are read
+        from cosim.checking.check import check
+        from cosim.checking.printout import describe
+        from cosim.checking.subject import load_subject
+        from cosim.variants import parse_settings, variants
 
         subjects = [
             load_subject(args.target, variant, args.level, args.driver, trust=args.trust)

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from cosim.ngspice.child import Child
     from cosim.plan import Plan
     from cosim.scene import Scene
-    from cosim.settings import Variant
+    from cosim.variants import Variant
 
 
 def plan_of(args: argparse.Namespace, variant: "Variant", scene: "Scene", child: "Child") -> "Plan":
@@ -20,7 +20,7 @@ def plan_of(args: argparse.Namespace, variant: "Variant", scene: "Scene", child:
 
     if not scene.effects.auto:
         return resolve(scene, trust=args.trust)
-    from cosim.studies.auto import choose
+    from cosim.comparisons.choose_effects import choose
 
     forced = [f"solver.model={args.model}"] if args.model else []
     with collected(forward=False):  # what is doubtful about a trial is told of the run that is kept
@@ -33,11 +33,11 @@ def plan_of(args: argparse.Namespace, variant: "Variant", scene: "Scene", child:
 
 def open_choice(args: argparse.Namespace, variant: "Variant") -> dict[str, Any]:
     """Return what would be tried, in this order, JSON-ready; nothing runs."""
+    from cosim.comparisons.effect_candidates import Candidates
     from cosim.ngspice.child import start_early
-    from cosim.studies.candidates import Candidates
 
     forced = [f"solver.model={args.model}"] if args.model else []
-    with collected(forward=False), start_early("cosim.circuits.stated") as child:
+    with collected(forward=False), start_early("cosim.circuits.extraction.design_numbers") as child:
         candidates = Candidates(args.scene, (*forced, *variant.overrides), trust=args.trust, child=child)
         force_n, least_n, ranked = candidates.force_n(), candidates.tolerance_n(), candidates.ranked()
     return {

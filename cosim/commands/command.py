@@ -10,7 +10,7 @@ from cosim.caution import Caution, grouped
 
 if TYPE_CHECKING:
     from cosim.scene import Scene
-    from cosim.settings import Variant
+    from cosim.variants import Variant
 
 
 def _success(args: argparse.Namespace, result: dict[str, Any]) -> int:
@@ -96,7 +96,7 @@ def out_argument(parser: argparse.ArgumentParser) -> None:
 def load_variants(args: argparse.Namespace) -> "list[tuple[Variant, Scene]]":
     """Load the scene once for every combination of ``--set``: all are checked before the first runs."""
     from cosim.scene import load_scene
-    from cosim.settings import parse_settings, variants
+    from cosim.variants import parse_settings, variants
 
     forced = [f"solver.model={args.model}"] if args.model else []
     if getattr(args, "measure", None):

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 from cosim.commands.command import Command, measure_argument, trust_arguments
 
 if TYPE_CHECKING:
+    from cosim.comparisons.compare_boards import Asked, Row, Side
     from cosim.ngspice.child import Child
-    from cosim.studies.compare import Asked, Row, Side
 
 #: Results of `cosim run SCENE` without a folder of their own.
 _USUAL = Path("out")
@@ -48,11 +48,13 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
-    with start_early("cosim.loop.simulate", "cosim.check.measure", reads=[Path(args.scene).parent]) as child:
+    with start_early(
+        "cosim.loop.spice.run_spice", "cosim.checking.measured", reads=[Path(args.scene).parent]
+    ) as child:
         from cosim.commands.progress import progress
-        from cosim.settings import parse_settings, variants
-        from cosim.studies.compare import changes, compare, sides_of
-        from cosim.studies.measuring import check_measures
+        from cosim.comparisons.compare_boards import changes, compare, sides_of
+        from cosim.comparisons.measuring import check_measures
+        from cosim.variants import parse_settings, variants
 
         check_measures(args.measure)
         last = _USUAL / Path(args.scene).stem if args.last == "" else Path(args.last) if args.last else None
@@ -81,7 +83,7 @@ def _measures(args: argparse.Namespace, asked: "list[Asked]", child: "Child") ->
     """Compare the measures that are asked for."""
     from cosim.commands.progress import progress
     from cosim.commands.run import measure_table
-    from cosim.studies.compare import compare_measures
+    from cosim.comparisons.compare_boards import compare_measures
 
     names = list(dict.fromkeys(args.measure))
     with progress("comparing") as show:
@@ -94,7 +96,7 @@ def _measures(args: argparse.Namespace, asked: "list[Asked]", child: "Child") ->
 
 def _table(sides: "Sequence[Side]", rows: "Sequence[Row]", most: int) -> list[str]:
     """Return what changed, by section, as far as there is room for the largest changes."""
-    from cosim.studies.figures import SECTIONS
+    from cosim.comparisons.board_figures import SECTIONS
     from reports.boards import cells, felt
 
     if not rows:

@@ -16,12 +16,12 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
-    with start_early("cosim.studies.model") as child:
+    with start_early("cosim.analysis.extracted") as child:
+        from cosim.analysis.extracted import circuit_of
         from cosim.plan import resolve
         from cosim.plausibility import of_asked, of_circuit
         from cosim.staging import own_file
         from cosim.studies.device import PRESETS, device_numbers, flat
-        from cosim.studies.model import circuit_of
 
         if args.file:
             own_file(args.file, lambda head: head.startswith("number,"))

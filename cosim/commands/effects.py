@@ -9,7 +9,7 @@ from cosim.commands.progress import progress
 from cosim.units import quantity, signed
 
 if TYPE_CHECKING:
-    from cosim.studies.ledger import EffectsLedger
+    from cosim.comparisons.effects_ledger import EffectsLedger
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,12 +30,12 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
-    with start_early("cosim.loop.simulate", reads=[Path(args.scene).parent]) as child:
+    with start_early("cosim.loop.spice.run_spice", reads=[Path(args.scene).parent]) as child:
         from cosim.catalogue import OF_A_RUN
+        from cosim.comparisons.effects_ledger import effects_ledger
+        from cosim.comparisons.measuring import check_measures
         from cosim.errors import fail
-        from cosim.settings import parse_settings
-        from cosim.studies.ledger import effects_ledger
-        from cosim.studies.measuring import check_measures
+        from cosim.variants import parse_settings
 
         check_measures([args.measure])
         wanted = OF_A_RUN if args.measure in OF_A_RUN else (args.measure,)

@@ -31,7 +31,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.errors import fail
     from cosim.export import command, export, is_deck
     from cosim.plan import resolve
-    from cosim.run import run
+    from cosim.runner import run
     from cosim.staging import own_file, scratch_folder
 
     found = load_variants(args)

@@ -21,7 +21,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
-    from cosim.effects.unused import ACTS_THROUGH
+    from cosim.effects.idle_keys import ACTS_THROUGH
     from cosim.scene.keys import section
 
     used = {key: effect for effect, keys in ACTS_THROUGH.items() for key in keys}

@@ -11,13 +11,13 @@ from cosim.units import quantity
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
-    with start_early("cosim.studies.model") as child:
+    with start_early("cosim.analysis.extracted") as child:
+        from cosim.analysis.extracted import circuit_of
+        from cosim.analysis.noise_covariance import noise_covariance
+        from cosim.analysis.tip_noise import component_force
         from cosim.plan import resolve
         from cosim.plausibility import of_asked, of_circuit
         from cosim.scene import PotNoise
-        from cosim.studies.covariance import noise_covariance
-        from cosim.studies.model import circuit_of
-        from cosim.studies.tipnoise import component_force
 
         cases, texts = [], []
         every = load_variants(args)

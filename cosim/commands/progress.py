@@ -12,7 +12,7 @@ COMPILING = "compiling, once, about 60 s"
 
 def announce_compilation() -> None:
     """Say on standard error that code is compiled first, where it is and no bar will say so."""
-    from cosim.compiled import is_warm
+    from cosim.numba_cache import is_warm
 
     if not is_warm() and not sys.stderr.isatty():
         print(f"{COMPILING}; `cosim warm` does it ahead", file=sys.stderr, flush=True)
@@ -28,7 +28,7 @@ def progress(title: str) -> Iterator[Callable[[int, int, str], None] | None]:
     from rich.console import Console
     from rich.progress import Progress, TimeElapsedColumn
 
-    from cosim.compiled import is_warm
+    from cosim.numba_cache import is_warm
 
     columns = (*Progress.get_default_columns(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:

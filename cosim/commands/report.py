@@ -39,10 +39,10 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
 
 def _report_runs(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    from cosim.comparisons.input_differences import differing
     from cosim.errors import fail
     from cosim.results import PAGE_FOLDER, Run
     from cosim.staging import writable_folder
-    from cosim.studies.inputs import differing
     from reports.page import write_report
     from reports.tables import Trial, inputs_table
 
@@ -75,10 +75,10 @@ def _report_runs(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 def _board(folder: Path) -> "Deck | None":
     """Return what a result keeps of its board; None where it keeps none that can be read."""
     from cosim.errors import InputError
-    from cosim.ngspice import stored
+    from cosim.ngspice import deck_file
 
     try:
-        return stored.load(folder)
+        return deck_file.load(folder)
     except InputError as error:
         why = "; ".join(problem.message for problem in error.problems)
         warn(Caution("board-unread", f"the board kept in {folder.name} is not compared: {why}",
@@ -109,9 +109,9 @@ def study_files(given: list[Path]) -> list[Path]:
 
 def _report_studies(args: argparse.Namespace, files: list[Path]) -> tuple[dict[str, Any], str]:
     from cosim.commands.progress import progress
-    from cosim.settings import overrides
     from cosim.studies.claims import Claims, load_claims
     from cosim.studies.study import load_study, run_study
+    from cosim.variants import overrides
     from reports.study_page import write_study_page
 
     changes = overrides(args.set)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from cosim.ngspice.child import Child
     from cosim.plan import Plan
     from cosim.results import Run
-    from cosim.settings import Variant
+    from cosim.variants import Variant
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,10 +45,10 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
     with start_early(
-        "cosim.loop.simulate", reads=[Path(args.scene).parent]
+        "cosim.loop.spice.run_spice", reads=[Path(args.scene).parent]
     ) as child:  # it imports while the scene is read
         from cosim.commands.choice import plan_of
-        from cosim.studies.measuring import check_measures, needs_a_run, run_with_measures
+        from cosim.comparisons.measuring import check_measures, needs_a_run, run_with_measures
 
         check_measures(args.measure)
         found = load_variants(args)
@@ -78,7 +78,7 @@ def _without_run(
     args: argparse.Namespace, plans: "list[tuple[Variant, Plan]]", child: "Child"
 ) -> tuple[dict[str, Any], str]:
     """Measure what needs no run: nothing is simulated, nothing is stored."""
-    from cosim.studies.board_measures import board_measures
+    from cosim.comparisons.board_measures import board_measures
 
     rows: list[tuple[str, Mapping[str, Mapping[str, Any]]]] = []
     told, lines = [], ["no run is needed for these measures: nothing was simulated or stored"]
@@ -135,7 +135,7 @@ def progress(duration_s: float, title: str) -> "Iterator[Callable[[Mapping[str, 
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     from cosim.commands.progress import shown
-    from cosim.compiled import is_warm
+    from cosim.numba_cache import is_warm
 
     columns = (
         TextColumn("{task.description}"),

@@ -10,7 +10,7 @@ from cosim.commands.command import Command, about, load_variants, out_argument, 
 from cosim.units import quantity
 
 if TYPE_CHECKING:
-    from cosim.studies.limits import Limits
+    from cosim.analysis.stiffness_limits import Limits
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -21,11 +21,11 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
-    with start_early("cosim.studies.model") as child:
+    with start_early("cosim.analysis.extracted") as child:
+        from cosim.analysis.extracted import circuit_of
+        from cosim.analysis.stiffness_limits import limits
         from cosim.plan import resolve
         from cosim.plausibility import of_asked, of_circuit
-        from cosim.studies.limits import limits
-        from cosim.studies.model import circuit_of
 
         cases, texts = [], []
         every = load_variants(args)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from cosim.commands.command import Command, trust_arguments
 
 if TYPE_CHECKING:
-    from cosim.studies.sweep import Sweep
+    from cosim.comparisons.sweep import Sweep
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,11 +36,11 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
-    with start_early("cosim.loop.simulate", reads=[Path(args.scene).parent]) as child:
+    with start_early("cosim.loop.spice.run_spice", reads=[Path(args.scene).parent]) as child:
         from cosim.commands.progress import progress
+        from cosim.comparisons.sweep import TABLE, parse_range, sweep
         from cosim.errors import fail
-        from cosim.settings import parse_settings
-        from cosim.studies.sweep import TABLE, parse_range, sweep
+        from cosim.variants import parse_settings
 
         fixed = parse_settings(args.set)
         if any(len(setting.values) > 1 for setting in fixed):

@@ -24,9 +24,9 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.assets import scenes_folder
     from cosim.commands.progress import COMPILING
-    from cosim.compiled import cache_folder, is_warm
+    from cosim.numba_cache import cache_folder, is_warm
     from cosim.plan import resolve
-    from cosim.run import run
+    from cosim.runner import run
     from cosim.scene import load_scene
 
     started = time.perf_counter()

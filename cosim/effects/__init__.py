@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from cosim.circuits.port import Stated
+from cosim.circuits.design_constants import Stated
 from cosim.effects.circuit import CARRIED, CIRCUIT
-from cosim.effects.computer import COMPUTER
+from cosim.effects.circuit_noise import NOISE
 from cosim.effects.effect import Cost, Effect, Size
 from cosim.effects.linkage import LINKAGE
-from cosim.effects.noise import NOISE
+from cosim.effects.sampling import COMPUTER
 from cosim.effects.sensing import SENSING
 from cosim.errors import InputError, Problem
 from cosim.ngspice.deck import NOMINAL_C, Feature

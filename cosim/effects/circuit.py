@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 
-from cosim.circuits.port import Stated
-from cosim.effects import errors
+from cosim.circuits.design_constants import Stated
+from cosim.effects import amplifier_errors
+from cosim.effects.amplifier_errors import driver_gain, gain_before, unstated
 from cosim.effects.effect import ALL, DYNAMIC, SPICE, Cost, Effect, Size
-from cosim.effects.errors import driver_gain, gain_before, unstated
 from cosim.effects.scale import Scale, scale
 from cosim.scene import Level, Scene
 
@@ -24,7 +24,7 @@ def _opamp(scene: Scene, constants: Stated) -> Size:
     delay = noise_gain / (2.0 * math.pi * min(rate))
     force, text = at.of_delay(delay) + noise_gain / min(gain) * at.force_n, "of delay"
     if scene.effects.opamp is Level.FULL:
-        parts = (errors.slew, errors.saturation, errors.offset)
+        parts = (amplifier_errors.slew, amplifier_errors.saturation, amplifier_errors.offset)
         force, text = force + _sum(parts, scene, constants), "of delay; slew, saturation and offset"
     source = "k v tau + F n / A0, tau = n / (2 pi GBW), n the noise gains"
     return Size(delay, "s", at.capped(force), text, source)
@@ -42,7 +42,7 @@ def _vca(scene: Scene, constants: Stated) -> Size:
     delay = 1.0 / (2.0 * math.pi * min(rate))
     force, text = at.of_delay(delay), "of delay"
     if scene.effects.vca is Level.FULL:
-        parts = (errors.vca_gain, errors.vca_offset, errors.vca_nonlinearity)
+        parts = (amplifier_errors.vca_gain, amplifier_errors.vca_offset, amplifier_errors.vca_nonlinearity)
         force += _sum(parts, scene, constants)
         text = "of delay; gain error, offset, nonlinearity"
     return Size(delay, "s", at.capped(force), text, "k v tau, tau = 1 / (2 pi f); data sheet")
@@ -57,7 +57,7 @@ def _driver_level(scene: Scene, constants: Stated) -> Size:
     delay = noise_gain / (2.0 * math.pi * min(rate))
     force, text = at.of_delay(delay) + noise_gain / min(open_loop) * at.force_n, "of delay"
     if scene.effects.driver_level is Level.FULL:
-        parts = (errors.limit, errors.driver_offset)
+        parts = (amplifier_errors.limit, amplifier_errors.driver_offset)
         force, text = force + _sum(parts, scene, constants), "of delay; limit and offset"
     source = "k v tau + F n / A0, tau = n / (2 pi GBW), n the noise gain"
     return Size(delay, "s", at.capped(force), text, source)
@@ -123,27 +123,30 @@ def _drive_cost(scene: Scene, constants: Stated) -> Cost:
 CIRCUIT = (
     Effect("opamp", "ideal", ("gbw", "full"), "netlist", DYNAMIC, size=_opamp, cost=_states("opamp", 1, 3)),
     Effect(
-        "opamp_slew", False, (True,), "netlist", SPICE, size=errors.slew, cost=errors.bent("opamp"),
-        requires=("opamp",),
+        "opamp_slew", False, (True,), "netlist", SPICE, size=amplifier_errors.slew,
+        cost=amplifier_errors.bent("opamp"), requires=("opamp",),
     ),
     Effect(
-        "opamp_saturation", False, (True,), "netlist", SPICE, size=errors.saturation,
-        cost=errors.bent("opamp"), requires=("opamp",),
+        "opamp_saturation", False, (True,), "netlist", SPICE, size=amplifier_errors.saturation,
+        cost=amplifier_errors.bent("opamp"), requires=("opamp",),
     ),
-    Effect("opamp_offset", False, (True,), "netlist", ALL, size=errors.offset),
+    Effect("opamp_offset", False, (True,), "netlist", ALL, size=amplifier_errors.offset),
     Effect("vca", "ideal", ("gbw", "full"), "netlist", DYNAMIC, size=_vca, cost=_states("vca", 1, 1)),
-    Effect("vca_gain_error", False, (True,), "netlist", ALL, size=errors.vca_gain),
-    Effect("vca_offset", False, (True,), "netlist", ALL, size=errors.vca_offset),
-    Effect("vca_nonlinearity", False, (True,), "netlist", SPICE, size=errors.vca_nonlinearity),
+    Effect("vca_gain_error", False, (True,), "netlist", ALL, size=amplifier_errors.vca_gain),
+    Effect("vca_offset", False, (True,), "netlist", ALL, size=amplifier_errors.vca_offset),
+    Effect("vca_nonlinearity", False, (True,), "netlist", SPICE, size=amplifier_errors.vca_nonlinearity),
     Effect(
         "differentiator", "ideal", ("corner",), "netlist", DYNAMIC,
-        size=errors.corner, cost=errors.corner_cost, lacks=errors.undamped,
+        size=amplifier_errors.corner, cost=amplifier_errors.corner_cost, lacks=amplifier_errors.undamped,
     ),
     Effect(
         "driver_level", "ideal", ("gbw", "full"), "netlist", DYNAMIC,
         size=_driver_level, cost=_states("driver", 1, 2),
     ),
-    Effect("driver_limit", False, (True,), "netlist", ALL, size=errors.limit, cost=errors.bent("driver")),
+    Effect(
+        "driver_limit", False, (True,), "netlist", ALL, size=amplifier_errors.limit,
+        cost=amplifier_errors.bent("driver"),
+    ),
     Effect(
         "motor", "ideal", ("full", "emf"), "netlist", ALL,
         size=_motor, cost=_motor_cost, at_full=DYNAMIC,
@@ -151,7 +154,8 @@ CIRCUIT = (
     Effect("driver", "voltage", ("current",), "netlist", ALL, size=_drive, cost=_drive_cost),
     Effect("potentiometer", "ideal", ("full",), "netlist", ALL, size=_track, at_full=ALL),
     Effect(
-        "temperature", False, (True,), "netlist", ALL, size=errors.temperature, lacks=errors.nominal,
+        "temperature", False, (True,), "netlist", ALL, size=amplifier_errors.temperature,
+        lacks=amplifier_errors.nominal,
     ),
 )  # fmt: skip
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.circuits.port import Stated
+from cosim.circuits.design_constants import Stated
 from cosim.scene import Scene
 from cosim.scene.schema import CHOICES
 

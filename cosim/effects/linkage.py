@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from cosim.circuits.port import Stated
+from cosim.circuits.design_constants import Stated
 from cosim.effects.effect import ALL, Cost, Effect, Size
 from cosim.effects.scale import scale
 from cosim.scene import HandOperator, Scene

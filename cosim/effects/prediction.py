@@ -8,7 +8,7 @@ measured on one of two cores.
 
 from __future__ import annotations
 
-from cosim.circuits.port import Stated
+from cosim.circuits.design_constants import Stated
 from cosim.effects import EFFECTS
 from cosim.scene import Jitter, Level, PotNoise, Scene
 
@@ -80,7 +80,7 @@ def _of_tick(scene: Scene) -> float:
 
 
 def _is_exact(scene: Scene) -> bool:
-    """Whether our own loop goes from event to event by matrix exponentials (`cosim.loop.exact`)."""
+    """Whether our own loop goes from event to event by matrix exponentials (`exact_slider.py`)."""
     effects = scene.effects
     bent = effects.pot_linearity or effects.pot_calibration
     bent = bent or effects.pot_noise in (PotNoise.STATIC, PotNoise.POSITION)

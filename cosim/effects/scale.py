@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from cosim.circuits.port import Stated
+from cosim.circuits.design_constants import Stated
 from cosim.scene import HandOperator, MassOperator, Method, Scene
 
 #: Peak speed of a minimum-jerk move over its mean (Flash and Hogan 1985): 30 x^2 (1 - x)^2 at x = 1/2.

@@ -1,6 +1,6 @@
 """Component noise in time: one random stream a device, shaped by its spectrum, the same in every model.
 
-The measured transfers (`cosim.circuits.noise`) are applied to white streams by FFT, so that what two motors
+The measured transfers (`noise_contributions.py`) are applied to white streams by FFT, so that what two motors
 share of a device is correlated as it is in the circuit. The result stands at two places: in series with X of
 the multipliers, from where it passes through them at whatever gains the computer sets, and at the pins cmd,
 where the noise of all that comes behind (multipliers' outputs, summer, driver, motor) is referred to, so that
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 from scipy.interpolate import CubicSpline
 
-from cosim.circuits.noise import ComponentNoise, Report, component_noise
+from cosim.circuits.extraction.noise_contributions import ComponentNoise, Report, component_noise
 from cosim.errors import InputError, Problem
 from cosim.loop.noise import stream
 from cosim.ngspice.deck import Deck

@@ -287,7 +287,7 @@ def _code(c: Record, volts: float) -> tuple[float, int]:
 
 @njit(cache=True, error_model="numpy")
 def to_volts(c: Record, x: Record, volts: Vector) -> None:
-    """Turn the wishes in `x` into DAC voltages [V], in the order of `cosim.loop.driven.channels`.
+    """Turn the wishes in `x` into DAC voltages [V], in the order of `cosim.loop.dac_channels.channels`.
 
     Channels that the range clips are counted in `x.saturated`.
     """

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from cosim.circuits.spice import lockstep_deck
-from cosim.loop.driven import drive
+from cosim.circuits.decks import lockstep_deck
+from cosim.loop.dac_channels import drive
 from cosim.loop.setup import columns, sample_columns
 from cosim.loop.signals import signal_names
 from cosim.ngspice.simulator import Simulator

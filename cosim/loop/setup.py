@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.circuits.port import DesignConstants
-from cosim.circuits.spice import Drive
+from cosim.circuits.decks import Drive
+from cosim.circuits.design_constants import DesignConstants
 from cosim.errors import InputError, Problem
 from cosim.loop.component_noise import ComponentGrid
 from cosim.loop.computer import COMPUTER, Method, Path
-from cosim.loop.driven import channels, is_geometric
-from cosim.loop.lockstep import name_hash
+from cosim.loop.dac_channels import channels, is_geometric
 from cosim.loop.noise import Noise, no_noise, period_jitter, potentiometer_noise, with_errors
+from cosim.loop.spice.coupling import name_hash
 from cosim.loop.state import QUEUE, STATE
 from cosim.scene import Scene, schema
 from mech import Chain, Hand, NoOperator, Operator, ParameterError, PointMass, Slider, load_user

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.circuits.port import DesignConstants
-from cosim.circuits.spice import Drive
-from cosim.loop.ledger import summary, torques_and_energy, works
+from cosim.circuits.decks import Drive
+from cosim.circuits.design_constants import DesignConstants
+from cosim.loop.energy_ledger import summary, torques_and_energy, works
 from cosim.rawfile import RawWriter
 from mech import NoOperator
 

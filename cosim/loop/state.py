@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cosim.circuits.spice import MOST_NODES
+from cosim.circuits.decks import MOST_NODES
 from cosim.loop.computer import COMPUTER, SAMPLE
 from mech.records import LINKAGE, NMAX, OPERATOR, WORK
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cosim.circuits.port import DesignConstants
+from cosim.circuits.design_constants import DesignConstants
 from cosim.loop.userclass import Said, in_users_words, load_class
 from cosim.scene import Scene
 from mech.kernels import jacobian, tip

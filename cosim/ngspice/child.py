@@ -4,7 +4,7 @@ The child starts in a private folder that holds nothing but an empty ``.spiceini
 of the first such file it finds in the working folder, else in the user's home (which it takes from the
 password file, not from ``HOME``), so ours keeps it from running any other. Its environment is its own, and
 the kernel keeps it from all that a simulation does not need (`cosim.ngspice.sandbox`): it writes into its own
-folder and the caches, and what it sends back is taken for data (`cosim.ngspice.message`).
+folder and the caches, and what it sends back is taken for data (`cosim.ngspice.child_messages`).
 """
 
 import contextlib
@@ -25,10 +25,10 @@ from types import TracebackType
 from typing import Any
 
 from cosim.caution import warn
-from cosim.compiled import cache_folder
 from cosim.errors import SimulationError
-from cosim.ngspice import message
+from cosim.ngspice import child_messages
 from cosim.ngspice.worker import HEAD
+from cosim.numba_cache import cache_folder
 from cosim.staging import disk_errors, make_scratch
 
 __all__ = ["Child", "call", "start_early"]
@@ -273,7 +273,7 @@ class Child:
                 return
             body = bytes(memoryview(self._buffer)[HEAD.size : end])
             del self._buffer[:end]
-            yield message.read(body)
+            yield child_messages.read(body)
 
     def _ended(self, deck: str | None, watch: "_Watch") -> SimulationError:
         """Say how the child ended without a result."""

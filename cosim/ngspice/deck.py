@@ -15,6 +15,7 @@ from cosim.errors import InputError, Problem, fail, nearest
 from cosim.ngspice import conditions, gate
 from cosim.ngspice.dialect import Dialect
 from cosim.ngspice.flatten import Reader
+from cosim.ngspice.floating_nodes import unfed_nodes
 from cosim.ngspice.inventory import Amplifier, amplifiers, declared, global_nodes, reactances
 from cosim.ngspice.lines import Line, tokens
 from cosim.ngspice.needed import check_size, judged, judged_bench, judged_block
@@ -23,7 +24,6 @@ from cosim.ngspice.notes import notes
 from cosim.ngspice.overrides import apply_overrides, set_param, shorts
 from cosim.ngspice.parts import Feature, Part, PartSwap, Shelf, described
 from cosim.ngspice.safety import refusal
-from cosim.ngspice.unfed import unfed_nodes
 from cosim.ngspice.unused import unused
 
 __all__ = ["NOMINAL_C", "Amplifier", "Deck", "Feature", "PartSwap", "board_pins", "load_deck"]

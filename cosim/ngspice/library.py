@@ -17,7 +17,7 @@ from collections.abc import Callable
 from typing import Any
 
 from cosim.errors import InputError, SimulationError
-from cosim.ngspice.words import worth_quoting
+from cosim.ngspice.messages import worth_quoting
 
 __all__ = ["OLDEST_VERSION", "STOP_COMMAND", "Init", "Library", "Source", "Sync"]
 

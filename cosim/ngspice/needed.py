@@ -3,10 +3,10 @@
 from collections.abc import Iterable, Mapping
 
 from cosim.errors import Problem, fail
-from cosim.ngspice.form import malformed
 from cosim.ngspice.lines import Line, strange_character
 from cosim.ngspice.netlist import Block, Instance, doubled, parse
 from cosim.ngspice.safety import refusal
+from cosim.ngspice.syntax import malformed
 
 __all__ = ["check_size", "judged", "judged_bench", "judged_block"]
 

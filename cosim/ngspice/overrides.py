@@ -8,9 +8,9 @@ from cosim.errors import InputError, Problem, nearest
 from cosim.ngspice.conditions import flags
 from cosim.ngspice.dialect import Dialect
 from cosim.ngspice.expression import evaluate
-from cosim.ngspice.form import malformed
 from cosim.ngspice.lines import Line, join, number, tokens
 from cosim.ngspice.netlist import Block, Instance, Netlist
+from cosim.ngspice.syntax import malformed
 from cosim.ngspice.values import as_meant
 
 __all__ = ["LARGEST", "SMALLEST", "apply_overrides", "set_param", "shorts"]

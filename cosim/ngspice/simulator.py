@@ -21,7 +21,7 @@ from cosim.ngspice.dcpath import has_dc_path
 from cosim.ngspice.gate import admit
 from cosim.ngspice.library import OLDEST_VERSION, STOP_COMMAND, Init, Library, Source, Sync
 from cosim.ngspice.lines import Line, number
-from cosim.ngspice.words import is_error, load_problems, operating_point_problem, step_problem
+from cosim.ngspice.messages import is_error, load_problems, operating_point_problem, step_problem
 
 __all__ = ["OLDEST_VERSION", "STOP_COMMAND", "Simulator"]
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from cosim.errors import InputError, Problem, nearest
-from cosim.ngspice.form import malformed
 from cosim.ngspice.lines import Line, tokens
 from cosim.ngspice.netlist import Block, Netlist
 from cosim.ngspice.safety import INLINED, KEPT
+from cosim.ngspice.syntax import malformed
 
 __all__ = ["chosen"]
 

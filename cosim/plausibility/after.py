@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.caution import Caution
-from cosim.circuits.port import DesignConstants
+from cosim.circuits.design_constants import DesignConstants
 from cosim.measures import AT_LIMIT, Signals, wall_frame
 from cosim.plausibility.constants import DEVIATION
 from cosim.scene import Level, Method, Scene

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from cosim.caution import Caution
-from cosim.circuits import certificate
-from cosim.circuits.linear import LinearCircuit, channel_names
-from cosim.circuits.port import DesignConstants
+from cosim.circuits.design_constants import DesignConstants
+from cosim.circuits.extraction import certificate
+from cosim.circuits.linear_circuit import LinearCircuit, channel_names
 from cosim.scene import Method, Scene
 
 __all__ = ["DEVIATION", "constant_missed", "of_asked", "of_circuit"]

@@ -11,8 +11,8 @@ from pydantic import BaseModel, ValidationError
 from cosim.errors import InputError, Problem
 from cosim.scene.checks import Skip, cross_problems
 from cosim.scene.explain import clean_key, dotted, explain, field_at, is_real
+from cosim.scene.layers import Key, Layer, absolute_paths, locate, merge, override_layers, read_layers
 from cosim.scene.model import Scene
-from cosim.scene.source import Key, Layer, absolute_paths, locate, merge, override_layers, read_layers
 
 
 def load_scene(path: str | os.PathLike[str], overrides: Iterable[str] = ()) -> Scene:

@@ -8,20 +8,20 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from cosim.circuits.alter import nominal_value
-from cosim.circuits.noise import ComponentNoise
-from cosim.circuits.port import Stated
+from cosim.analysis.noise_covariance import noise_covariance
+from cosim.analysis.tip import Case, Tip, Wanted, row, tip_of
+from cosim.analysis.tip_noise import pot_density, pot_form
+from cosim.checkpoint import Points
+from cosim.circuits.design_constants import Stated
+from cosim.circuits.extraction.alter import nominal_value
+from cosim.circuits.extraction.noise_contributions import ComponentNoise
 from cosim.errors import InputError
 from cosim.ngspice.child import Child, call, start_early
 from cosim.plan import resolve
 from cosim.scene import Method, PotNoise
 from cosim.scene.parameters import Field, Parameters, Unit
-from cosim.studies.covariance import noise_covariance
-from cosim.studies.holds import holds_table
-from cosim.studies.points import Points
+from cosim.studies.case_effects import holds_table
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
-from cosim.studies.tip import Case, Tip, Wanted, row, tip_of
-from cosim.studies.tipnoise import pot_density, pot_form
 
 __all__ = ["STUDY", "BudgetParameters", "loaded", "position_errors"]
 
@@ -156,13 +156,13 @@ def _forces(
 
 def _computed(spec: StudyFile) -> dict[str, Any]:
     given: BudgetParameters = spec.parameters
-    with start_early("cosim.studies.model") as child:
+    with start_early("cosim.analysis.extracted") as child:
         scene = spec.scene("solver.model=linear")
         tip = tip_of(scene, child)
         plan = resolve(scene)
         stated = plan.stated(child)
         errors = position_errors(tip, stated, nominal_value(plan.board, given.load_parameter))
-        noise = call("cosim.circuits.noise:component_noise", {"board": plan.board},
+        noise = call("cosim.circuits.extraction.noise_contributions:component_noise", {"board": plan.board},
                      time_limit_s=scene.solver.time_limit_s, deck=str(plan.board.path),
                      child=child)  # fmt: skip
         forces = _forces(spec, tip, stated, noise, child)

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.errors import InputError, Problem
+from cosim.scene.layers import read_layer
 from cosim.scene.parameters import Field, Parameters, read_parameters
-from cosim.scene.source import read_layer
 
 __all__ = ["FILE", "Claim", "Claims", "load_claims"]
 

@@ -13,17 +13,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.circuits.linear import LinearCircuit
-from cosim.circuits.port import DesignConstants
+from cosim.analysis.extracted import circuit_of
+from cosim.analysis.impedance import Displayed, full_scale, largest
+from cosim.analysis.stability import touching, with_computer
+from cosim.checkpoint import Points
+from cosim.circuits.design_constants import DesignConstants
+from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import fail
 from cosim.loop.setup import mechanism
 from cosim.plan import resolve
 from cosim.scene import Method, Scene
 from cosim.scene.parameters import Field, Parameters
-from cosim.studies.impedance import Displayed, full_scale, largest
-from cosim.studies.model import circuit_of
-from cosim.studies.points import Points
-from cosim.studies.stability import touching, with_computer
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 from mech import Chain
 

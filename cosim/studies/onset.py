@@ -18,22 +18,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from cosim.circuits.linear import LinearCircuit
-from cosim.circuits.port import DesignConstants
+from cosim.analysis.control_law import external_force
+from cosim.analysis.device_passivity import device_of
+from cosim.analysis.extracted import circuit_of
+from cosim.analysis.stability import touching, with_computer
+from cosim.checkpoint import Points
+from cosim.circuits.design_constants import DesignConstants
+from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import fail
 from cosim.loop.setup import mechanism, operator, sample_columns, start
 from cosim.plan import resolve
 from cosim.scene import Method, Scene
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.schema import Period
-from cosim.studies.contact import external_force
-from cosim.studies.drop import Falls, Job, Rest
 from cosim.studies.drop_curves import Family
-from cosim.studies.energy import device_of
+from cosim.studies.drop_test import Falls, Job, Rest
 from cosim.studies.grid import milli
-from cosim.studies.model import circuit_of
-from cosim.studies.points import Points
-from cosim.studies.stability import touching, with_computer
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 
 __all__ = ["STUDY", "Contact", "Fall", "fall", "first_contact"]

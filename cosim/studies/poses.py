@@ -14,25 +14,24 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.circuits.linear import LinearCircuit
-from cosim.circuits.port import DesignConstants
+from cosim.analysis.extracted import circuit_of
+from cosim.analysis.tip import joint_area
+from cosim.checkpoint import Points
+from cosim.circuits.design_constants import DesignConstants
+from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import fail
 from cosim.loop.setup import mechanism
 from cosim.plan import resolve
 from cosim.scene.parameters import Field, Parameters, Unit
-from cosim.studies.model import circuit_of
-from cosim.studies.points import Points
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 from mech import Chain
 
-__all__ = ["STUDY", "Drag", "Unevenness", "drag", "joint_area", "rendered", "unevenness"]
+__all__ = ["STUDY", "Drag", "Unevenness", "drag", "rendered", "unevenness"]
 
 Array = NDArray[np.float64]
 
 #: Nearer to full stretch or fold than this angle [rad] the Jacobian's inverse says nothing of use.
 _MARGIN_RAD = 0.15
-#: Points of the path round a circle: its integrand is smooth and periodic, the rule exact to rounding.
-_CIRCLE = 64
 
 
 class PoseParameters(Parameters):
@@ -124,26 +123,6 @@ def unevenness(
         mismatch * float(np.hypot(*fed)),
         float(np.linalg.eigvalsh((widest + widest.T) / 2)[0]),
     )
-
-
-def joint_area(chain: Chain, q: Array, radius: float) -> float:
-    """Return the area [rad^2] within the joints' path while the tip goes round a circle, centre at `q`.
-
-    Half the integral of q1 dq2 - q2 dq1, dq = J^-1 dr: smooth and periodic, so that equal steps are exact to
-    rounding.
-
-    Raises
-    ------
-    ValueError
-        Where the circle leaves the workspace.
-    """
-    centre, seed, area = chain.forward(q), q, 0.0
-    for turn in 2 * np.pi * np.arange(_CIRCLE) / _CIRCLE:
-        out, along = np.array([np.cos(turn), np.sin(turn)]), np.array([-np.sin(turn), np.cos(turn)])
-        seed = np.asarray(chain.inverse(centre + radius * out, seed=seed))
-        dq = np.linalg.solve(chain.jacobian(seed), radius * along)
-        area += float(seed[0] * dq[1] - seed[1] * dq[0])
-    return abs(area) * np.pi / _CIRCLE
 
 
 def rendered(circuit: LinearCircuit, constants: DesignConstants, ksp: Array) -> Array:

@@ -12,15 +12,15 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.analysis.extracted import circuit_of
+from cosim.analysis.tip import Case, Tip, Wanted, row, tip_of
+from cosim.checkpoint import Points
 from cosim.ngspice.child import Child, start_early
 from cosim.plan import resolve
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.schema import Damping, Frequency, Stiffness
 from cosim.studies.grid import geometric, percent
-from cosim.studies.model import circuit_of
-from cosim.studies.points import Points
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
-from cosim.studies.tip import Case, Tip, Wanted, row, tip_of
 
 __all__ = ["STUDY", "RenderingParameters", "passes", "shown"]
 
@@ -75,7 +75,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     certified: dict[str, list[Any]] = {}
     told: dict[str, dict[str, float]] = {}
     points.expect(len(given.cases))
-    with start_early("cosim.studies.model") as child:
+    with start_early("cosim.analysis.extracted") as child:
         every = [points.get(case.name, partial(_case, spec, case, hz, child)) for case in given.cases]
     for case, found in zip(given.cases, every, strict=True):
         row(certified, {"case": case.name, **found["certificate"]})

@@ -20,15 +20,15 @@ from pathlib import Path
 from typing import Any
 
 import cosim
+from cosim.checkpoint import Points
 from cosim.errors import InputError, Problem, fail, nearest
 from cosim.plan import resolve
 from cosim.results import json_text
 from cosim.scene import Scene, load_scene
+from cosim.scene.layers import line_of, read_layer
 from cosim.scene.parameters import Parameters, read_parameters
-from cosim.scene.source import line_of, read_layer
 from cosim.seal import listed, read_sealed, sealed, write_manifest
 from cosim.staging import Staging, disk_errors
-from cosim.studies.points import Points
 
 __all__ = ["STUDIES", "Parameters", "Study", "StudyFile", "StudyResult", "Table", "Verdict", "is_study",
            "load_study", "run_study"]  # fmt: skip
@@ -37,22 +37,22 @@ RECORD, POINTS = "study.json", "points.jsonl"
 _FORMAT_VERSION = 2
 #: The analyses by name, and the module of each; its `STUDY` says the rest.
 STUDIES = {
-    "acceptance": "cosim.studies.acceptance",
+    "acceptance": "cosim.studies.equations",
     "budget": "cosim.studies.budget",
-    "ceiling": "cosim.studies.ceiling",
-    "congruence": "cosim.studies.congruence",
-    "corner": "cosim.studies.corner",
+    "ceiling": "cosim.studies.analog_limit",
+    "congruence": "cosim.studies.preload",
+    "corner": "cosim.studies.differentiator_corner",
     "device": "cosim.studies.device",
-    "drop": "cosim.studies.drop",
-    "eta": "cosim.studies.eta",
-    "footnote": "cosim.studies.footnote",
-    "maps": "cosim.studies.maps",
+    "drop": "cosim.studies.drop_test",
+    "eta": "cosim.studies.delay_damping",
+    "footnote": "cosim.studies.footnote1_map",
+    "maps": "cosim.studies.stability_maps",
     "onset": "cosim.studies.onset",
-    "passive": "cosim.studies.passive",
+    "passive": "cosim.studies.paper_passivity",
     "poses": "cosim.studies.poses",
     "rendering": "cosim.studies.rendering",
-    "shift": "cosim.studies.shift",
-    "trace": "cosim.studies.trace",
+    "shift": "cosim.studies.limit_shift",
+    "trace": "cosim.studies.wall_trace",
 }
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from cosim.plan import resolve
-from cosim.run import run
+from cosim.runner import run
 from cosim.scene import load_scene
 
 from . import commands

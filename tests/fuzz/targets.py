@@ -19,19 +19,19 @@ from hypothesis import HealthCheck, Phase, configuration, given, settings
 from hypothesis import strategies as st
 
 from cosim.assets import netlists_folder, scenes_folder
+from cosim.checkpoint import Points
+from cosim.comparisons.sweep import parse_range
 from cosim.errors import CosimError
-from cosim.ngspice import stored
+from cosim.ngspice import deck_file
 from cosim.ngspice.deck import load_deck
 from cosim.plan import resolve
 from cosim.rawfile import read_raw
 from cosim.results import Run, json_text, read_csv
 from cosim.scene import load_scene
 from cosim.scene.schema import SceneTables
-from cosim.settings import parse_settings, variants
-from cosim.studies.points import Points
 from cosim.studies.study import load_study
-from cosim.studies.sweep import parse_range
 from cosim.terminal import printable
+from cosim.variants import parse_settings, variants
 
 from .inputs import TOKENS, damaged, mutated, numbers, scene_keys, values
 
@@ -238,7 +238,7 @@ def _results(copy: Path, result: Path) -> Target:
         shutil.copytree(result, copy, copy_function=os.link)
         (copy / name).unlink()
         (copy / name).write_bytes(content)
-        stored.load(copy)
+        deck_file.load(copy)
         Run.load(copy)
 
     def case(name: str) -> st.SearchStrategy[Any]:

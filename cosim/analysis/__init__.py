@@ -1,0 +1,1 @@
+"""Theory of a held contact: linearisation, exact stability, passivity, noise. A library."""

@@ -1,0 +1,355 @@
+"""What the potentiometers' noise does to a contact that is held, without sampling: exact second moments.
+
+The noise is what a run draws (`cosim.loop.noise`): independent values on a grid, linear between its ticks.
+Samples and ticks repeat together after a few periods, so the scene is a linear system with periodic
+coefficients, its covariance cyclostationary. It is solved over that common period, with everything that
+happens between two events integrated exactly; rms values are those over time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.analysis.control_law import law_point, resting_pose
+from cosim.analysis.covariance_steps import integral, repeated, stationary, summed
+from cosim.analysis.linearise import linearise
+from cosim.analysis.period_map import Lifted, Stretch, lift
+from cosim.analysis.stability import touching
+from cosim.circuits.design_constants import DesignConstants
+from cosim.circuits.linear_circuit import LinearCircuit
+from cosim.errors import InputError, Problem
+from cosim.scene import PotNoise, Scene
+
+__all__ = ["Grid", "NoiseCovariance", "covariance", "noise_covariance", "noise_grid"]
+
+Array = NDArray[np.float64]
+
+#: Samples and ticks are taken to meet again within so many of the longer of both.
+_MOST_TURNS = 64
+#: A bandwidth that had to be shifted by more than this share to make them meet is told.
+_SHIFTED = 1e-9
+#: Standard deviations that the contact and the driver's limit must leave room for.
+_ROOM = 4.0
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Independent values on a grid, linear between them.
+
+    Attributes
+    ----------
+    variance
+        [rad^2] of the values at the ticks.
+    periods, ticks
+        So many sampling periods are so many spacings of the grid.
+    shift
+        Relative change of the spacing that this takes; 0 where they meet exactly.
+    """
+
+    variance: float
+    periods: int
+    ticks: int
+    shift: float
+
+
+def noise_grid(scene: Scene) -> Grid:
+    """Return the grid of the scene's potentiometer noise, of kind white or peak_to_peak."""
+    pot, period = scene.device.potentiometer, scene.computer.period_s
+    # linear interpolation keeps two thirds of the mean square; `noise_rad` is the rms in between for white
+    white = scene.effects.pot_noise is PotNoise.WHITE
+    variance = pot.noise_rad**2 * (1.5 if white else 1.0 / 12.0)
+    ratio = Fraction(2.0 * pot.noise_bandwidth_hz) * Fraction(period)
+    turns = math.ceil(_MOST_TURNS * max(1.0, 1.0 / float(ratio)))
+    near = ratio.limit_denominator(turns)
+    return Grid(variance, near.denominator, near.numerator, abs(float(near / ratio) - 1.0))
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """An event, then a stretch of time, `count` times; `fresh` where the noise gets a new value."""
+
+    event: Array
+    fresh: bool
+    stretch: Stretch
+    count: int
+
+
+def _pieces(lifted: Lifted, grid: Grid) -> Iterator[_Piece]:
+    """Walk through the common period, from the first sample to just before the sample behind it."""
+    assert lifted.noise is not None
+    period = lifted.system.period_s
+    spacing = grid.periods * period / grid.ticks
+    last, following = lifted.noise
+    tick = np.eye(lifted.size)
+    tick[last] = np.eye(lifted.size)[following]
+    tick[following] = 0.0
+    instants = lifted.instants()
+    close = 1e-9 * min(period, spacing)
+    for number in range(grid.periods):
+        for start, end in zip(instants, [*instants[1:], period], strict=True):
+            base = number * period
+            index = math.floor((base + start + close) / spacing)  # of the last tick
+            event = lifted.at(start)
+            fresh = abs(index * spacing - base - start) <= close
+            if fresh:
+                event = event @ tick
+            now = start
+            while True:
+                following_tick = (index + 1) * spacing - base
+                to = following_tick if following_tick < end - close else end
+                place = (base + now) / spacing - index, (base + to) / spacing - index
+                noise = max(place[0], 0.0), min(place[1], 1.0)
+                count = 1
+                if event is tick and not lifted.ramping(now):
+                    count = max(1, math.floor((end - now + close) / spacing))
+                if count > 1:
+                    to, noise = now + spacing, (0.0, 1.0)
+                yield _Piece(event, fresh, lifted.stretch(now, to - now, noise), count)
+                index += count
+                now = index * spacing - base if to != end else end
+                if now >= end - close:
+                    break
+                event, fresh = tick, True
+
+
+@dataclass(frozen=True)
+class NoiseCovariance:
+    """Second moments of a contact under the noise of its potentiometers, about the pose of rest.
+
+    Attributes
+    ----------
+    kind
+        Of the noise.
+    q
+        Pose of rest [rad].
+    mean
+        By name as in `System.outputs`: covariance averaged over time.
+    at_samples
+        The same just before the first sample of the common period.
+    step, added
+        Map of X over the common period from just before a sample, and what noise adds to its covariance.
+    state
+        Stationary covariance of X there; symmetric, positive semidefinite.
+    rows
+        By name: what each output takes from X there.
+    periods
+        Sampling periods in the common period.
+    notes
+        What was left out.
+    """
+
+    kind: str
+    q: Array
+    mean: dict[str, Array]
+    at_samples: dict[str, Array]
+    step: Array
+    added: Array
+    state: Array
+    rows: dict[str, Array]
+    periods: int
+    notes: tuple[str, ...]
+
+    def rms(self, name: str) -> float:
+        """Return the root of the mean square over time, of a vector that of its length."""
+        return math.sqrt(float(np.trace(self.mean[name])))
+
+    def freedom(self, name: str, count: int) -> float:
+        """Return the degrees of freedom of a variance estimated from `count` values about the known mean.
+
+        The values are those of the first component just before the samples that begin a common period; they
+        are correlated, so that Var(s^2) = 2/count sum of gamma_k^2 (1 - |k|/count) for Gaussian noise.
+        """
+        row = self.rows[name][:1]
+        seen, first, total = row @ self.state, float((row @ self.state @ row.T)[0, 0]), 0.0
+        for k in range(1, count):
+            seen = seen @ self.step.T
+            gamma = float((seen @ row.T)[0, 0])
+            total += 2.0 * gamma**2 * (1.0 - k / count)
+            if k > 10 and np.abs(seen).max() < 1e-9 * np.abs(self.state).max():
+                break
+        return count * first**2 / (first**2 + total)
+
+    def transient(self, name: str, count: int) -> Array:
+        """Return rms values just before the sample `count` common periods long, from rest at the first."""
+        p = np.zeros_like(self.state)
+        out = np.zeros(count)
+        for k in range(count):
+            p = self.step @ p @ self.step.T + self.added
+            out[k] = math.sqrt(max(float(np.trace(self.rows[name] @ p @ self.rows[name].T)), 0.0))
+        return out
+
+    def as_dict(self) -> dict[str, object]:
+        """Return rms values JSON-ready; names carry units."""
+        return {
+            "kind": self.kind,
+            "force_noise_rms_n": self.rms("motor_normal"),
+            "force_noise_all_rms_n": self.rms("motor_force"),
+            "operator_force_noise_rms_n": self.rms("operator_normal"),
+            "jitter_rms_m": self.rms("tip"),
+            "penetration_jitter_rms_m": self.rms("penetration"),
+            "angle_jitter_rms_rad": [math.sqrt(x) for x in np.diag(self.mean["angles"]).clip(0.0)],
+            "common_period_samples": self.periods,
+            "pose_rad": self.q.tolist(),
+            "notes": list(self.notes),
+        }
+
+
+def covariance(
+    lifted: Lifted, grid: Grid, kind: str = "white", notes: tuple[str, ...] = ()
+) -> NoiseCovariance:
+    """Return the stationary second moments of a scene lifted with noise.
+
+    Raises
+    ------
+    InputError
+        When the contact is not stable, or something is held by nobody: nothing is stationary then.
+    """
+    assert lifted.noise is not None
+    size = lifted.size
+    pieces = list(_pieces(lifted, grid))
+    draw = np.zeros((size, size))
+    draw[lifted.noise[1], lifted.noise[1]] = grid.variance * np.eye(lifted.system.joints)
+    steps = []
+    whole, added = np.eye(size), np.zeros((size, size))
+    for piece in pieces:
+        leave = piece.stretch.leave
+        step, more = leave @ piece.event, leave @ draw @ leave.T if piece.fresh else np.zeros((size, size))
+        steps.append((step, more))
+        if piece.count > 1:
+            step, more, _ = repeated(step, more, piece.count)
+        added = step @ added @ step.T + more
+        whole = step @ whole
+    try:
+        state = stationary(whole, added)
+    except ValueError:
+        z = np.linalg.eigvals(whole)
+        worst = z[int(np.argmax(np.abs(z)))]
+        raise InputError(
+            Problem(
+                f"the held contact has no stationary noise: a mode grows by {abs(worst):.6g} in "
+                f"{grid.periods} period(s), so it is unstable, or free where nobody holds it",
+                key="computer.discrete_stiffness_n_per_m",
+            )
+        ) from None
+    # what happens within: second moments at all starts, gathered by the length of their stretches
+    gathered: dict[float, Array] = {}
+    p = state
+    for piece, (step, more) in zip(pieces, steps, strict=True):
+        starts = summed(step, p, piece.count)
+        if piece.count > 1:
+            power, cover, sums = repeated(step, more, piece.count)
+            starts, p = starts + sums, power @ p @ power.T + cover
+        else:
+            p = step @ p @ step.T + more
+        behind = piece.event @ starts @ piece.event.T + (piece.count * draw if piece.fresh else 0.0)
+        moment = piece.stretch.enter @ behind @ piece.stretch.enter.T
+        length = float(f"{piece.stretch.length_s:.12e}")
+        gathered[length] = gathered.get(length, np.zeros_like(moment)) + moment
+    system = lifted.system
+    e = np.zeros(system.b.shape)
+    e[:, -system.joints :] = system.e
+    moments = [integral(system.a, system.b, e, h, moment) for h, moment in gathered.items()]
+    total: Array = np.sum(moments, axis=0) / (grid.periods * system.period_s)
+    rows = {name: lifted.output(out) for name, out in system.outputs.items()}
+    seen = {name: row @ pieces[-1].stretch.exit for name, row in rows.items()}
+    return NoiseCovariance(
+        kind=kind, q=system.q,
+        mean={name: row @ total @ row.T for name, row in rows.items()},
+        at_samples={name: row @ state @ row.T for name, row in seen.items()},
+        step=whole, added=added, state=state, rows=seen, periods=grid.periods,
+        notes=(*system.notes, *notes),
+    )  # fmt: skip
+
+
+def _static(lifted: Lifted, variance: float) -> NoiseCovariance:
+    """Return the second moments over offsets that stay: they shift the pose of rest, linearly."""
+    assert lifted.noise is not None
+    system, size, n = lifted.system, lifted.size, lifted.system.joints
+    step = lifted.period()
+    inner = slice(0, lifted.noise[0].start)
+    offset = np.zeros((size, n))
+    offset[lifted.noise[0]] = offset[lifted.noise[1]] = np.eye(n)
+    count = inner.stop
+    offset[inner] = np.linalg.solve(np.eye(count) - step[inner, inner], (step @ offset)[inner])
+    state = variance * offset @ offset.T
+    times = [*lifted.instants(), system.period_s]
+    last = lifted.stretch(times[-2], times[-1] - times[-2], (0.0, 1.0)).exit
+    rows = {name: lifted.output(out) @ last for name, out in system.outputs.items()}
+    mean = {name: row @ state @ row.T for name, row in rows.items()}
+    return NoiseCovariance(
+        "static", system.q, mean, mean, step, np.zeros((size, size)), state, rows, 1, system.notes
+    )
+
+
+def noise_covariance(
+    scene: Scene, constants: DesignConstants, circuit: LinearCircuit, near: Array | None = None
+) -> NoiseCovariance:
+    """Return the exact second moments of a scene at rest in contact, under its potentiometers' noise.
+
+    Parameters
+    ----------
+    near
+        Pose [rad] from which the pose of rest is searched; by default the one that touches the wall's point.
+
+    Raises
+    ------
+    InputError
+        Where noise or scene are not linear about the contact, with the reason.
+    """
+    kind, file = scene.effects.pot_noise, str(scene.file) if scene.file else None
+    reasons = {
+        PotNoise.NONE: "the scene has no noise of its potentiometers",
+        PotNoise.POSITION: "noise that belongs to the angle is no noise in time: at rest it is silent",
+    }
+    if kind in reasons:
+        raise InputError(Problem(reasons[kind], file=file, key="effects.pot_noise", value=kind.value))
+    if scene.effects.coulomb:
+        raise InputError(
+            Problem(
+                "Coulomb friction is not linear about rest: small noise moves nothing",
+                file=file, key="effects.coulomb", value=True, allowed="false",
+            )
+        )  # fmt: skip
+    start = touching(scene, constants) if near is None else near
+    q = resting_pose(scene, constants, circuit, start)
+    lifted = lift(linearise(scene, constants, circuit, q), noise=True)
+    if kind is PotNoise.STATIC:
+        return _static(lifted, scene.device.potentiometer.noise_rad**2)
+    grid = noise_grid(scene)
+    notes = (
+        ["the components' noise, which is no part of these figures"] if scene.effects.component_noise else []
+    )
+    if grid.shift > _SHIFTED:
+        notes.append(
+            f"the noise's bandwidth was shifted by {grid.shift:.2g} of itself, to meet the samples again"
+        )
+    found = covariance(lifted, grid, kind.value, tuple(notes))
+    return _checked(found, scene, constants, circuit, lifted)
+
+
+def _checked(
+    found: NoiseCovariance, scene: Scene, constants: DesignConstants, circuit: LinearCircuit, lifted: Lifted
+) -> NoiseCovariance:
+    """Add what noise of this size meets: the wall's surface, the driver's limit."""
+    from dataclasses import replace
+
+    from cosim.loop.setup import mechanism
+
+    said = list(found.notes)
+    depth = law_point(scene, constants, mechanism(scene, constants.gear), found.q).penetration_m
+    if depth < _ROOM * found.rms("penetration"):
+        said.append(
+            f"the contact is only {1e3 * depth:.3g} mm deep, {depth / found.rms('penetration'):.2g} standard "
+            "deviations: the tip leaves the wall now and then"
+        )
+    swing = _ROOM * np.sqrt(np.diag(found.mean["currents"]).clip(0.0))
+    current = lifted.system.current_a
+    if ((current + swing > circuit.limit[:, 1]) | (current - swing < circuit.limit[:, 0])).any():
+        said.append("the noise reaches the driver's current limit, which a linear system does not know")
+    return replace(found, notes=tuple(said))

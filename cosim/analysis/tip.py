@@ -1,0 +1,204 @@
+"""What a board renders at the fingertip along a wall's normal, and the device's viscosity there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.analysis.extracted import circuit_of
+from cosim.analysis.stability import touching
+from cosim.circuits.design_constants import DesignConstants
+from cosim.circuits.linear_circuit import LinearCircuit
+from cosim.errors import InputError, Problem
+from cosim.loop.setup import mechanism
+from cosim.ngspice.child import Child
+from cosim.plan import resolve
+from cosim.scene import CircuitModelName, Scene
+from cosim.scene.parameters import Field, Parameters
+from mech import Chain
+
+__all__ = ["Case", "Tip", "Wanted", "joint_area", "reached", "row", "tip_of"]
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Points of the path round a circle: its integrand is smooth and periodic, the rule exact to rounding.
+_CIRCLE = 64
+
+
+class Case(Parameters):
+    """``[[parameters.cases]]`` of a study: what is changed in its scene."""
+
+    name: str = Field(min_length=1)
+    set: tuple[str, ...] = ()
+
+
+def row(columns: dict[str, list[Any]], values: dict[str, Any]) -> None:
+    """Add a row to the columns of a table."""
+    for name, value in values.items():
+        columns.setdefault(name, []).append(value)
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Analog gains at the tip along the normal: N/m and N s/m."""
+
+    stiffness: float = 0.0
+    damping: float = 0.0
+
+
+@dataclass(frozen=True)
+class Tip:
+    """A scene's circuit, looked at from the tip on its wall.
+
+    Attributes
+    ----------
+    scene, constants, circuit
+        The scene, its board's constants and linear circuit.
+    q
+        Pose [rad].
+    """
+
+    scene: Scene
+    constants: DesignConstants
+    circuit: LinearCircuit
+    q: Array
+
+    @cached_property
+    def torques(self) -> Array:
+        """Joint torques of a unit force along the normal, w = J^T n [n] m/rad."""
+        assert self.scene.wall is not None
+        jac = mechanism(self.scene, self.constants.gear).jacobian(self.q)
+        out: Array = jac.T @ np.array(self.scene.wall.normal)
+        return out
+
+    @cached_property
+    def motion(self) -> Array:
+        """Joint motion for a unit of motion along the normal, none along the wall [n] rad/m."""
+        assert self.scene.wall is not None
+        jac = mechanism(self.scene, self.constants.gear).jacobian(self.q)
+        out: Array = np.linalg.pinv(jac) @ np.array(self.scene.wall.normal)
+        return out
+
+    def control(self, wanted: Wanted) -> Array:
+        """Return the volts at the gain pins [m] for k n n^T and c n n^T at the tip."""
+        c, square = self.constants, np.outer(self.torques, self.torques).ravel()
+        return np.concatenate(
+            [wanted.stiffness * square * c.v_fs / c.k_fs, wanted.damping * square * c.v_fs / c.c_fs]
+        )
+
+    def impedance(self, wanted: Wanted, hz: Array) -> Complex:
+        """Return force over motion along the normal [F] N/m, the tip led along it: k + jwc of an ideal board.
+
+        The motors' back-EMF is left out: it is no part of what is commanded.
+        """
+        n = self.circuit.joints
+        y = self.circuit.response(2j * np.pi * np.asarray(hz), self.control(wanted))[:, :, :n]
+        per_amp = self.constants.torque_per_amp
+        out: Complex = -per_amp * np.einsum("i,fij,j->f", self.motion, y, self.motion)
+        return out
+
+    def joint_viscosity(self) -> Array:
+        """Return bearings and back-EMF at low frequency [n, n] N m s/rad."""
+        n, c = self.circuit.joints, self.constants
+        back = self.circuit.after(0.0)[0].real[:, len(self.circuit.gain) + n :]
+        bearings = np.diag(mechanism(self.scene, c.gear).pack()[0]["viscous"][:n])
+        out: Array = bearings - c.torque_per_amp * c.gear * 0.5 * (back + back.T)
+        return out
+
+    def viscosity(self) -> float:
+        """Return the device's viscosity along the normal, free along the wall: 1/(w^T B^-1 w) [N s/m].
+
+        A late spring k n n^T takes k times its delay from just this, whatever B is.
+
+        Raises
+        ------
+        InputError
+            For a device without viscosity: there is nothing that delay could take.
+        """
+        w, inner = self.torques, self.joint_viscosity()
+        least = float(np.linalg.eigvalsh(inner)[0])
+        if not least > 0.0:
+            raise InputError(
+                Problem(
+                    "a joint has no viscosity that delay could eat, neither back-EMF nor friction",
+                    file=str(self.scene.file) if self.scene.file else None, key="effects.viscous",
+                    value=least, unit="N m s/rad",
+                )
+            )  # fmt: skip
+        return float(1.0 / (w @ np.linalg.solve(inner, w)))
+
+    def at(self, q: Array) -> Tip:
+        """Return the same at another pose."""
+        return Tip(self.scene, self.constants, self.circuit, np.asarray(q, float))
+
+
+def tip_of(scene: Scene, child: Child | None = None) -> Tip:
+    """Return the scene with its `linear` circuit at the pose that touches its wall.
+
+    Of a scene for `spice` it is the small-signal circuit of the same parts, slew and clipping left out.
+
+    Raises
+    ------
+    InputError
+        Without a wall, or for a board that has no linear model.
+    """
+    if scene.wall is None:
+        raise InputError(
+            Problem("what is rendered is looked at along a wall's normal",
+                    file=str(scene.file) if scene.file else None, key="wall")
+        )  # fmt: skip
+    linear = scene
+    if scene.solver.model is not CircuitModelName.SPICE:
+        solver = scene.solver.model_copy(update={"model": CircuitModelName.LINEAR})
+        linear = scene.model_copy(update={"solver": solver})
+    circuit, constants = circuit_of(resolve(linear), child=child)
+    return Tip(linear, constants, circuit, touching(linear, constants))
+
+
+def reached(tip: Tip, points: int, margin_rad: float) -> list[Tip]:
+    """Return the scene at a grid of poses over its workspace; a slider has the one.
+
+    Parameters
+    ----------
+    points
+        Of each joint angle.
+    margin_rad
+        Poses nearer to full stretch or fold are left out.
+
+    Raises
+    ------
+    InputError
+        For a chain of another number of joints than two.
+    """
+    if tip.scene.is_slider:
+        return [tip]
+    if tip.scene.joints != 2:
+        raise InputError(Problem("poses are mapped for two joints", key="device.chain"))
+    bends = np.linspace(margin_rad, np.pi - margin_rad, points)
+    turns = np.linspace(-np.pi, np.pi, points, endpoint=False)
+    return [tip.at(np.array([turn, bend])) for bend in bends for turn in turns]
+
+
+def joint_area(chain: Chain, q: Array, radius: float) -> float:
+    """Return the area [rad^2] within the joints' path while the tip goes round a circle, centre at `q`.
+
+    Half the integral of q1 dq2 - q2 dq1, dq = J^-1 dr: smooth and periodic, so that equal steps are exact to
+    rounding.
+
+    Raises
+    ------
+    ValueError
+        Where the circle leaves the workspace.
+    """
+    centre, seed, area = chain.forward(q), q, 0.0
+    for turn in 2 * np.pi * np.arange(_CIRCLE) / _CIRCLE:
+        out, along = np.array([np.cos(turn), np.sin(turn)]), np.array([-np.sin(turn), np.cos(turn)])
+        seed = np.asarray(chain.inverse(centre + radius * out, seed=seed))
+        dq = np.linalg.solve(chain.jacobian(seed), radius * along)
+        area += float(seed[0] * dq[1] - seed[1] * dq[0])
+    return abs(area) * np.pi / _CIRCLE

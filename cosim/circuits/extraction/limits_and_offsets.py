@@ -1,0 +1,215 @@
+"""What a board does besides its small-signal paths: current limit, control voltage, offsets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.circuits.extraction.path_measurement import LOW_HZ, Session
+
+__all__ = ["ControlPath", "Offsets", "control_path", "current_limits", "offsets"]
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Command voltages go this many times the converters' range: far enough for any driver that clamps.
+_BEYOND = 5.0
+_STEPS = 40
+#: Offsets below this are rounding: volts relative to full scale, and amperes of a motor.
+_ROUNDING, _ROUNDING_A = 1e-12, 1e-12
+#: Slope relative to that at rest, below which the current no longer rises.
+_FLAT = 0.01
+#: Control voltages at which the gain is compared with its value at full scale.
+SHARES = (-1.0, -0.5, -0.1, 0.0, 0.1, 0.5, 1.0)
+
+
+@dataclass(frozen=True)
+class ControlPath:
+    """What the gain pins do besides multiplying.
+
+    Attributes
+    ----------
+    nonlinearity
+        [m], largest difference between gain and control voltage's share of full scale, as a share of the
+        gain at full scale.
+    delay_s
+        [m], how much later than X the control voltage acts; ``None`` for a board without probes.
+    error
+        Largest difference between control path and X path in the band, relative; ``None`` without probes.
+    """
+
+    nonlinearity: Array
+    delay_s: Array | None
+    error: float | None
+
+
+@dataclass(frozen=True)
+class Offsets:
+    """What a board does with every pin at zero.
+
+    Attributes
+    ----------
+    current
+        [n] A, motor currents without what passes the multipliers.
+    x, y
+        [m] V, what each multiplier sees at its inputs, its own offsets included.
+    """
+
+    current: Array
+    x: Array
+    y: Array
+
+
+def current_limits(session: Session) -> Array:
+    """Return the lowest and highest current of each motor at standstill [n, 2] A, infinite where none shows.
+
+    From a `.dc` sweep of its command: the current where it stops rising.
+    """
+    reach = _BEYOND * session.simulator.constant("dac_v")
+    out = np.tile([-np.inf, np.inf], (session.joints, 1))
+    for i in range(session.joints):
+        current = session.sweep(f"cmd{i + 1}", reach, _STEPS, f"imot{i + 1}")
+        slope = np.diff(current)
+        middle = _STEPS // 2
+        flat = np.abs(slope) < _FLAT * np.abs(slope[middle])
+        # beside the knee: far beyond it, what the command sends past the driver counts as well
+        knees = [current[middle + np.argmax(flat[middle:])]] if flat[-1] else []
+        knees += [current[middle - np.argmax(flat[middle - 1 :: -1])]] if flat[0] else []
+        for knee in knees:
+            out[i, int(knee > current[middle])] = knee
+    return out
+
+
+def offsets(session: Session) -> Offsets:
+    """Measure the offsets of a board at its operating point.
+
+    With a current k (X + x) (Y + y) behind each multiplier, d/dX at two control voltages gives k and y, d/dY
+    gives k x. Without probes x is what the current of the channel's own motor does at full scale, and y is
+    not told apart from a direct path.
+    """
+    found = _offsets(session)
+    tiny = _ROUNDING * session.v_fs
+    floors = (("current", _ROUNDING_A), ("x", tiny if session.multipliers else _ROUNDING_A), ("y", tiny))
+    kept = {}
+    for name, least in floors:
+        value: Array = getattr(found, name)
+        kept[name] = np.where(np.abs(value) > least, value, 0.0)
+    return Offsets(**kept)
+
+
+def _offsets(session: Session) -> Offsets:
+    """Measure them, rounding included."""
+    n, full = session.joints, session.v_fs
+    motors = [int(pin[3]) - 1 for pin in session.channels]
+    outputs = [f"imot{i + 1}" for i in range(n)]
+    if not session.multipliers:
+        rest, x = session.operating_point(outputs), []
+        for pin, motor in zip(session.channels, motors, strict=True):
+            session.hold({pin: full})
+            x.append(session.operating_point(outputs)[motor] - rest[motor])
+            session.hold({pin: 0.0})
+        return Offsets(rest, np.array(x), np.zeros(len(x)))
+    once = f"lin 1 {LOW_HZ[0]} {LOW_HZ[0]}"
+    rest = session.operating_point(outputs)
+    columns: dict[int, Complex] = {}
+    for group in session.groups():
+        columns |= _group(session, group, once, by_control=True)
+    by_y = np.array([np.real(columns[c][0]) for c in range(len(motors))])
+    zero = np.real(_through(session, once)[0])
+    session.hold(dict.fromkeys(session.channels, full))
+    held = np.real(_through(session, once)[0])
+    session.hold(dict.fromkeys(session.channels, 0.0))
+    each = (held - zero) / full
+    alive = each != 0.0  # a channel that reaches no motor has no offset to speak of
+    x, y = (np.divide(part, each, out=np.zeros(len(each)), where=alive) for part in (by_y, zero))
+    through = np.zeros(n)
+    np.add.at(through, motors, each * x * y)
+    return Offsets(rest - through, x, y)
+
+
+def control_path(session: Session, band_hz: float) -> ControlPath:
+    """Compare the gains at several control voltages, and the control path with that of X over the band."""
+    if not session.multipliers:
+        return ControlPath(_lumped_nonlinearity(session), None, None)
+    once = f"lin 1 {LOW_HZ[0]} {LOW_HZ[0]}"
+    gains = []
+    for share in SHARES:
+        session.hold(dict.fromkeys(session.channels, share * session.v_fs))
+        gains.append(np.real(_through(session, once)[0]))
+    session.hold(dict.fromkeys(session.channels, 0.0))
+    table = np.array(gains)
+    alive = table[-1] != 0.0  # a channel that reaches no motor bends nothing
+    share = np.divide(table, table[-1], out=np.zeros(table.shape), where=alive)
+    nonlinearity = np.where(alive, np.abs(share - np.array(SHARES)[:, None]).max(axis=0), 0.0)
+    delay, error = _dynamics(session, band_hz)
+    return ControlPath(nonlinearity, delay, error)
+
+
+def _through(session: Session, sweep: str) -> Complex:
+    """Return the current of each channel's own motor per volt at X [F, m].
+
+    What crosses between joints is the same share of it at every gain, and so counts for nothing.
+    """
+    columns: dict[int, Complex] = {}
+    for group in session.groups():
+        columns |= _group(session, group, sweep, by_control=False)
+    return np.stack([columns[c] for c in range(len(session.channels))], axis=1)
+
+
+def _group(session: Session, group: list[int], sweep: str, *, by_control: bool) -> dict[int, Complex]:
+    """Drive X probes, or gain pins, of channels of different motors: current per volt of each channel [F]."""
+    n = session.joints
+    parts = [session.multipliers[c] for c in group]
+    outputs = [f"imot{c // n % n + 1}" for c in group]
+    if by_control:
+        found = session.respond(dict.fromkeys([part.channel for part in parts], 1.0), sweep, outputs)
+        return {c: found[:, k] for k, c in enumerate(group)}
+    inside = [part.x_node for part in parts]
+    found = session.respond(dict.fromkeys([part.x for part in parts], 1.0), sweep, [*outputs, *inside])
+    return {c: found[:, k] / found[:, len(group) + k] for k, c in enumerate(group)}
+
+
+def _lumped_nonlinearity(session: Session) -> Array:
+    """Return the same from pot -> imot as a whole, at the frequency where each path is strongest."""
+    n, worst = session.joints, []
+    for pin in session.channels:
+        i, j = int(pin[3]), int(pin[4])
+        found = []
+        for share in SHARES:
+            session.hold({pin: share * session.v_fs})
+            found.append(session.respond(f"pot{j}", "dec 2 0.1 10k", [f"imot{i}"])[:, 0])
+        session.hold({pin: 0.0})
+        table = np.array(found) - found[SHARES.index(0.0)]
+        strongest = int(np.argmax(np.abs(table[-1])))
+        if table[-1, strongest] == 0.0:  # it reaches no motor
+            worst.append(0.0)
+            continue
+        ratio = table[:, strongest] / table[-1, strongest]
+        worst.append(np.abs(ratio - np.array(SHARES)).max())
+    assert len(worst) == 2 * n * n
+    return np.array(worst)
+
+
+def _dynamics(session: Session, band_hz: float) -> tuple[Array, float]:
+    """Return how much later than X the control voltage acts [m] s, and the largest difference in the band."""
+    sweep = f"dec 4 {band_hz / 100.0!r} {band_hz!r}"
+    delays, worst = np.zeros(len(session.channels)), 0.0
+    session.hold({part.x: 1.0 for part in session.multipliers})
+    for group in session.groups():
+        by_control = _group(session, group, sweep, by_control=True)
+        pins = [session.channels[c] for c in group]
+        session.hold(dict.fromkeys(pins, session.v_fs))
+        by_x = _group(session, group, sweep, by_control=False)
+        session.hold(dict.fromkeys(pins, 0.0))
+        omega = 2.0 * np.pi * session.hz
+        for c in group:
+            if by_control[c][0].real == 0.0 or by_x[c][0] == 0.0:
+                continue
+            ratio = by_control[c] / by_x[c]
+            ratio = ratio / ratio[0].real
+            delays[c] = -float(ratio[0].imag) / omega[0]
+            worst = max(worst, float(np.abs(ratio - 1.0).max()))
+    session.hold({part.x: 0.0 for part in session.multipliers})
+    return delays, worst

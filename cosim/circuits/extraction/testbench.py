@@ -1,0 +1,189 @@
+"""A board in ngspice with a plain source at every pin, and the analyses that are run on it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.circuits.decks import Drive, testbench
+from cosim.circuits.extraction.multipliers import Multiplier, find_multipliers
+from cosim.circuits.extraction.noise_analysis import by_element
+from cosim.circuits.extraction.probes import find_probes
+from cosim.circuits.linear_circuit import channel_names
+from cosim.ngspice.deck import Deck
+from cosim.ngspice.simulator import Simulator
+
+__all__ = ["Bench"]
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Nodes named in one command: ngspice cuts off what is longer than 512 characters.
+_A_LINE = 8
+
+
+class Bench:
+    """A board in ngspice with a plain source at every pin.
+
+    Parameters
+    ----------
+    board
+        The flat deck.
+    extra
+        Further lines of the deck: sources at nodes inside the board.
+    multipliers
+        Whether to look for them, which takes analyses.
+
+    Attributes
+    ----------
+    v_fs
+        Full scale of the gain pins [V].
+    multipliers
+        In the order of `channel_names`; empty where a gain pin has no multiplier with probes.
+    mute
+        Elements of whose noise ngspice has no number, as far as `noise` has met them.
+    """
+
+    def __init__(self, board: Deck, extra: Sequence[str] = (), *, multipliers: bool = True) -> None:
+        self.board, self.joints = board, board.joints
+        joints = range(1, self.joints + 1)
+        self.channels = channel_names(self.joints)
+        self.signals = [f"{kind}{j}" for kind in ("pot", "u") for j in joints]
+        self.commands = [f"{kind}{j}" for kind in ("cmd", "vel") for j in joints]
+        drive = Drive(
+            self.joints, True, (*(f"u{j}" for j in joints), *self.channels, *(f"cmd{j}" for j in joints))
+        )
+        pins = drive.sources()
+        self._source = {pin: f"v{k:02d}" for k, pin in enumerate(pins)}
+        self._outputs = [f"imot{i}" for i in joints]
+        text = "\n".join(
+            [
+                "cosim extraction",
+                *(line.text for line in board.lines[1:]),
+                *testbench(board, drive, dict.fromkeys(pins, "dc 0 ac 0")),
+                *extra,
+                ".save " + " ".join(f"v({node})" for node in self._outputs),
+                ".end",
+            ]
+        )
+        self.mute: set[str] = set()
+        self._saved: tuple[str, ...] = ()
+        self._held: dict[str, float] = {}
+        self._hz: dict[str, Array] = {}
+        self.simulator = Simulator()
+        self.simulator.load(text + "\n", lines=board.lines, name=str(board.path))
+        self.v_fs = self.simulator.constant("v_fs")
+        self._probes = find_probes(board)
+        halves = (self.signals[: self.joints], self.signals[self.joints :])
+        self.multipliers: list[Multiplier] = []
+        if multipliers:
+            self.multipliers = find_multipliers(self, self._probes, self.channels, halves)
+
+    def hold(self, pins: Mapping[str, float]) -> None:
+        """Set the DC voltage of some pins or probes [V]."""
+        for pin, volts in pins.items():
+            if self._held.get(pin, 0.0) != volts:
+                self.simulator.command(f"alter {self._source.get(pin, pin)} dc = {volts!r}")
+                self._held[pin] = volts
+
+    def alter(self, elements: Mapping[str, float]) -> None:
+        """Give elements other values, by ngspice's names; a later `parameters` takes them back."""
+        for name, value in elements.items():
+            self.simulator.command(f"alter {name} = {value!r}")
+
+    def parameters(self, values: Mapping[str, float]) -> None:
+        """Give `.param`s other values and read the deck again: all that was altered is undone."""
+        for name, value in values.items():
+            self.simulator.command(f"alterparam {name} = {value!r}")
+        self.simulator.command("reset")
+        self._saved, self._held = (), {}
+
+    def operating_point(self, nodes: Sequence[str]) -> Array:
+        """Return DC voltages [V]."""
+        self._save(nodes)
+        self.simulator.command("op")
+        found = np.array([float(self.simulator.vector(node)[0]) for node in nodes])
+        self.simulator.command("destroy")
+        return found
+
+    def sweep(self, pin: str, reach: float, steps: int, node: str) -> Array:
+        """Return the DC voltage of `node` [steps + 1] while `pin` goes from -`reach` to `reach` [V]."""
+        self._save([node])
+        step = 2.0 * reach / steps
+        self.simulator.command(f"dc {self._source[pin]} {-reach!r} {reach!r} {step!r}")
+        found = np.asarray(self.simulator.vector(node), float)
+        self.simulator.command("destroy")
+        return found
+
+    def respond(self, source: str | Mapping[str, float], sweep: str, nodes: Sequence[str]) -> Complex:
+        """Drive a pin or a probe with 1 V, or several with given voltages, and return what nodes do.
+
+        The shape is [F, len(nodes)].
+        """
+        self._save(nodes)
+        run = self.simulator.command
+        driven = {source: 1.0} if isinstance(source, str) else source
+        names = {self._source.get(pin, pin): volts for pin, volts in driven.items()}
+        for name, volts in names.items():
+            run(f"alter @{name}[acmag] = {volts!r}")
+        try:
+            run(f"ac {sweep}")
+            if sweep not in self._hz:
+                self._hz[sweep] = np.real(self.simulator.vector("frequency")).astype(float)
+            self.hz = self._hz[sweep]
+            found: Complex = np.zeros((len(self.hz), len(nodes)), np.complex128)
+            alive = [k for k, node in enumerate(nodes) if node != "0"]
+            found[:, alive] = self.simulator.vectors([nodes[k] for k in alive])
+        finally:
+            for name in names:
+                run(f"alter @{name}[acmag] = 0")
+        run("destroy")
+        return found
+
+    def transient(self, step_s: float, length_s: float, node: str) -> tuple[Array, Array]:
+        """Return times [s] and the voltage of `node` with steps of at most `step_s`."""
+        self._save([node])
+        self.simulator.command(f"tran {step_s!r} {length_s!r} 0 {step_s!r}")
+        time, found = (np.asarray(self.simulator.vector(name), float) for name in ("time", node))
+        self.simulator.command("destroy")
+        return time, found
+
+    def noise(self, node: str, sweep: str) -> dict[str, Array]:
+        """Return what each element adds to the noise of `node` by `.noise` [F] V/sqrt(Hz), by its name."""
+        run = self.simulator.command
+        run("delete all")  # `.noise` keeps no vector of its own where some are asked for
+        self._saved = ()
+        run("destroy all")
+        run(f"noise v({node}) {self._source[self.signals[0]]} {sweep} 1")
+        run("setplot noise1")
+        found, none = by_element(self.simulator, "onoise_")
+        self.mute |= set(none)
+        run("destroy all")
+        return found
+
+    def reading(self, element: str, what: str) -> float:
+        """Return what ngspice tells of an element at its operating point, such as ``resistance``."""
+        return float(self.simulator.command(f"print @{element}[{what}]")[0].rpartition("=")[2])
+
+    def before(self, part: Multiplier) -> str:
+        """Return the node before the X probe of a multiplier."""
+        first, second = self._ends(part)
+        return second if first == part.x_node else first
+
+    def sign(self, part: Multiplier) -> float:
+        """Return the sign with which the voltage of the X probe adds to X."""
+        return 1.0 if self._ends(part)[0] == part.x_node else -1.0
+
+    def _ends(self, part: Multiplier) -> tuple[str, str]:
+        return next(probe.nodes for probe in self._probes if probe.source == part.x)
+
+    def _save(self, nodes: Sequence[str]) -> None:
+        """Have ngspice hand over these nodes only: each costs time at every point."""
+        wanted = tuple(dict.fromkeys(node for node in nodes if node != "0"))
+        if not set(wanted) <= set(self._saved) or len(self._saved) > 2 * len(wanted):
+            self.simulator.command("delete all")
+            for k in range(0, len(wanted), _A_LINE):
+                self.simulator.command("save " + " ".join(f"v({node})" for node in wanted[k : k + _A_LINE]))
+            self._saved = wanted

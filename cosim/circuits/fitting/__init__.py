@@ -1,0 +1,1 @@
+"""Rational fits of frequency responses, and their reduction. Knows no netlist."""

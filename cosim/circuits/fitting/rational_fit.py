@@ -1,0 +1,395 @@
+"""Rational fit of frequency responses that share their poles, and its real, stable state space.
+
+AAA finds the poles (`aaa.py`); residues come from linear least squares, where a pole that no path
+needs shows and goes. Poles near to each other form a chain instead of having residues of their own, which
+would be large and cancel. A pole has as many states as its residue has rank.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from cosim.circuits.fitting.aaa import poles_of
+from cosim.circuits.linear_circuit import rational
+
+__all__ = ["GOOD", "WORST", "FitError", "Modes", "fit"]
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: A fit as good as this leaves nothing to be said: 1e-9 is promised, also between the points.
+GOOD = 3e-10
+#: A fit worse than this is none. What lies between serves, with its error told: the parts are known to a
+#: percent.
+WORST = 1e-3
+#: A pole in the right half plane is believed when the fit with it is at least as good as this.
+_CERTAIN = 1e-5
+#: ... and lies below so many times the fastest point.
+_SURE = 3.0
+#: Paths that differ by less are one.
+_EQUAL = 1e-13
+#: A pole whose share of every path stays below this is spurious.
+_SPURIOUS = 1e-12
+#: Poles nearer to each other than this (relative) share a chain instead of having residues of their own.
+_NEAR = 0.01
+#: Paths weaker than this share of the strongest path to the same output are fitted to that share's measure.
+_WEAK = 1e-6
+#: Error that fewer copies of a chain may make before C and D are found again; what serves best is kept.
+_RANK = (1e-7, 1e-9, 1e-12)
+#: Error that leaves nothing to be gained.
+_EXCELLENT = 1e-12
+_MOVES = 6
+
+
+class FitError(Exception):
+    """No rational function of reasonable order fits, or only one with a pole in the right half plane.
+
+    Parameters
+    ----------
+    message
+        What is wrong.
+    poles
+        Poles [rad/s] in the right half plane, if that is the reason.
+    """
+
+    def __init__(self, message: str, poles: Complex | None = None) -> None:
+        super().__init__(message)
+        self.poles = poles
+
+
+@dataclass(frozen=True)
+class Modes:
+    """H(s) = C (sI - A)^-1 B + D with A in blocks along the diagonal, one for each group of near poles.
+
+    Attributes
+    ----------
+    a, b, c, d
+        Real matrices; A is block diagonal with 1x1, 2x2 and (near poles) lower triangular blocks.
+    poles
+        Poles [rad/s], those of each block together.
+    blocks
+        Sizes of the blocks.
+    error
+        [outputs, inputs], largest error at the measured points relative to the path's maximum.
+    """
+
+    a: Array
+    b: Array
+    c: Array
+    d: Array
+    poles: Complex
+    blocks: tuple[int, ...]
+    error: Array
+
+    @property
+    def worst(self) -> float:
+        """Largest error of any path."""
+        return float(self.error.max(initial=0.0))
+
+
+def fit(s: Complex, h: Complex, worst: float = WORST) -> Modes:
+    """Fit responses with one set of poles.
+
+    Of the two ways to find poles (see `poles_of`) the second is gone where the first leaves more than `GOOD`.
+
+    Parameters
+    ----------
+    s
+        [F], points jw with w > 0 [rad/s].
+    h
+        [F, outputs, inputs].
+    worst
+        Largest error that is accepted, relative to each path's maximum.
+
+    Raises
+    ------
+    FitError
+        When no rational function fits, or when one fits that has a pole in the right half plane.
+    """
+    unstable: FitError | None = None
+    found: list[Modes] = []
+    for reweighted in (True, False):
+        try:
+            found.append(_fit(s, h, reweighted))
+        except FitError as reason:
+            unstable = reason
+            continue
+        if found[-1].worst <= GOOD:
+            return found[-1]
+    if unstable is not None:
+        raise unstable
+    best = min(found, key=lambda modes: modes.worst)
+    if not best.worst <= worst:
+        raise FitError(f"order {len(best.a)} leaves an error of {best.worst:.1e} of the path's maximum")
+    return best
+
+
+def _fit(s: Complex, h: Complex, reweighted: bool) -> Modes:
+    size, rows, columns = h.shape
+    own = np.abs(h).max(axis=0)
+    # what is weaker than _WEAK of its row is known, to rounding, only relative to the row
+    scale = np.maximum(own, _WEAK * own.max(axis=1, keepdims=True))
+    scale[scale == 0.0] = 1.0
+    f = (h / scale).reshape(size, rows * columns)
+    poles = _needed(s, f[:, _distinct(f)], reweighted)
+    chains = _chains(poles)
+    basis = _basis(s, chains)
+    weights = _least_squares(basis, f).reshape(-1, rows, columns)
+    peaks = np.abs(basis).max(axis=0)
+    found: list[Modes] = []
+    for rank in _RANK:
+        found.append(_polished(s, h / scale, _realise(chains, weights, peaks, scale, rank), scale))
+        if found[-1].worst <= _EXCELLENT:
+            break
+    good = [modes for modes in found if modes.worst <= GOOD]
+    if not good:
+        return min(found, key=lambda modes: modes.worst)
+    return min(good, key=lambda modes: (len(modes.a), modes.worst))
+
+
+def _polished(s: Complex, f: Complex, modes: Modes, scale: Array) -> Modes:
+    """Find C and D again for the A and B of `modes`; residues of near poles are right only together."""
+    rows, columns = scale.shape
+    left = s[:, None, None] * np.eye(len(modes.a)) - modes.a
+    states = np.linalg.solve(left, np.broadcast_to(modes.b.astype(complex), (len(s), *modes.b.shape)))
+    through = np.broadcast_to(np.eye(columns, dtype=complex), (len(s), columns, columns))
+    known = np.concatenate([states, through], axis=1).transpose(0, 2, 1)
+    c, d = np.zeros((rows, len(modes.a))), np.zeros((rows, columns))
+    for row in range(rows):
+        here = (known / scale[row, :, None]).reshape(-1, known.shape[2]).astype(complex)
+        found = _least_squares(here, f[:, row].reshape(-1, 1))[:, 0]
+        c[row], d[row] = found[: len(modes.a)], found[len(modes.a) :]
+    fitted = rational(s, modes.a, modes.b, c, d) / scale
+    return replace(modes, c=c, d=d, error=np.abs(fitted - f).max(axis=0))
+
+
+def _distinct(f: Complex) -> list[int]:
+    """Return the columns that are not equal to an earlier one (equal channels are common, and cost time)."""
+    found: list[int] = []
+    for k in range(f.shape[1]):
+        if np.abs(f[:, k]).max() > 0.0 and all(np.abs(f[:, k] - f[:, i]).max() > _EQUAL for i in found):
+            found.append(k)
+    return found
+
+
+def _needed(s: Complex, f: Complex, reweighted: bool) -> Complex:
+    """Return the poles that the paths need, one of each conjugate pair."""
+    if f.shape[1] == 0:
+        return np.empty(0, complex)
+    every = poles_of(s, f, GOOD, reweighted)
+    # so far beyond the fastest point it cannot be told on which side of the axis a pole lies
+    every = every[(every.real < 0.0) | (np.abs(every) < _SURE * np.abs(s).max())]
+    poles = every[every.real < 0.0]
+    misfit = _misfit(s, f, poles)
+    if len(poles) < len(every) and misfit > GOOD and _misfit(s, f, every) < min(1e-2 * misfit, _CERTAIN):
+        share = _shares(s, f, every)
+        wrong = (every.real >= 0.0) & (share > GOOD)
+        raise FitError("a pole lies in the right half plane", every[wrong])
+    poles, misfit = _relocated(s, f, poles)
+    limit = max(_SPURIOUS, 3.0 * misfit)
+    while len(poles):
+        rest = np.delete(poles, int(np.argmin(_shares(s, f, poles))))
+        if _misfit(s, f, rest) > limit:
+            break
+        poles = rest
+    return _relocated(s, f, poles)[0]
+
+
+def _relocated(s: Complex, f: Complex, poles: Complex) -> tuple[Complex, float]:
+    """Improve the poles together, and return them with their misfit.
+
+    AAA leaves each of q equal poles wrong by the q-th root of rounding. Vector fitting (Gustavsen and
+    Semlyen, IEEE Trans. Power Delivery 14, 1052, 1999) on chains finds the polynomial that they are the zeros
+    of: f (1 + w x) = d + r x, with the states x of the chains, has better poles in the zeros of 1 + w x, the
+    eigenvalues of A - b w.
+    """
+    best, misfit = poles, _misfit(s, f, poles)
+    for _ in range(_MOVES):
+        chains = _chains(best)
+        basis = _basis(s, chains)
+        size = basis.shape[1]
+        rows: list[Array] = []
+        right: list[Array] = []
+        for path in f.T:
+            known = np.concatenate([basis, -path[:, None] * basis[:, 1:], path[:, None]], axis=1)
+            upper = np.asarray(np.linalg.qr(np.concatenate([known.real, known.imag]), mode="r"), float)
+            rows.append(upper[size:, size:-1])
+            right.append(upper[size:, -1])
+        shift = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=1e-12)[0]
+        moved: list[complex] = []
+        at = 0
+        for chain in chains:
+            a, b = _blocks(chain)
+            zeros = np.linalg.eigvals(a - b[:, None] * shift[at : at + len(a)])
+            moved += zeros[zeros.imag >= 0.0].tolist()
+            at += len(a)
+        trial = np.array(moved, complex)
+        if not (trial.real < 0.0).all() or (now := _misfit(s, f, trial)) >= misfit:
+            break
+        best, misfit = trial, now
+    return best, misfit
+
+
+def _misfit(s: Complex, f: Complex, poles: Complex) -> float:
+    basis = _basis(s, _chains(poles))
+    return float(np.abs(basis @ _least_squares(basis, f) - f).max())
+
+
+def _shares(s: Complex, f: Complex, poles: Complex) -> Array:
+    """Return how much of any path each pole makes at most; within a chain all count as much."""
+    chains = _chains(poles)
+    basis = _basis(s, chains)
+    weights = np.abs(_least_squares(basis, f)).max(axis=1) * np.abs(basis).max(axis=0)
+    out, at = np.zeros(len(poles)), 1
+    for chain in chains:
+        size = sum(_states(pole) for pole in chain)
+        last = _states(chain[-1])  # the end of a chain is what its poles make together
+        for pole in chain:
+            out[poles == pole] = weights[at + size - last : at + size].max()
+        at += size
+    return out
+
+
+def _states(pole: complex) -> int:
+    return 2 if pole.imag else 1
+
+
+def _chains(poles: Complex) -> list[list[complex]]:
+    """Group poles that lie near to each other, by ascending magnitude."""
+    chains: list[list[complex]] = []
+    for pole in poles[np.argsort(np.abs(poles))].tolist():
+        near = [c for c in chains if any(abs(pole - other) < _NEAR * abs(pole) for other in c)]
+        merged = [other for chain in near for other in chain] + [pole]
+        chains = [chain for chain in chains if chain not in near] + [merged]
+    return chains
+
+
+def _basis(s: Complex, chains: list[list[complex]]) -> Complex:
+    """Return 1 and the states of the chains driven by 1; shape [F, 1 + states]."""
+    columns = [np.ones(len(s), complex)]
+    for chain in chains:
+        drive = np.ones(len(s), complex)
+        for pole in chain:
+            size = abs(pole)
+            if pole.imag:
+                drive = drive * size**2 / (s * s - 2.0 * pole.real * s + size**2)
+                columns += [drive, drive * s / size]
+            else:
+                drive = drive * size / (s - pole.real)
+                columns.append(drive)
+    return np.stack(columns, axis=1)
+
+
+def _blocks(chain: list[complex]) -> tuple[Array, Array]:
+    """Return A and B of a chain, whose states `_basis` evaluates."""
+    size = sum(_states(pole) for pole in chain)
+    a, b = np.zeros((size, size)), np.zeros(size)
+    at, previous = 0, None
+    for pole in chain:
+        rate = abs(pole)
+        if pole.imag:
+            a[at : at + 2, at : at + 2] = [[0.0, rate], [-rate, 2.0 * pole.real]]
+            driven = at + 1
+        else:
+            a[at, at] = pole.real
+            driven = at
+        if previous is None:
+            b[driven] = rate
+        else:
+            a[driven, previous] = rate
+        previous = at
+        at += _states(pole)
+    return a, b
+
+
+def _least_squares(basis: Complex, f: Complex) -> Array:
+    """Return real weights [1 + states, paths] that make `basis @ weights` nearest to `f`."""
+    left = np.concatenate([basis.real, basis.imag])
+    right = np.concatenate([f.real, f.imag])
+    size = np.abs(left).max(axis=0)
+    out: Array = np.linalg.lstsq(left / size, right, rcond=1e-15)[0] / size[:, None]
+    return out
+
+
+def _realise(chains: list[list[complex]], weights: Array, peaks: Array, scale: Array, rank: float) -> Modes:
+    """Make the smallest state space of each chain: as many copies as its weights have rank.
+
+    `weights` [1 + states, outputs, inputs] belong to paths divided by `scale`; `peaks` are the largest
+    values of the basis functions.
+    """
+    parts: list[tuple[Array, Array, Array]] = []
+    poles: list[complex] = []
+    at = 1
+    for chain in chains:
+        a, b = _blocks(chain)
+        states = slice(at, at + len(a))
+        if len(chain) == 1 and chain[0].imag > _NEAR * abs(chain[0]):
+            part = _oscillators(chain[0], weights[states], scale, rank)
+        else:
+            part = _copies(a, b, weights[states], peaks[states, None, None], scale, rank)
+        if len(part[0]):
+            parts.append(part)
+            poles += chain
+        at += len(a)
+    outputs, inputs = scale.shape
+    return Modes(
+        scipy.linalg.block_diag(np.zeros((0, 0)), *[a for a, _, _ in parts]),
+        np.concatenate([np.zeros((0, inputs)), *[b for _, b, _ in parts]]),
+        np.concatenate([np.zeros((outputs, 0)), *[c for _, _, c in parts]], axis=1),
+        weights[0] * scale,
+        np.array(poles, complex),
+        tuple(len(a) for a, _, _ in parts),
+        np.zeros((outputs, inputs)),
+    )
+
+
+def _copies(
+    a: Array, b: Array, weights: Array, peaks: Array, scale: Array, rank: float
+) -> tuple[Array, Array, Array]:
+    """Return A, B, C of one chain: a copy for each direction of its inputs, or of its outputs if fewer."""
+    size, outputs, inputs = weights.shape
+    from_inputs, kept = _directions(weights, scale, peaks, rank)
+    to_outputs, turned = _directions(weights.transpose(0, 2, 1), scale.T, peaks, rank)
+    if len(from_inputs) <= len(to_outputs):
+        copies = len(from_inputs)
+        c = kept.transpose(1, 2, 0).reshape(outputs, copies * size)
+        driven: Array = np.kron(from_inputs, b[:, None])
+        return np.asarray(np.kron(np.eye(copies), a), float), driven, np.asarray(c, float)
+    copies = len(to_outputs)
+    back = turned.transpose(2, 0, 1).reshape(copies * size, inputs)
+    out: Array = np.kron(to_outputs.T, b[None, :])
+    return np.asarray(np.kron(np.eye(copies), a.T), float), np.asarray(back, float), out
+
+
+def _oscillators(pole: complex, weights: Array, scale: Array, rank: float) -> tuple[Array, Array, Array]:
+    """Return A, B, C of one pair of conjugate poles: the rank of its complex residue counts."""
+    rate = abs(pole)
+    residue = (weights[:1] * rate**2 + weights[1:] * rate * pole) / (2j * pole.imag)
+    into, out = _directions(residue, scale, np.array(1.0 / abs(pole.real)), rank)
+    turn = np.array([[pole.real, -pole.imag], [pole.imag, pole.real]])
+    b = np.stack([into.real, into.imag], axis=1).reshape(-1, scale.shape[1])
+    c = 2.0 * np.stack([out[0].real, -out[0].imag], axis=2).reshape(scale.shape[0], -1)
+    return np.kron(np.eye(len(into)), turn), b, c
+
+
+def _directions(weights: Any, scale: Array, peaks: Array, missed: float) -> tuple[Any, Any]:
+    """Return as few rows as span the last axis of `weights * scale` but for `missed`, relative to each path.
+
+    With them, the coefficients [size, outputs, rows], by least squares in the measure of each path: a weak
+    path has to follow the direction that the strong ones show.
+    """
+    true = weights * scale
+    rows = true / scale.max(axis=1, keepdims=True)  # outputs count alike, whatever their units
+    _, _, every = np.linalg.svd(rows.reshape(-1, rows.shape[2]), full_matrices=False)
+    for rank in range(len(every) + 1):
+        left = every[:rank] / scale[:, None, :]
+        kept = np.einsum("koi,oir->kor", weights, np.linalg.pinv(left))
+        rest = np.abs(np.einsum("kor,ori->koi", kept, left) - weights) * peaks
+        if rest.max(initial=0.0) <= missed:
+            break
+    return every[:rank], kept

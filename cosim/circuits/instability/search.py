@@ -1,0 +1,213 @@
+"""Find what grows on a board: poles in the right half plane, their loops, and a kick that proves it.
+
+Poles are counted without any fit (`encirclements`) on the board as ngspice linearises it at rest; gains at
+zero, at full scale and as commanded. Where there are some, a rational fit of an impedance finds them, a fit
+of another order must agree, and a kick must grow in a transient analysis whose steps resolve the pole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.circuits.decks import SUPPLY_V
+from cosim.circuits.extraction.testbench import Bench
+from cosim.circuits.fitting.aaa import poles_of
+from cosim.circuits.instability.encirclements import HELD_OHM, Impedances, alike, count, measure
+from cosim.circuits.instability.loop_ports import Port, loop_ports
+from cosim.circuits.instability.stability_verdict import Instability, Latched, Question, Verdict
+from cosim.errors import CosimError
+from cosim.ngspice.deck import Deck
+
+__all__ = ["at_rest", "judge"]
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Report = Callable[[dict[str, Any]], None]
+
+#: One frequency, to see what is held.
+_ONCE = "lin 1 1k 1k"
+#: Where a pole is looked for; agreement of two fits of different order.
+_CLOSELY, _BAND_HZ, _AGREE = "dec 20 1m 10g", (1e-3, 1e10), 0.05
+#: The kick: steps of this share of 1/|p|, so many times 1/Re p, the voltage that it makes at once [V].
+_STEP, _FOLDS, _KICK_V = 0.1, 6.0, 1e-4
+#: Steps beyond which a transient is not worth its time: a pole so near to the axis grows that slowly.
+_MOST_STEPS = 400_000
+#: Growth between the middle and the last part of the transient; it is exp(2.5) if the pole is right.
+_GROWS = 2.0
+#: Share of the supply at which an output stands at its limit, whatever its part states.
+_LATCHED = 0.6
+
+
+def judge(payload: Mapping[str, Any], report: Report) -> Verdict:
+    """Reach a verdict in ngspice's child process; payload: 'question'."""
+    question: Question = payload["question"]
+    verdict = Verdict()
+    try:
+        for board in question.boards:
+            verdict = _Court(board, report).verdict(question.commanded)
+            if not verdict.stable:
+                break
+        if verdict.latched and not verdict.found and question.plain is not None:
+            plain = _Court(question.plain, report).verdict(question.commanded)
+            verdict = replace(plain, latched=verdict.latched)
+    except CosimError as reason:  # whoever runs the board meets the reason again and names it fully
+        return replace(verdict, unjudged=str(reason).splitlines()[0])
+    return verdict
+
+
+def at_rest(payload: Mapping[str, Any], report: Report) -> list[float]:
+    """Return the voltages [V] of 'nodes' at the operating point of 'board' with 'pins' held, in the child."""
+    bench = Bench(payload["board"], multipliers=False)
+    bench.hold(payload["pins"])
+    return [float(volts) for volts in bench.operating_point(payload["nodes"])]
+
+
+class _Court:
+    """One board on a bench with a current source at every port."""
+
+    def __init__(self, board: Deck, report: Report) -> None:
+        self.board, self.report = board, report
+        self.ports = loop_ports(board)
+        self._bench: Bench | None = None
+        held = self._held() if self.ports else []
+        if held:
+            self.ports, self._bench = loop_ports(board, held), None
+
+    @property
+    def bench(self) -> Bench:
+        """The bench, loaded anew after a transient has had the simulator."""
+        if self._bench is None:
+            lines = [f"{_source(k)} 0 {port.node} dc 0 ac 0" for k, port in enumerate(self.ports)]
+            self._bench = Bench(self.board, lines, multipliers=False)
+        return self._bench
+
+    def verdict(self, commanded: Mapping[str, float]) -> Verdict:
+        """Look for instabilities at every gain that matters; the first gains that show one are enough."""
+        if not self.ports:
+            return Verdict()
+        none = dict.fromkeys(self.bench.channels, 0.0)
+        full = dict.fromkeys(self.bench.channels, self.bench.v_fs)
+        latched = tuple(self._latched())
+        at_rest, chosen, found = self._poles(none, None, "with all gains at zero")
+        if found:
+            return Verdict(found, latched)
+        at_full, _, found = self._poles(full, chosen, "with all gains at full scale")
+        matter = bool(chosen) and not alike(at_rest.of(chosen), at_full.of(chosen))
+        if not found and matter and any(commanded.values()):
+            _, _, found = self._poles(none | dict(commanded), chosen, "at the commanded gains")
+        return Verdict(found, latched, matter)
+
+    def _poles(
+        self, volts: Mapping[str, float], ports: list[int] | None, condition: str
+    ) -> tuple[Impedances, list[int], tuple[Instability, ...]]:
+        self.report({"stage": f"stability {condition}"})
+        self.bench.hold(volts)
+        seen, chosen = measure(self._ask, ports)
+        unstable = count(seen.of(chosen)) > 0
+        return seen, chosen, tuple(self._loops(seen, chosen, condition, volts)) if unstable else ()
+
+    def _latched(self) -> list[Latched]:
+        """Return the amplifiers that are at their limit with all pins at zero."""
+        amplifiers = [a for a in self.board.amplifiers if not self._is_declared(a.path) and a.out_node != "0"]
+        volts = self.bench.operating_point([a.out_node for a in amplifiers])
+        stuck = np.flatnonzero(np.abs(volts) > _LATCHED * SUPPLY_V)
+        return [Latched(amplifiers[k].path, float(volts[k])) for k in stuck]
+
+    def _is_declared(self, owner: str) -> bool:
+        return any(owner == path or owner.startswith(path + ".") for path in self.board.declared)
+
+    def _held(self) -> list[str]:
+        """Return the amplifiers whose output a voltage source holds."""
+        own = {a.path for a in self.board.amplifiers}
+        z = np.abs(np.diagonal(self._ask(_ONCE)[1][0]))
+        return [port.owner for port, ohms in zip(self.ports, z, strict=True)
+                if ohms <= HELD_OHM and port.owner in own]  # fmt: skip
+
+    def _ask(self, sweep: str) -> tuple[Array, Complex]:
+        nodes = [port.node for port in self.ports]
+        z = np.stack([self.bench.respond(_source(k), sweep, nodes) for k in range(len(nodes))], axis=2)
+        self.report({})
+        return self.bench.hz, z
+
+    def _loops(
+        self, seen: Impedances, chosen: list[int], condition: str, volts: Mapping[str, float]
+    ) -> list[Instability]:
+        """Tell the loops apart: each is the set of ports any of which, grounded, calms what the others do."""
+        winding = {port: count(seen.of([port])) for port in chosen}
+        left = [port for port in chosen if winding[port] > 0]
+        left = [port for port in left if self.ports[port].active] or left
+        close = seen.joined(Impedances(*self._ask(_CLOSELY)))
+        out = []
+        while left:
+            first = left[0]
+            loop = [p for p in left if p == first or count(seen.of([first, p])) < winding[first] + winding[p]]
+            left = [port for port in left if port not in loop]
+            out.append(self._instability(close, loop, condition, volts))
+        if not out:  # nothing but several ports together calms it
+            out.append(self._instability(close, chosen, condition, volts))
+        return sorted(out, key=lambda each: -each.real if np.isfinite(each.real) else np.inf)
+
+    def _instability(
+        self, seen: Impedances, loop: list[int], condition: str, volts: Mapping[str, float]
+    ) -> Instability:
+        owners = tuple(dict.fromkeys(self.ports[port].owner for port in loop))
+        declared = all(map(self._is_declared, owners))
+        at, pole = _pole(seen, loop)
+        none = Instability(np.nan, np.nan, owners, condition, confirmed=False, declared=declared)
+        if pole is None:
+            return none
+        grows = declared or self._grows(self.ports[at], pole, _level(seen, at, pole), volts)
+        return replace(none, real=float(pole.real), imag=float(pole.imag), confirmed=grows)
+
+    def _grows(self, port: Port, pole: complex, ohms: float, volts: Mapping[str, float]) -> bool:
+        """Kick a port and see whether what is left of it grows, with steps that resolve the pole."""
+        length = _FOLDS / pole.real
+        step = min(_STEP / abs(pole), length / 100.0)
+        if length / step > _MOST_STEPS:
+            return False
+        amps = _KICK_V / ohms
+        lines = [
+            f"ikick 0 {port.node} dc 0 pulse(0 {amps!r} 0 {step!r} {step!r} {step!r})",
+            ".options method=trap reltol=1e-6 vntol=1e-12 abstol=1e-15 chgtol=1e-20 trtol=1",
+        ]
+        bench, self._bench = Bench(self.board, lines, multipliers=False), None
+        bench.hold(volts)
+        t, v = bench.transient(step, length, port.node)
+        moved = np.abs(v - v[0])
+        middle, last = moved[(t > 0.3 * length) & (t < 0.5 * length)], moved[t > 0.8 * length]
+        return bool(last.max(initial=0.0) > _GROWS * middle.max(initial=0.0) > 0.0)
+
+
+def _source(port: int) -> str:
+    return f"ip{port:03d}"
+
+
+def _level(seen: Impedances, port: int, pole: complex) -> float:
+    """Return how many ohms a port shows near a pole."""
+    near = int(np.argmin(np.abs(seen.hz - abs(pole) / (2.0 * np.pi))))
+    return float(np.abs(seen.z[near, port, port]))
+
+
+def _pole(seen: Impedances, loop: Sequence[int]) -> tuple[int, complex | None]:
+    """Return the fastest growing pole that two fits of different order agree on, and a port that shows it."""
+    inside = (seen.hz > _BAND_HZ[0]) & (seen.hz < _BAND_HZ[1])
+    s = 2j * np.pi * seen.hz[inside].astype(complex)
+    best: tuple[int, complex | None] = (loop[0], None)
+    for port in loop:
+        h = seen.z[inside, port, port]
+        f = (h / np.abs(h).max())[:, None]
+        first, second = (
+            found[(found.real > 0.0) & (np.abs(found) < np.abs(s[-1]))]
+            for found in (poles_of(s, f, 1e-4, True), poles_of(s[::2], f[::2], 1e-9, False))
+        )
+        for pole in first.tolist():
+            apart = np.abs(second - pole)
+            if apart.size and apart.min() <= _AGREE * abs(pole):
+                if best[1] is None or pole.real > best[1].real:
+                    best = (port, pole)
+    return best

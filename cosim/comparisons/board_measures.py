@@ -1,0 +1,214 @@
+"""Measures that no run is needed for: of the contact held at the wall, and of the board alone.
+
+How stiff the wall may be, what the delay of the circuit eats, how uneven the rendered gains are: the numbers
+of the studies at the own pose of a scene, one at a time, under the names of `cosim.catalogue`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.analysis.control_law import law_point
+from cosim.analysis.extracted import circuit_of
+from cosim.analysis.stability import border, held, touching, with_computer
+from cosim.analysis.stiffness_limits import RANGE, largest_passive, varied
+from cosim.analysis.stiffness_map import pencil
+from cosim.analysis.tip import Tip, joint_area
+from cosim.catalogue import MEASURES, Need
+from cosim.checking.standing import Standing, standing
+from cosim.circuits.design_constants import DesignConstants
+from cosim.circuits.extraction.block_delays import slowest_s, spring_delays
+from cosim.circuits.linear_circuit import LinearCircuit
+from cosim.errors import InputError
+from cosim.loop.setup import mechanism
+from cosim.ngspice.child import Child
+from cosim.plan import Plan
+from cosim.scene import Method
+from mech import Chain
+
+__all__ = ["BoardMeasures", "Lacking", "board_measures", "needing_no_run"]
+
+Array = NDArray[np.float64]
+Row = dict[str, Any]
+
+#: A gain that the circuit's model gives is good to this share of the largest.
+_ROUNDING = 1e-12
+#: Radius of the circle of `circle_energy` [m].
+_CIRCLE_M = 0.01
+
+
+class Lacking(Exception):
+    """A scene or a board has no such measure; the message says why."""
+
+
+def needing_no_run(names: Iterable[str]) -> tuple[str, ...]:
+    """Return those of the names that no run is needed for."""
+    return tuple(name for name in names if name in MEASURES and MEASURES[name].needs is not Need.RUN)
+
+
+class BoardMeasures:
+    """Measures of one plan; circuit, pose and loops are found once, when the first of them is asked for.
+
+    A plan for `spice` is studied with the `linear` model of the same parts.
+    """
+
+    def __init__(self, plan: Plan, child: Child | None = None) -> None:
+        self._plan, self._scene, self._child = plan, plan.scene, child
+
+    def row(self, name: str) -> Row:
+        """Return a measure as a run's own ones are kept: {value, unit, text}.
+
+        Raises
+        ------
+        Lacking
+            Where the scene or the board has none: two joints for a curl, loops for a margin.
+        InputError
+            Where what it is taken from does not exist: no wall, a law in Python, a board without a model.
+        """
+        measure = MEASURES[name]
+        return {"value": float(_HOW[name](self)), "unit": measure.unit, "text": measure.text}
+
+    @cached_property
+    def _circuit(self) -> tuple[LinearCircuit, DesignConstants]:
+        return circuit_of(self._plan, child=self._child)
+
+    @cached_property
+    def _tip(self) -> Tip:
+        circuit, constants = self._circuit
+        return Tip(self._scene, constants, circuit, touching(self._scene, constants))
+
+    @cached_property
+    def _standing(self) -> Standing:
+        return standing(self._plan.board, self._scene.solver.time_limit_s, self._child)
+
+    @cached_property
+    def _ksp(self) -> Array:
+        """Stiffness that the board renders at the joints for the gains that the law writes [N m/rad]."""
+        tip, n = self._tip, self._scene.joints
+        linkage = mechanism(self._scene, tip.constants.gear)
+        control = law_point(self._scene, tip.constants, linkage, tip.q).volts[n : n + len(tip.circuit.gain)]
+        still = tip.circuit.response(0.0, control)[0].real
+        found: Array = -tip.constants.torque_per_amp * still[:, :n]
+        return found
+
+    def _arm(self) -> Chain:
+        chain = mechanism(self._scene, 1.0)
+        if not isinstance(chain, Chain) or chain.n != 2:
+            raise Lacking("it is of an arm of two joints")
+        return chain
+
+    def k_max(self) -> float:
+        """Largest stable stiffness: the discrete one, or the analog one where there is no other [N/m]."""
+        tip, key = self._tip, varied(self._scene)
+        if key == "discrete_stiffness_n_per_m":
+            found = pencil(self._scene, tip.constants, tip.circuit, tip.q).first(*RANGE)
+        else:
+            found = border(
+                lambda k: held(with_computer(self._scene, **{key: k}), tip.constants, tip.circuit, tip.q),
+                *RANGE, rtol=1e-9,
+            ).value  # fmt: skip
+        if not math.isfinite(found):
+            raise Lacking(f"stable up to {RANGE[1]:g} N/m")
+        return found
+
+    def passive_stiffness(self) -> float:
+        """Largest passive stiffness of the same part; 0 where nothing is passive [N/m]."""
+        tip = self._tip
+        found = largest_passive(self._scene, tip.constants, tip.circuit, tip.q)
+        if not math.isfinite(found):
+            raise Lacking("passive at every stiffness")
+        return found
+
+    def eta(self) -> float:
+        """Share of the viscosity along the normal that the slowest spring path eats."""
+        c = self._scene.computer
+        k = 0.0 if c.method is Method.DISCRETE else c.analog_stiffness_n_per_m
+        limit = self._scene.solver.time_limit_s
+        late = slowest_s(spring_delays(self._plan.board, self._child, time_limit_s=limit))
+        return k * late / self._tip.viscosity()
+
+    def curl(self) -> float:
+        """dF_y/dx - dF_x/dy of the rendered force F = -K dr, its sign kept [N/m]."""
+        inverse = np.linalg.inv(self._arm().jacobian(self._tip.q))
+        at_tip = inverse.T @ self._ksp @ inverse
+        return _beyond_rounding(at_tip[0, 1] - at_tip[1, 0], at_tip)
+
+    def least_stiffness(self) -> float:
+        """Least eigenvalue of sym(Ksp) [N m/rad]."""
+        return _beyond_rounding(np.linalg.eigvalsh(0.5 * (self._ksp + self._ksp.T))[0], self._ksp)
+
+    def circle_energy(self) -> float:
+        """Energy fed in the direction that is fed [J]; only the antisymmetric part of Ksp does work."""
+        try:
+            area = joint_area(self._arm(), self._tip.q, _CIRCLE_M)
+        except ValueError as error:
+            raise Lacking("the circle leaves the workspace") from error
+        return abs(_beyond_rounding(self._ksp[0, 1] - self._ksp[1, 0], self._ksp)) * area
+
+    def rest_force(self) -> float:
+        """Largest over the motors [N]."""
+        return max(abs(rest.force_n) for rest in self._standing.rest)
+
+    def phase_margin(self) -> float:
+        """Least over all crossings of all loops [deg]."""
+        return self._least(loop.phase_margin_deg for loop in self._standing.loops)
+
+    def gain_margin(self) -> float:
+        """Nearest to nothing of all loops [dB]; negative where less gain is needed."""
+        return self._least(loop.gain_margin_db for loop in self._standing.loops)
+
+    @staticmethod
+    def _least(margins: Iterable[float | None]) -> float:
+        known = [margin for margin in margins if margin is not None]
+        if not known:
+            raise Lacking("no loop has one: parts without bandwidth")
+        return min(known)
+
+
+def _beyond_rounding(value: float, of: Array) -> float:
+    """Return 0 for a difference within the matrix that is nothing but its rounding."""
+    return float(value) if abs(value) > _ROUNDING * np.abs(of).max() else 0.0
+
+
+_HOW: dict[str, Callable[[BoardMeasures], float]] = {
+    name: getattr(BoardMeasures, name) for name in needing_no_run(MEASURES)
+}
+
+
+def board_measures(
+    plan: Plan, names: Iterable[str], *, child: Child | None = None, lenient: bool = False
+) -> tuple[dict[str, Row], dict[str, str]]:
+    """Return measures of a plan by name, and why others of them are lacking; nothing is simulated.
+
+    Parameters
+    ----------
+    plan, names
+        Names that need a run are passed over.
+    lenient
+        Whether what a measure is taken from may be missing (no wall, a law in Python, a board without a
+        model): it is lacking then.
+
+    Raises
+    ------
+    InputError
+        Where something is missing and `lenient` is not said, see `BoardMeasures.row`.
+    """
+    of = BoardMeasures(plan, child)
+    rows: dict[str, Row] = {}
+    lacking: dict[str, str] = {}
+    for name in needing_no_run(names):
+        try:
+            rows[name] = of.row(name)
+        except Lacking as why:
+            lacking[name] = str(why)
+        except InputError as error:
+            if not lenient:
+                raise
+            lacking[name] = "; ".join(problem.message for problem in error.problems)
+    return rows, lacking

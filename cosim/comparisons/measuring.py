@@ -1,0 +1,107 @@
+"""Measures by name: the scene is run only where one of them needs it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from cosim.catalogue import NAMES, OF_A_RUN
+from cosim.caution import Caution
+from cosim.comparisons.board_measures import board_measures, needing_no_run
+from cosim.errors import InputError, Problem, nearest
+from cosim.measures import own_measures
+from cosim.ngspice.child import Child
+from cosim.plan import Plan
+from cosim.results import Run
+from cosim.runner import run
+from cosim.staging import scratch_folder
+
+__all__ = ["Measured", "check_measures", "measure", "needs_a_run", "run_with_measures"]
+
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Measures of a plan.
+
+    Attributes
+    ----------
+    rows : name -> {value, unit, text}; of a run all that it has, whatever was asked for
+    lacking : measure that the scene or its board does not have -> why
+    cpu_s : processor time of the run [s], 0 where none was needed
+    warnings : doubts about the run
+    """
+
+    rows: Mapping[str, Row]
+    lacking: Mapping[str, str]
+    cpu_s: float
+    warnings: tuple[Caution, ...] = ()
+
+
+def needs_a_run(names: Iterable[str]) -> bool:
+    """Whether one of the measures comes from a simulation."""
+    return any(name in OF_A_RUN or ":" in name for name in names)
+
+
+def measure(
+    plan: Plan, names: Iterable[str], *, child: Child | None = None, lenient: bool = False
+) -> Measured:
+    """Measure a plan; nothing of it is kept.
+
+    Parameters
+    ----------
+    plan, names, lenient
+        As for `board_measures`.
+
+    Raises
+    ------
+    InputError
+        Where a measure that needs no run has nothing to be taken from, unless `lenient`.
+    SimulationError
+        When the run fails.
+    """
+    names = tuple(names)
+    rows: Mapping[str, Row]
+    rows, lacking = board_measures(plan, names, child=child, lenient=lenient)
+    if not needs_a_run(names):
+        return Measured(rows, lacking, 0.0)
+    with scratch_folder("measure") as folder:
+        result = run(all_measures(plan), folder / "run", formats=(), child=child)
+        return Measured(
+            {**result.measures, **rows}, lacking, float(result.stats["cpu_s"]), tuple(result.warnings)
+        )
+
+
+def run_with_measures(plan: Plan, out: str | Path | None, *, child: Child | None = None, **more: Any) -> Run:
+    """Run a plan and keep with the result what its scene's `[measures]` names beside a run's own measures.
+
+    Takes what `runner.run` takes, and raises what it and `measure` raise; what needs no run comes first.
+    """
+    rows, _ = board_measures(plan, needing_no_run(plan.scene.measures.names), child=child)
+    return run(plan, out, child=child, more=rows, **more)
+
+
+def all_measures(plan: Plan) -> Plan:
+    """Return the plan with every measure of a run, whatever the scene wants to see, and the user's own."""
+    scene = plan.scene
+    own = scene.measures.model_copy(update={"names": tuple(own_measures(scene))})
+    return replace(plan, scene=scene.model_copy(update={"measures": own}))
+
+
+def check_measures(names: Iterable[str]) -> None:
+    """Raise an `InputError` for every name of ``--measure`` that there is not."""
+    problems = [
+        Problem(
+            "no such measure" + (f"; nearest is {near}" if (near := nearest(name, NAMES)) else ""),
+            key="--measure",
+            value=name,
+            allowed=", ".join(NAMES),
+        )
+        for name in names
+        if name not in NAMES and ":" not in name  # `resolve` looks at the user's own
+    ]
+    if problems:
+        raise InputError(problems)

@@ -1,0 +1,237 @@
+"""A sweep: measures of a scene over ranges of its values, kept point by point."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cosim
+from cosim.catalogue import OF_A_RUN, UNITS
+from cosim.caution import caution_of, collected, warn
+from cosim.checkpoint import Points, Progress
+from cosim.comparisons.board_measures import needing_no_run
+from cosim.comparisons.measuring import check_measures, measure, needs_a_run
+from cosim.errors import InputError, Problem, SimulationError, StorageError
+from cosim.ngspice.child import Child
+from cosim.ngspice.lines import number
+from cosim.plan import Plan, resolve
+from cosim.scene import load_scene
+from cosim.scene.keys import keys
+from cosim.staging import disk_errors, whole_file
+from cosim.units import heading
+from cosim.variants import Setting, Variant, split_values, variants
+
+POINTS, TABLE = "points.jsonl", "sweep.csv"
+#: Form of a kept point; points of another form are computed anew.
+_FORM = "measures and warnings"
+#: What elements of a netlist are counted in, by the letter of a designator such as R12 or r_diff_fb.
+_ELEMENTS = {"r": "Ohm", "c": "F", "l": "H"}
+_ELEMENT = re.compile(r"[rcl]\d+|[rcl]_\w+")
+#: A range of more points than this is a slip of the pen.
+MOST_POINTS = 10_000
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Measures over values.
+
+    Attributes
+    ----------
+    names : what was varied
+    values : one row a point, in the order of `names`, as written in the table
+    measures : name -> one value a point, ``None`` where a point has none
+    failed : label of a point -> what went wrong
+    """
+
+    names: tuple[str, ...]
+    values: tuple[tuple[str, ...], ...]
+    measures: dict[str, tuple[float | None, ...]]
+    failed: dict[str, str]
+
+
+def parse_range(text: str) -> Setting:
+    """Parse ``NAME=FROM:TO:COUNT``, ``NAME=FROM:TO:COUNT:log`` or ``NAME=V1,V2,...``.
+
+    Ends may be written as in a netlist (8.2k). Points of a range are shortest decimals, so that a value is
+    the same in the table, in the file and in a later call.
+
+    Raises
+    ------
+    InputError
+        For anything else.
+    """
+    name, _, written = text.partition("=")
+    parts = [part.strip() for part in written.split(":")]
+    if name.strip() and len(parts) in (3, 4):
+        first, last = number(parts[0]), number(parts[1])
+        spacing = parts[3] if len(parts) == 4 else "lin"
+        count = int(parts[2]) if parts[2].isdigit() else 0
+        logarithmic = spacing == "log" and first is not None and last is not None and first * last > 0.0
+        if first is not None and last is not None and first != last and 2 <= count <= MOST_POINTS:
+            if logarithmic:
+                ratio = (last / first) ** (1.0 / (count - 1))
+                return Setting(name.strip(), tuple(f"{first * ratio**k:.6g}" for k in range(count)))
+            if spacing == "lin":
+                step = (last - first) / (count - 1)
+                return Setting(name.strip(), tuple(f"{first + k * step:.6g}" for k in range(count)))
+    elif name.strip() and len(parts) == 1 and all(split_values(written)):
+        return Setting(name.strip(), tuple(split_values(written)))
+    raise InputError(
+        Problem(
+            "is no range",
+            key="range",
+            value=text,
+            allowed=f"NAME=FROM:TO:COUNT, NAME=FROM:TO:COUNT:log (both ends of one sign), or NAME=V1,V2,...; "
+            f"2 to {MOST_POINTS} points",
+        )
+    )
+
+
+def sweep(
+    path: str | Path,
+    settings: Sequence[Setting],
+    measures: Sequence[str],
+    folder: Path,
+    *,
+    overrides: tuple[str, ...] = (),
+    child: Child | None = None,
+    trust: bool = False,
+    on_progress: Progress | None = None,
+) -> Sweep:
+    """Measure a scene at every combination of the values; what is already in `folder` is not run again.
+
+    Nothing is simulated where no measure needs it.
+
+    Parameters
+    ----------
+    path, overrides, trust
+        The scene, as for `load_scene` and `resolve`.
+    settings
+        What is varied; the last one changes fastest.
+    measures
+        Names of the measures of the table; of a run all are kept.
+    folder
+        Keeps the points; those of another scene, board or version are begun anew.
+
+    Raises
+    ------
+    InputError
+        When no point can be planned, for the reasons of all of them; where only some values do not fit the
+        scene or the board, these points are rows without measures, and `Sweep.failed` has their errors.
+    StorageError
+        When the folder cannot be written.
+    """
+    check_measures(measures)
+    own = [name for name in measures if ":" in name]
+    if own:
+        overrides = (*overrides, f"measures.names={json.dumps(own)}")
+        measures = [name.rpartition(":")[2] for name in measures]
+    every = variants(settings)
+    plans = _plans(path, overrides, every, trust)
+    alone = needing_no_run(
+        name for name in measures if name in UNITS
+    )  # a part of its own: asked for later, it runs nothing again
+    parts = [part for part in (OF_A_RUN if own or needs_a_run(measures) else (), alone) if part]
+    failed: dict[str, str] = {}
+    found: list[Mapping[str, Any]] = []
+    with disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    with Points(folder / POINTS, _digest(path, overrides, trust), on_progress) as points:
+        points.expect(len(every) * len(parts))
+        for variant, plan in zip(every, plans, strict=True):
+            label = " ".join(f"{name}={value}" for name, value in variant.values)
+            row: dict[str, float] = {}
+            for part in parts:
+                key = label if part is OF_A_RUN else f"{label}: {', '.join(part)}"
+                try:
+                    if isinstance(plan, InputError):
+                        raise plan
+                    with collected(label):
+                        got = points.get(key, partial(_measured, plan, part, child))
+                        warn(*map(caution_of, got["warnings"]))  # of a point that was kept, too
+                        row |= got["measures"]
+                except StorageError:
+                    raise
+                except (InputError, SimulationError) as error:  # not kept: a resumed sweep tries it again
+                    failed[label] = str(error)
+            found.append(row)
+    result = Sweep(
+        names=tuple(setting.name for setting in settings),
+        values=tuple(tuple(value for _, value in variant.values) for variant in every),
+        measures={name: tuple(_number(row.get(name)) for row in found) for name in measures},
+        failed=failed,
+    )
+    _write(result, folder / TABLE)
+    return result
+
+
+def _plans(
+    path: str | Path, overrides: tuple[str, ...], every: Sequence[Variant], trust: bool
+) -> list[Plan | InputError]:
+    """Plan all points before the first runs; raise when none of them can be planned."""
+    plans: list[Plan | InputError] = []
+    for variant in every:
+        try:
+            with collected(variant.label):
+                plans.append(_plan(path, overrides, variant, trust))
+        except StorageError:
+            raise
+        except InputError as error:
+            plans.append(error)
+    refused = [plan for plan in plans if isinstance(plan, InputError)]
+    if len(refused) == len(plans):
+        raise InputError({str(problem): problem for error in refused for problem in error.problems}.values())
+    return plans
+
+
+def _plan(path: str | Path, overrides: tuple[str, ...], variant: Variant, trust: bool) -> Plan:
+    return resolve(load_scene(path, [*overrides, *variant.overrides]), trust=trust)
+
+
+def _measured(plan: Plan, names: Sequence[str], child: Child | None) -> dict[str, Any]:
+    found = measure(plan, names, child=child)
+    measures = {name: float(row["value"]) for name, row in found.rows.items()}
+    return {"measures": measures, "warnings": [caution.as_dict() for caution in found.warnings]}
+
+
+def _digest(path: str | Path, overrides: tuple[str, ...], trust: bool) -> str:
+    """Return what the points depend on besides their own values: scene, user's code, board and version."""
+    with collected(forward=False):  # the points tell it
+        plan = resolve(load_scene(path, overrides), trust=trust)
+    text = f"{_FORM} {cosim.__version__} {plan.scene.digest()} {plan.scene.code_digest()} {plan.board.digest}"
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
+
+
+def _write(result: Sweep, file: Path) -> None:
+    with whole_file(file) as temporary, temporary.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(
+            [*(heading(name, unit_of(name)) for name in result.names), *map(_heading, result.measures)]
+        )
+        for number_, values in enumerate(result.values):
+            writer.writerow([*values, *(column[number_] for column in result.measures.values())])
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of what is swept: a key of the scene, or an element of the netlist by its letter."""
+    units = {key.path: key.unit for key in keys()}
+    last = name.rpartition(".")[2].lower()
+    if name in units or not _ELEMENT.fullmatch(last):
+        return units.get(name, "")
+    return _ELEMENTS[last[0]]
+
+
+def _heading(name: str) -> str:
+    return heading(name, UNITS.get(name, ""))

@@ -1,0 +1,102 @@
+"""From event to event by one matrix each, while a scene is linear between its events (`exact_slider.py`).
+
+Where nobody wants rows a step goes over the ramp of the DACs as well, which is a part of its matrix; where a
+multiplier's gain ramps too, X times the gain is no linear system with constant coefficients, and the ramp is
+stepped over. With rows the interval is cut into binary fractions, so that a handful of matrices serves a run.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from numba import carray, njit
+
+from cosim.loop.linear.exact_slider import BENCH_KIND, EXACT_KIND, PLAN_KIND, STATE_KIND, land, leap, rests
+from cosim.loop.linear.gauss_step import near, present
+from cosim.loop.linear.recording import check, record
+from cosim.loop.numba_calls import lent, record_at
+from cosim.loop.pin_voltages import gains_ramp, ramp_step
+from cosim.loop.spice.coupling import evaluate, next_event, process_events
+
+Record = Any
+
+#: An interval is cut into 2^_LEVELS parts at most.
+_LEVELS = 40
+_WHOLE = 1 << _LEVELS
+#: Steps grow at most so much from one to the next.
+_GROWTH = 8.0
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _behind(s: Record) -> float:
+    """Return the next event behind the end of the ramp that begins now; 0 when the step must not go there."""
+    if s.skew != 0.0 or abs(s.t - s.dac_start[1]) > s.delta_min:
+        return 0.0
+    s.ramping = 0
+    at = next_event(s)
+    s.ramping = 1
+    if at - s.t <= s.settle or at - s.t > s.h_max * (1 + 1e-9):
+        return 0.0
+    return float(at)
+
+
+@njit(cache=True, error_model="numpy")
+def leaps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
+    """Go on while each step is one matrix; whether the run is over, by its end or a fault.
+
+    Otherwise the scene stops being linear at the accepted point, or a motor comes near its limit: collocation
+    must go on from there. State and tables are told by their addresses; `first` [s] is the longest step
+    behind a jump of the DACs, 0 for none.
+    """
+    s = carray(record_at(state, STATE_KIND), 1)[0]
+    k, b, x = lent(plan, PLAN_KIND), lent(bench, BENCH_KIND), lent(exact, EXACT_KIND)
+    wanted = s.rows_capacity > 0
+    if s.points == 0:
+        present(s, k, b)
+        if wanted:
+            current = min(max(b.current[0], k.limit[0, 0]), k.limit[0, 1])
+            s.tau[0] = s.torque_per_amp * current
+            evaluate(s, s.t, s.q, s.v, s.a)
+        record(s)
+    if near(k, 0, b.current[0]):
+        return False
+    s.history = 0
+    b.scale[0] = 0.0
+    t0, length, position = s.t, s.t_event - s.t, 0
+    wish, jump = s.h_max, -math.inf
+    while s.fault == 0:
+        if s.t_event <= s.t + s.delta_min:
+            if s.t >= s.t_end - s.delta_min:
+                return True
+            if process_events(s, s.t) and first > 0.0:
+                wish, jump = min(wish, first), s.t
+            t0, length, position = s.t, s.t_event - s.t, 0
+            if s.t_event <= s.t + s.delta_min:  # the run has come to rest
+                continue
+        longest, ramp = min(wish, s.h_max), 0.0
+        if s.t - jump < s.fresh:
+            longest = min(longest, max(first, s.t - jump))
+        if s.ramping:
+            if gains_ramp(s):
+                longest = min(longest, ramp_step(s))
+            elif not wanted and position == 0:
+                behind = _behind(s)
+                if behind > 0.0:
+                    length, ramp = behind - s.t, s.settle
+        level, h = 0, length
+        if position != 0 or h > longest * (1 + 1e-9):
+            while position & ((_WHOLE >> level) - 1) != 0 or h > longest * (1 + 1e-9):
+                level += 1
+                h = math.ldexp(length, -level)
+        if not rests(x, s.t + 0.5 * h) or not leap(s, k, b, x, s.t, h, ramp) or near(k, 0, b.results[3]):
+            return False
+        position += _WHOLE >> level
+        if ramp > 0.0:  # over, and no event any more
+            s.ramping = 0
+            s.t_event = next_event(s)
+        land(s, k, b, x, float(s.t_event) if position == _WHOLE else t0 + length * position / _WHOLE)
+        wish = max(wish, _GROWTH * h)
+        check(s)
+        record(s)
+    return True

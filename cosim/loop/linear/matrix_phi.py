@@ -1,0 +1,84 @@
+"""Matrix exponential and its integrals for stiff real matrices.
+
+Well-conditioned eigenvectors are used where there are any. Otherwise: scaling and squaring loses the slow
+modes' digits where a fast mode makes the norm large. So slow and fast are taken apart first (Schur form
+ordered by modulus, Sylvester equation), until each part is of one size: a slow part has a small norm, and
+in a fast one the integrals follow from the exponential without cancellation.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm, matrix_balance, schur, solve_sylvester
+
+from cosim.loop.linear.divided_differences import TOP, single
+
+Array = NDArray[np.float64]
+
+#: Eigenvectors conditioned better than this lose four digits at most, and are the quick way.
+_WELL = 1e4
+#: Moduli further apart than this are taken apart; up to this modulus a part counts as slow.
+_GAP, _SLOW = 30.0, 30.0
+
+
+def phi_functions(a: Array, h: float, count: int) -> list[Array]:
+    """Return F_0 .. F_count of `a` times `h`: F_0 = exp, F_r = int_0^1 exp((1 - x) a h) x^(r-1)/(r-1)! dx.
+
+    Parameters
+    ----------
+    a
+        Real [N, N]; any norm, no mode that grows by more than floats can hold.
+    h
+        Time [s].
+    """
+    if not len(a):
+        return [np.zeros((0, 0)) for _ in range(count + 1)]
+    balanced, (scale, _) = matrix_balance(np.asarray(a, float) * h, permute=False, separate=True)
+    modes, v = np.linalg.eig(balanced)
+    if np.linalg.cond(v) < _WELL:
+        w = np.linalg.inv(v)
+        values = np.zeros((len(a), TOP + 1), complex)
+        for mode, row in zip(modes, values, strict=True):
+            single(complex(mode), row)
+        found = [np.real((v * values[:, r]) @ w) for r in range(count + 1)]
+    else:
+        found = _functions(np.asarray(balanced), count)
+    return [scale[:, None] * f / scale for f in found]
+
+
+def _functions(z: Array, count: int) -> list[Array]:
+    size = np.sort(np.abs(np.linalg.eigvals(z)))
+    if len(z) > 1 and size[-1] > _SLOW:
+        low = np.maximum(size[:-1], 1.0)
+        at = int(np.argmax(size[1:] / low))
+        if size[at + 1] > _GAP * low[at]:
+            return _apart(z, float(np.sqrt(size[at + 1] * low[at])), count)
+    n = len(z)
+    if size[-1] <= _SLOW or size[0] < 1.0:
+        chain = np.zeros((n * (count + 1), n * (count + 1)))
+        chain[:n, :n] = z
+        for r in range(count):
+            chain[n * r : n * (r + 1), n * (r + 1) : n * (r + 2)] = np.eye(n)
+        whole = expm(chain)
+        return [whole[:n, n * r : n * (r + 1)] for r in range(count + 1)]
+    out = [expm(z)]
+    factorial = 1.0
+    for r in range(count):
+        factorial *= max(r, 1)
+        out.append(np.linalg.solve(z, out[-1] - np.eye(n) / factorial))
+    return out
+
+
+def _apart(z: Array, cut: float, count: int) -> list[Array]:
+    """Split into the modes above and below the modulus `cut`."""
+    t, q, fast = schur(z, output="real", sort=lambda re, im: np.hypot(re, im) > cut)
+    x = solve_sylvester(t[:fast, :fast], -t[fast:, fast:], -t[:fast, fast:])
+    left, right = q.copy(), q.T.copy()
+    left[:, fast:] += q[:, :fast] @ x
+    right[:fast] -= x @ q.T[fast:]
+    above, below = _functions(t[:fast, :fast], count), _functions(t[fast:, fast:], count)
+    return [
+        left[:, :fast] @ f @ right[:fast] + left[:, fast:] @ s @ right[fast:]
+        for f, s in zip(above, below, strict=True)
+    ]

@@ -1,0 +1,51 @@
+"""Accepted points of our own loop: counted, checked, and written as rows where rows are wanted."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from numba import carray, njit
+
+from cosim.loop.numba_calls import call_plain, doubles_at
+from cosim.loop.pin_voltages import volts
+from cosim.loop.spice.coupling import RUNAWAY_RAD_PER_S, noise_at, write_row
+from cosim.loop.state import Fault
+
+Record = Any
+_COLLAPSED, _NOT_FINITE, _RAN_AWAY = Fault.STEP_COLLAPSED, Fault.NOT_FINITE, Fault.RAN_AWAY
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def show(s: Record) -> None:
+    """Fill the pins' voltages that a row shows."""
+    for j in range(s.n):
+        s.q_trial[j] = s.q[j]
+        s.out[j] = s.q[j]
+        if s.noise != 0 or s.position_noise != 0:
+            s.out[j] += noise_at(s, s.t, j)
+    for i in range(s.dacs):
+        s.out[s.dac_first + i] = volts(s, s.dac_channel[i], s.t)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def record(s: Record) -> None:
+    """Write the accepted point as a row, when rows are wanted."""
+    s.points += 1
+    if s.rows_capacity == 0:
+        return
+    show(s)
+    write_row(s, s.t, carray(doubles_at(s.rows + 8 * s.columns * s.rows_used), (s.columns,)))
+    s.rows_used += 1
+    if s.rows_used == s.rows_capacity:
+        call_plain(s.drain_address)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def check(s: Record) -> None:
+    """End the run on speeds that no device has, and on steps cut endlessly."""
+    if s.points - s.points_before > s.most_points:
+        s.fault = _COLLAPSED
+    for j in range(s.coordinates):
+        if not abs(s.v[j]) < RUNAWAY_RAD_PER_S:
+            s.fault = _RAN_AWAY if abs(s.v[j]) < math.inf else _NOT_FINITE

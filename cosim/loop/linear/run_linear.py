@@ -1,0 +1,274 @@
+"""A run of the `ideal` or `linear` circuit model in our own time loop."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.circuits.decks import Tolerances, lockstep_deck
+from cosim.circuits.design_constants import DesignConstants
+from cosim.circuits.extraction.extract import extract
+from cosim.circuits.linear_circuit import LinearCircuit
+from cosim.errors import InputError, Problem
+from cosim.loop.component_noise import ComponentGrid, component_grid
+from cosim.loop.dac_channels import channels, drive
+from cosim.loop.linear import stepper
+from cosim.loop.linear.exact_slider import Exact, exact
+from cosim.loop.linear.gauss_step import Bench, bench
+from cosim.loop.linear.offset_state import shifted
+from cosim.loop.linear.step_layout import plan
+from cosim.loop.linear.step_maps import Plan
+from cosim.loop.pin_voltages import pins
+from cosim.loop.setup import Memory, columns, pack, sample_columns
+from cosim.loop.signals import Layout, write_signals
+from cosim.loop.spice import coupling
+from cosim.loop.spice.run_spice import ROWS, Recorder, Report, read_constants, statistics
+from cosim.loop.state import Fault
+from cosim.loop.userclass import Said
+from cosim.loop.userlaw import UserLaw, load_law
+from cosim.ngspice.deck import Deck
+from cosim.ngspice.simulator import Simulator
+from cosim.results import RAW
+from cosim.scene import PythonOperator, Scene
+
+#: First step behind a jump of the DACs, as a share of the period, when rows are recorded; or as a share of
+#: the time in which the circuit settles, where that is longer.
+FIRST_ROW_SHARE, _FIRST_OF_FRESH = 2.0**-11, 1.0 / 24.0
+#: So many of its slowest time constants behind a jump a circuit has settled: rows need not follow it.
+_SETTLED = 3.0
+
+
+class _Clock:
+    """What a `Recorder` asks of whoever owns time."""
+
+    def __init__(self, state: np.void) -> None:
+        self.state = state
+
+    def truncate_vectors(self) -> bool:
+        """Return True: rows are all that is kept."""
+        return True
+
+    def stop(self) -> None:
+        """End the loop at its next step."""
+        if not self.state["fault"]:
+            self.state["fault"] = Fault.STOPPED
+
+
+@dataclass
+class Propagation:
+    """A packed run: `run()` takes it to its end.
+
+    Attributes
+    ----------
+    memory : the record shared with the lockstep, its rows and samples
+    circuit : what is simulated
+    plan : maps of the circuit
+    bench : states of the circuit and scratch memory
+    exact, callback : memory of the exact path, and what makes its matrices; failures : of that
+    first_s : longest step behind a jump; 0 for none
+    tables : where compiled code finds all that
+    """
+
+    memory: Memory
+    circuit: LinearCircuit
+    plan: Plan
+    bench: Bench
+    exact: Exact
+    callback: Callable[[], None]
+    failures: list[Exception]
+    first_s: float
+    tables: stepper.Tables
+
+    def run(self) -> None:
+        """Integrate to the end of the scene, or to a fault (`memory.state['fault']`).
+
+        The first sample is computed, the circuit put at its operating point, and the start written as a row.
+        """
+        state = self.memory.state[0]
+        coupling.begin(state)
+        self.bench.states[:] = rest(self.circuit, state, self.memory.component)
+        stepper.run(self.tables, self.first_s)
+        if self.failures:
+            raise self.failures[0]
+
+
+def prepare(
+    scene: Scene,
+    constants: DesignConstants,
+    circuit: LinearCircuit,
+    *,
+    record: bool,
+    dense: bool = True,
+    row_capacity: int = 2048,
+    sample_capacity: int = 256,
+    component: ComponentGrid | None = None,
+) -> Propagation:
+    """Pack a scene at time 0, its first sample not yet computed.
+
+    Parameters
+    ----------
+    record
+        Whether rows are written.
+    dense
+        Whether rows show the motion: steps at most `solver.max_step_s`, and short behind a jump. Otherwise
+        the tolerance alone decides, as it does without rows.
+    component
+        Noise of the board's components, where the scene asks for it.
+    """
+    n = scene.joints
+    driving = drive(scene)
+    memory = pack(scene, constants, driving, (), (), row_capacity, sample_capacity, component)
+    state = memory.state[0]
+    state["rows_capacity"] = row_capacity if record else 0
+    if not (record and dense):
+        state["h_max"] = scene.computer.period_s
+    state["w"]["located"] = any(state["p"][name] for name in ("coulomb_on", "stops_on", "backlash_on"))
+    names = channels(n)
+    driven = [names.index(name) - n for name in driving.channels if name.startswith("ks")]
+    whole = shifted(circuit)
+    maps = plan(
+        whole, driven,
+        gear=constants.gear,
+        commands=any(name.startswith("cmd") for name in driving.channels),
+        speeds=driving.speeds,
+        bent=bool(state["position_noise"]),
+        noise=component.group if component is not None else None,
+        shafts=scene.effects.shaft,
+    )  # fmt: skip
+    state["speeds"] = 0  # the pins vel are no part of a row
+    desk = bench(maps, np.zeros(maps.before + maps.after))
+    first = 0.0
+    if record and dense:
+        state["fresh"] = _SETTLED * _slowest(whole.a_post)
+        first = max(FIRST_ROW_SHARE * scene.computer.period_s, _FIRST_OF_FRESH * float(state["fresh"]))
+    failures: list[Exception] = []
+    leaps, callback = exact(state, whole, memory.knots, failures)
+    tables = stepper.Tables(memory.state, maps, desk, leaps)
+    return Propagation(memory, circuit, maps, desk, leaps, callback, failures, first, tables)
+
+
+def _slowest(a: NDArray[np.float64]) -> float:
+    """Return the slowest time constant [s] of a stable system; 0 without states."""
+    rates = np.abs(np.linalg.eigvals(a).real)
+    return float(1.0 / rates.min()) if len(rates) and rates.min() > 0.0 else 0.0
+
+
+def rest(
+    circuit: LinearCircuit, state: np.void, component: ComponentGrid | None = None
+) -> NDArray[np.float64]:
+    """States of the circuit at its operating point with the pins as they are at the accepted point."""
+    n, m = circuit.joints, len(circuit.gain)
+    level = np.zeros(4 * n + m)
+    pins(state, level)
+    pot_u, gains = level[: 2 * n], circuit.gain * (level[2 * n : 2 * n + m] + circuit.y_offset)
+    z = _still(circuit.a_pre, circuit.b_pre @ pot_u, "a_pre")
+    x = circuit.c_pre @ z + circuit.d_pre @ pot_u + circuit.x_offset
+    if component is not None:
+        x += component.values[0, component.group]
+    after = np.concatenate([gains * x, level[2 * n + m :]])
+    one = np.ones(int(circuit.x_offset.any()))  # see `shifted`
+    return np.concatenate([z, one, _still(circuit.a_post, circuit.b_post @ after, "a_post")])
+
+
+def _still(a: NDArray[np.float64], drive: NDArray[np.float64], name: str) -> NDArray[np.float64]:
+    """Solve 0 = a z + drive."""
+    if not len(a):
+        return np.zeros(0)
+    scale = np.abs(a).max(axis=1)
+    scaled = a / np.where(scale > 0, scale, 1.0)[:, None]
+    try:
+        z = np.asarray(np.linalg.solve(scaled, -drive / np.where(scale > 0, scale, 1.0)), np.float64)
+    except np.linalg.LinAlgError:
+        z = np.full(len(a), math.nan)
+    if not np.isfinite(z).all():
+        raise InputError(Problem("the circuit has a pole at zero: it has no operating point", key=name))
+    return z
+
+
+def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
+    """Run one scene on the `ideal` or `linear` model.
+
+    Parameters
+    ----------
+    payload
+        As `run_spice.simulate`; and 'model': 'ideal' or 'linear', with 'band_hz' and 'tolerance' of
+        the extraction. In its place 'circuit', a `LinearCircuit`; 'constants' when they are known already.
+    report
+        called with the simulated time and the points so far
+
+    Returns
+    -------
+    dict
+        As `run_spice.simulate`; 'peaks', 'clipped_s' and 'swings' are empty, 'circuit' is what was
+        simulated
+    """
+    scene: Scene = payload["scene"]
+    board: Deck = payload["board"]
+    if payload["recorded"]:
+        raise InputError(
+            Problem(
+                "nodes inside the board exist in the model spice only",
+                file=str(board.path),
+                key="record.nodes",
+                value=", ".join(payload["recorded"]),
+            )
+        )
+    circuit: LinearCircuit | None = payload.get("circuit")
+    if circuit is None:
+        asked: dict[str, Any] = {
+            key: payload[key] for key in ("board", "model", "band_hz", "tolerance") if key in payload
+        }
+        circuit = extract(asked, report)
+    component = component_grid(scene, board, report)
+    version = ""
+    constants: DesignConstants | None = payload.get("constants")
+    if constants is None:
+        simulator = Simulator()
+        tolerances: Tolerances = payload["tolerances"]
+        deck = lockstep_deck(board, drive(scene), tolerances, ())
+        simulator.load(deck, lines=board.lines, name=str(board.path))
+        constants, version = read_constants(simulator, str(board.path)), str(simulator.version)
+    folder = Path(payload["folder"])
+    packed = prepare(scene, constants, circuit, record=True, component=component)
+    state = packed.memory.state[0]
+    person = scene.operator.file if isinstance(scene.operator, PythonOperator) else "operator"
+    recorder = Recorder(packed.memory, _Clock(state), folder, report, deck=str(board.path), person=person)
+    said = Said()
+    if scene.computer.law is not None:
+        where = scene.computer.law
+        law = UserLaw(load_law(where, scene.file, said), state, recorder.fail, where, scene, constants, said)
+        state["law_address"] = law.address
+    # a run of no length, without the user's law, loads the compiled loop before the clock starts
+    warm = prepare(scene, constants, circuit, record=True, component=component)
+    warm.memory.state[0]["t_end"] = 0.0
+    warm.run()
+    wall, cpu = time.perf_counter(), time.process_time()
+    try:
+        packed.run()
+    finally:
+        wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+        recorder.close()
+    names = columns(packed.memory.drive, (), shafts=scene.effects.shaft)
+    layout = Layout(tuple(names), packed.memory.drive, constants, state["p"])
+    ledger = write_signals(folder / ROWS, folder / RAW, layout, scene.title, packed.bench.total)
+    (folder / ROWS).unlink()
+    return {
+        "ledger": ledger,
+        "sample_columns": sample_columns(circuit.joints),
+        "constants": constants,
+        "stats": statistics(packed.memory, wall, cpu),
+        "component_noise": component.about if component is not None else None,
+        "peaks": {},
+        "clipped_s": {},
+        "swings": {},
+        "ngspice": version,
+        "said": said.lines,
+        "circuit": circuit,
+    }

@@ -1,0 +1,259 @@
+"""Our own time loop: the same events as in lockstep with ngspice, around a `LinearCircuit`.
+
+Between two events (samples, DACs, noise grid, knots of the operator) time is counted in binary fractions of
+the interval, so that a handful of step lengths serves a whole run and every event is met exactly. A step is
+the largest fraction that lies on the grid and whose error, known from the step before, is within the
+tolerance.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from numba import carray, njit
+
+from cosim.loop.linear.contact_events import find, first_crossing, meet, strike
+from cosim.loop.linear.exact_slider import BENCH_KIND, EXACT_KIND, PLAN_KIND, STATE_KIND, Exact, rests
+from cosim.loop.linear.exact_steps import leaps
+from cosim.loop.linear.gauss_step import Bench, accept, attempt, guess, near, present
+from cosim.loop.linear.recording import check, record
+from cosim.loop.linear.step_maps import Plan, slot_of
+from cosim.loop.numba_calls import call_plain, lent, record_at, table
+from cosim.loop.pin_voltages import gains_ramp, ramp_step
+from cosim.loop.spice.coupling import evaluate, process_events
+from cosim.loop.state import Fault
+
+Record = Any
+_COLLAPSED = Fault.STEP_COLLAPSED
+#: The shortest step is the interval over 2^_LEVELS.
+_LEVELS = 40
+_WHOLE = 1 << _LEVELS
+#: The next step aims at this share of the tolerance and grows at most so much; the error is of fifth order.
+_SAFETY, _GROWTH, _ORDER = 0.5, 8.0, 5.0
+#: Near a driver's limit steps are at most 1/64 of the period and are checked ...
+_WATCH_STEPS = 64.0
+#: ... and the instants at which a motor reaches or leaves its limit are found to 2^-_LOCATED of an interval.
+_LOCATED = 18
+#: What friction and stops do is found to 2^-_FINEST of an interval, but not below _RESOLUTION_S.
+_FINEST, _RESOLUTION_S = 36, 1e-12
+#: Steps below this share of the period, on the way to such an instant and from it, are no rows.
+_ROW_SHARE = 2.0**-12
+_NEVER = math.inf
+#: A scene that is linear this share of a period behind an event is so up to the next.
+_WELL_BEHIND = 1e-9
+
+
+class Tables:
+    """Where compiled code finds a run: the state, and the tables of plan, bench and exact path.
+
+    Attributes
+    ----------
+    addresses : of the four
+    linear : [1] whether the scene is linear between events
+    """
+
+    def __init__(self, state: Any, plan: Plan, bench: Bench, exact: Exact) -> None:
+        self._alive = (state, plan, bench, exact, table(plan), table(bench), table(exact))
+        self.linear = exact.on
+        self.addresses = (state.ctypes.data, *(words.ctypes.data for words in self._alive[4:]))
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _side(k: Any, joint: int, current: float) -> float:
+    if current >= k.limit[joint, 1]:
+        return 1.0
+    if current <= k.limit[joint, 0]:
+        return -1.0
+    return 0.0
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _watched(s: Record, k: Any, b: Any) -> bool:
+    """Whether a motor comes near its limit within the step on trial."""
+    for j in range(s.n):
+        if near(k, j, b.current[j]) or near(k, j, b.results[3 * s.n + j]):
+            return True
+        for i in range(3):
+            if near(k, j, b.results[3 * j + i]):
+                return True
+    return False
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _crosses(s: Record, k: Any, b: Any) -> bool:
+    """Whether a motor reaches or leaves its limit within the step on trial."""
+    for j in range(s.n):
+        if _side(k, j, b.results[3 * s.n + j]) != b.clamp[j]:
+            return True
+        for i in range(3):
+            if b.clamp[j] == 0.0 and _side(k, j, b.results[3 * j + i]) != 0.0:
+                return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def _right_hand(s: Record, k: Any, b: Any) -> None:
+    """Find currents and accelerations at the accepted point as they are just behind its events."""
+    present(s, k, b)
+    _limit(s, k, b)
+
+
+@njit(cache=True, error_model="numpy")
+def _limit(s: Record, k: Any, b: Any) -> None:
+    """Clamp the currents at the accepted point, and find the accelerations."""
+    for j in range(s.n):
+        b.clamp[j] = _side(k, j, b.current[j])
+        current = min(max(b.current[j], k.limit[j, 0]), k.limit[j, 1])
+        s.tau[j] = s.torque_per_amp * current
+    if s.w.located:
+        find(s, b)
+    else:
+        evaluate(s, s.t, s.q, s.v, s.a)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _time(s: Record, t0: float, length: float, position: int) -> float:
+    return float(s.t_event) if position == _WHOLE else t0 + length * position / _WHOLE
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _finest(length: float) -> int:
+    """Return the level at which an instant in an interval of `length` [s] counts as found."""
+    level = _FINEST
+    while level > 0 and math.ldexp(length, -level) < _RESOLUTION_S:
+        level -= 1
+    return level
+
+
+@njit(cache=True, error_model="numpy")
+def _steps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
+    """Go on by collocation; whether the run is over. Otherwise all is linear from the event now due on."""
+    s = carray(record_at(state, STATE_KIND), 1)[0]
+    k, b, x = lent(plan, PLAN_KIND), lent(bench, BENCH_KIND), lent(exact, EXACT_KIND)
+    if s.points == 0 and s.w.located:
+        meet(s)
+    _right_hand(s, k, b)
+    s.history = 0
+    if s.points == 0:
+        record(s)
+    t0, length, position = s.t, s.t_event - s.t, 0
+    whole = _WHOLE
+    finest, until = _finest(length), _NEVER
+    wish, jump = s.h_max, -_NEVER
+    watch = behind = False
+    while s.fault == 0:
+        if s.t_event <= s.t + s.delta_min:
+            if s.t >= s.t_end - s.delta_min:
+                return True
+            if behind and not watch and rests(x, s.t + _WELL_BEHIND * s.c.period):
+                return False
+            if process_events(s, s.t):
+                s.history = 0
+                if first > 0.0:
+                    wish, jump = min(wish, first), s.t
+            if watch or s.w.located:
+                _right_hand(s, k, b)
+            if watch:
+                s.history = 0
+            t0, length, position = s.t, s.t_event - s.t, 0
+            finest, until = _finest(length), _NEVER
+            behind = True
+        longest = min(wish, s.h_max)
+        if s.t - jump < s.fresh:
+            longest = min(longest, max(first, s.t - jump))
+        if watch:
+            longest = min(longest, s.c.period / _WATCH_STEPS)
+        if gains_ramp(s):
+            longest = min(longest, ramp_step(s))
+        if until - s.t > math.ldexp(length, -finest):
+            longest = min(longest, until - s.t)
+        else:
+            until = _NEVER
+        level = 0
+        while position & ((whole >> level) - 1) != 0 or math.ldexp(length, -level) > longest * (1 + 1e-9):
+            level += 1
+        h = math.ldexp(length, -level)
+        guess(s, b, h)
+        while True:
+            if level > _LEVELS - 2:
+                s.fault = _COLLAPSED
+                break
+            h = math.ldexp(length, -level)
+            error = attempt(s, k, b, slot_of(k, h), s.t, h, s.tol)
+            if not error <= s.tol:
+                s.rejected += 1
+                level += 2 if error > 1e3 * s.tol else 1
+                wish = math.ldexp(length, -level)
+                guess(s, b, wish)
+                continue
+            if not watch and _watched(s, k, b):
+                watch = True
+                _right_hand(s, k, b)
+                while math.ldexp(length, -level) > s.c.period / _WATCH_STEPS:
+                    level += 1
+                s.history = 0
+                guess(s, b, math.ldexp(length, -level))
+                continue
+            if watch and level < _LOCATED and _crosses(s, k, b):
+                level += 1
+                guess(s, b, math.ldexp(length, -level))
+                continue
+            if s.w.located and level < finest:
+                share = first_crossing(s, b, h)
+                if share <= 1.0:
+                    s.rejected += 1
+                    until = s.t + share * h
+                    level += 1
+                    while level < finest and math.ldexp(length, -level) > share * h:
+                        level += 1
+                    guess(s, b, math.ldexp(length, -level))
+                    continue
+            break
+        if s.fault != 0:
+            break
+        position += whole >> level
+        accept(s, k, b, _time(s, t0, length, position), h)
+        s.defect = error
+        s.defect_max = max(s.defect_max, error)
+        s.defect_sum += error
+        share = error / (_SAFETY * s.tol)
+        grow = _GROWTH if share * _GROWTH**_ORDER < 1.0 else share ** (-1.0 / _ORDER)
+        # a step that an event cut short says nothing against the longer ones before it
+        wish = h * grow if grow < 1.0 else max(wish, h * grow)
+        check(s)
+        if watch:
+            watch = _watched(s, k, b)
+            for j in range(s.n):
+                if _side(k, j, b.current[j]) != b.clamp[j]:
+                    _limit(s, k, b)
+                    s.history = 0
+                    break
+        struck = False
+        if s.w.located and level >= finest and strike(s, b):
+            struck = True
+            _limit(s, k, b)
+            s.history = 0
+            until = _NEVER
+        if struck or position == whole or h > _ROW_SHARE * s.c.period:
+            record(s)
+        else:
+            s.points += 1
+    if s.drain_address != 0:
+        call_plain(s.drain_address)
+    return True
+
+
+def run(tables: Tables, first: float) -> None:
+    """Write the start as a row and integrate to `t_end` of the state, or until a fault.
+
+    Parameters
+    ----------
+    first
+        Longest step [s] behind a jump of the DACs, for rows that show it; 0 for none.
+    """
+    # apart from each other, so that neither is compiled for the other's sake
+    over = False
+    while not over:
+        over = bool(tables.linear[0]) and leaps(*tables.addresses, first)
+        over = over or _steps(*tables.addresses, first)

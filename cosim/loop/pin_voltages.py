@@ -1,0 +1,93 @@
+"""Voltages at the pins of the board between events: DACs, and the noise of the potentiometers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import carray, njit
+
+from cosim.loop.numba_calls import doubles_at
+
+Record = Any
+
+#: Steps over a ramp of the gains, each with the gain of its middle: the torque's impulse is wrong by at most
+#: (change of gain) x (change of input) x settling time / (12 x steps^2). The input changes within the ramp by
+#: its rate times the settling time: one step is enough for a ramp of at most this share of the period.
+_RAMP, _SHORT = 2, 1e-3
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def volts(s: Record, channel: int, t: float) -> float:
+    """Voltage of a DAC channel [V] at `t`."""
+    if s.ramping == 0:
+        return float(s.dac_to[channel])
+    group = 0 if s.n <= channel < s.n + 2 * s.n * s.n else 1
+    part = min(max((t - s.dac_start[group]) / s.settle, 0.0), 1.0)
+    return float(s.dac_from[channel] + part * (s.dac_to[channel] - s.dac_from[channel]))
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def ramp_step(s: Record) -> float:
+    """Longest step over a ramp of the gains [s]."""
+    return float(s.settle if s.settle <= _SHORT * s.c.period else s.settle / _RAMP)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def gains_ramp(s: Record) -> bool:
+    """Whether a multiplier's gain is on its way to another value."""
+    if s.ramping == 0:
+        return False
+    for i in range(s.dacs):
+        channel = s.dac_channel[i]
+        if s.n <= channel < s.n + 2 * s.n * s.n and s.dac_from[channel] != s.dac_to[channel]:
+            return True
+    return False
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def grid_noise(s: Record, t: float, joint: int) -> float:
+    """Noise of a potentiometer [rad] that is linear between the ticks of its grid."""
+    if s.noise == 0:
+        return 0.0
+    table = carray(doubles_at(s.noise), (s.noise_rows * s.n,))
+    x = t / s.noise_dt - s.noise_tick
+    at = s.noise_tick * s.n + joint
+    return float(table[at] + x * (table[at + s.n] - table[at]))
+
+
+@njit(cache=True, error_model="numpy")
+def component(s: Record, t: float, place: int) -> float:
+    """Component noise [V] at a place, the different X first, then the pins cmd; linear between its ticks."""
+    if s.component == 0:
+        return 0.0
+    width = s.component_inputs + s.n
+    table = carray(doubles_at(s.component), (s.component_rows * width,))
+    x = t / s.component_dt - s.component_tick
+    at = s.component_tick * width + place
+    return float(table[at] + x * (table[at + width] - table[at]))
+
+
+@njit(cache=True, error_model="numpy")
+def position_noise(s: Record, q: float, joint: int) -> float:
+    """Noise of a potentiometer [rad] that belongs to its angle."""
+    if s.position_noise == 0:
+        return 0.0
+    table = carray(doubles_at(s.position_noise), (s.position_points * s.n,))
+    x = min(max((q - s.position_lo) / s.position_step, 0.0), s.position_points - 1.000001)
+    i = int(x)
+    at = i * s.n + joint
+    return float(table[at] + (x - i) * (table[at + s.n] - table[at]))
+
+
+@njit(cache=True, error_model="numpy")
+def pins(s: Record, out: Any) -> None:
+    """Fill `out` with the pins pot, all DAC channels and vel at the accepted point; [4 n + 2 n^2]."""
+    n = s.n
+    dacs = 2 * n + 2 * n * n
+    for j in range(n):
+        out[j] = s.q[j] + grid_noise(s, s.t, j) + position_noise(s, s.q[j], j)
+        out[n + dacs + j] = s.gear * s.v[s.motor + j]
+    for channel in range(dacs):
+        out[n + channel] = volts(s, channel, s.t)
+    for i in range(n):
+        out[dacs + i] += component(s, s.t, s.component_inputs + i)

@@ -1,0 +1,184 @@
+"""What ngspice calls while it integrates: sources, step control, accepted points - compiled on import.
+
+ngspice owns time. Per point it asks `synchronise` for the step, polls `source` for every EXTERNAL source at
+the trial time, and hands the accepted values to `accepted`, where the linkage takes its step. Sample instants
+are landed on exactly: the step is cut to them, and a breakpoint set beforehand makes ngspice take the first
+step behind a DAC step with backward Euler.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+from numba import carray, cfunc, njit, types
+
+from cosim.loop.numba_calls import call_plain, doubles_at, vector_value
+from cosim.loop.spice import runge_kutta, stop_surfaces
+from cosim.loop.spice.coupling import (
+    advance,
+    announce,
+    bound_by_pole,
+    evaluate,
+    fill,
+    name_hash,
+    process_events,
+    shortened,
+    write_row,
+)
+from cosim.loop.state import STATE, Fault
+
+_NOT_FINITE, _COLLAPSED, _CRAWLS = Fault.NOT_FINITE, Fault.STEP_COLLAPSED, Fault.CRAWLS
+_NEVER = 1e300
+#: V that no board has: rails of 100 V times the highest open-loop gains, 140 dB, are three decades below. In
+#: ngspice a division by zero gives some 1e32, with which a loose tolerance can go on.
+NO_VOLTAGE = 1e12
+#: A source's name in ngspice has a dot behind its letter where it stands inside a subcircuit; its length.
+_DOT, _LONGEST = 46, 512
+
+Record = Any
+_record = numba.from_dtype(STATE)
+_f8, _i4, _i8, _u1 = types.float64, types.int32, types.int64, types.uint8
+
+
+@njit(cache=True, error_model="numpy")
+def _command_noise(s: Record, place: int) -> float:
+    """Component noise [V] at the source `place`: none but at the pins cmd."""
+    first = s.n + 2 * s.n * s.n
+    if place < s.dac_first or s.dac_channel[place - s.dac_first] < first:
+        return 0.0
+    return float(s.component_now[s.component_inputs + s.dac_channel[place - s.dac_first] - first])
+
+
+@njit(cache=True, error_model="numpy")
+def _probe_noise(s: Record, letters: Any) -> float:
+    """Component noise [V] of a probe inside the board, as it stands in series with X."""
+    wanted = name_hash(letters, _LONGEST)
+    for i in range(s.probes):
+        if s.probe_name[i] == wanted:
+            return float(s.probe_sign[i] * s.component_now[s.probe_input[i]])
+    return 0.0
+
+
+@cfunc(_i4(types.CPointer(_f8), _f8, types.CPointer(_u1), _i4, types.CPointer(_record)), cache=True)
+def source(voltage: Any, t: float, name: Any, ident: int, user: Any) -> int:
+    """GetVSRCData: sources are named v00, v01, ... in the order of `STATE.out`, probes by their path."""
+    s = carray(user, 1)[0]
+    if t != s.t_trial:
+        fill(s, t)
+    digits = carray(name, 3)
+    s.source_calls += 1
+    if s.component == 0:
+        voltage[0] = s.out[(digits[1] - 48) * 10 + digits[2] - 48]
+    elif digits[1] == _DOT:
+        voltage[0] = _probe_noise(s, carray(name, _LONGEST))
+    else:
+        place = (digits[1] - 48) * 10 + digits[2] - 48
+        voltage[0] = s.out[place] + _command_noise(s, place)
+    return 0
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _within(t: float, h: float, end: float) -> float:
+    """Return the step `h` [s], cut to the end of the run where it passes it.
+
+    ngspice (from 44 on) would cut it to 1.1 of its least step short of the end: then nothing is left for
+    a last step, or (47) what is left is halved for ever.
+    """
+    if t < end < t + h:
+        h = end - t
+        while t + h > end:  # the sum is rounded
+            h *= 1.0 - 2.3e-16
+    return h
+
+
+@cfunc(_i4(_f8, types.CPointer(_f8), _f8, _i4, _i4, _i4, types.CPointer(_record)), cache=True)
+def synchronise(t: float, delta: Any, old: float, redo: int, ident: int, where: int, user: Any) -> int:
+    """GetSyncData: before a step (0) set its length; after one (1) have it redone where it is wrong.
+
+    There `redo` says whether ngspice itself has rejected it; `t` is the end of a step that it has not.
+    """
+    s = carray(user, 1)[0]
+    if where == 1:
+        if redo == 0 and s.fault == 0 and s.running != 0 and t == s.t_trial and t > s.t:
+            h = shortened(s, t - s.t)
+            if h < t - s.t:
+                delta[0] = h
+                s.rejected += 1
+                return 1
+        s.rejected += redo
+        delta[0] = _within(t, delta[0], s.t_end)
+        return 0
+    h = delta[0]
+    if s.announced == 0:
+        s.announced = 1
+        announce(s, t + s.delta_min)
+    if s.t_event <= t + s.delta_min and process_events(s, t):
+        h = s.h_first
+    h = min(h, s.h_max, s.h_couple, s.h_pole)
+    if s.p.backlash_on:
+        h = runge_kutta.edge(s, h)
+    if s.p.stops_on:
+        h = stop_surfaces.edge(s, h)
+    rest = s.t_event - t
+    if rest > 0.0:
+        if h > 0.999 * rest:
+            h = rest
+        elif h > 0.5 * rest:
+            h = 0.5 * rest
+    delta[0] = _within(t, h, s.t_end)
+    if s.fault != 0:
+        call_plain(s.drain_address)
+    return 0
+
+
+@cfunc(_i4(types.CPointer(_i8), _i4, _i4, types.CPointer(_record)), cache=True)
+def accepted(data: Any, count: int, ident: int, user: Any) -> int:
+    """SendData: the point is final; the linkage takes its step and the row is written."""
+    s = carray(user, 1)[0]
+    if s.running == 0:
+        return 0
+    vectors = carray(data, (2,))[1]
+    t = vector_value(vectors, s.time_index)
+    for j in range(s.n):
+        s.tau[j] = s.torque_per_amp * vector_value(vectors, s.current_index[j])
+        if not abs(s.tau[j]) < _NEVER:
+            s.fault = _NOT_FINITE
+    step = t - s.t
+    if t > s.t:
+        if t != s.t_trial:
+            fill(s, t)
+        advance(s, t)
+    else:
+        evaluate(s, t, s.q, s.v, s.a)
+        s.history = 1
+        for j in range(s.n):
+            s.tau_old[0, j] = s.tau[j]
+        if s.speeds > 0 or s.p.shaft_on:
+            bound_by_pole(s)
+    s.points += 1
+    if s.points - s.points_before > s.most_points:
+        s.fault = _COLLAPSED
+    if s.points == 1:
+        s.calls_start = s.source_calls
+    else:
+        most = s.calls_free + s.calls_per_s * t + s.calls_per_event * (s.discontinuities + s.knot)
+        if s.source_calls - s.calls_start > most:
+            s.fault = _CRAWLS
+    row = carray(doubles_at(s.rows + 8 * s.columns * s.rows_used), (s.columns,))
+    at = write_row(s, t, row)
+    for i in range(s.nodes):
+        value = vector_value(vectors, s.node_index[i])
+        if not abs(value) <= s.node_peak[i]:
+            s.node_peak[i] = abs(value)
+            if s.fault == 0 and not abs(value) < NO_VOLTAGE:  # a device that ran away is the cause
+                s.fault = _NOT_FINITE
+        if abs(value) >= s.node_limit[i]:
+            s.node_clipped[i] += step
+        if i < s.nodes_recorded:
+            row[at] = value
+            at += 1
+    s.rows_used += 1
+    if s.rows_used == s.rows_capacity or s.fault != 0:
+        call_plain(s.drain_address)
+    return 0

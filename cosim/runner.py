@@ -1,0 +1,266 @@
+"""The one path: Scene -> Plan -> Run."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+import uuid
+from collections.abc import Callable, Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim import plausibility
+from cosim.caution import Caution, collected, warn
+from cosim.circuits.design_constants import DesignConstants
+from cosim.errors import InputError, Problem
+from cosim.judgement import coupled, latched, question, verdict
+from cosim.measures import chosen, headroom, own_measures, standard
+from cosim.ngspice import deck_file
+from cosim.ngspice.child import OUTBOX, Child, call
+from cosim.plan import Plan, resolve
+from cosim.rawfile import read_raw, stamp
+from cosim.results import RAW, Run, provenance, run_date, written_files
+from cosim.scene import PythonOperator, Scene
+from cosim.staging import Staging, disk_errors
+
+__all__ = ["resolve", "run"]
+
+#: Who simulates a circuit model, in the child process.
+_TARGETS = {
+    "spice": "cosim.loop.spice.run_spice",
+    "linear": "cosim.loop.linear.run_linear",
+    "ideal": "cosim.loop.linear.run_linear",
+}
+#: Without a sign of progress for so long [s], the simulation counts as hanging.
+_STALL_S = 60.0
+#: A predicted time so many times the limit is not worth starting.
+_HOPELESS = 10.0
+
+
+def run(
+    plan: Plan,
+    out: str | Path | None = None,
+    *,
+    formats: Collection[str] = ("parquet",),
+    on_progress: Callable[[Mapping[str, Any]], None] | None = None,
+    child: Child | None = None,
+    command: list[str] | None = None,
+    more: Mapping[str, Mapping[str, Any]] | None = None,
+) -> Run:
+    """Simulate a plan and save the result whole, or not at all.
+
+    Parameters
+    ----------
+    plan
+        From `resolve`.
+    out
+        Result folder; a temporary one when not given (its path is `Run.signals.path.parent`).
+    formats
+        Further forms of the signals, see `cosim.results.FORMATS`.
+    on_progress
+        Called with {'time_s', 'points'} while the simulation runs.
+    child
+        A process from `cosim.ngspice.child.start_early`; it can serve several runs.
+    command
+        Command line for the provenance.
+    more
+        Measures that no run is needed for, to be kept with its own (`cosim.comparisons.measuring`).
+
+    Raises
+    ------
+    InputError
+        For a board that ngspice does not accept or that is unstable, or a place that cannot be written.
+    SimulationError
+        For everything that goes wrong while it runs.
+    """
+    with collected() as cautions:
+        warn(*plan.cautions)
+        return _run(plan, out, formats, on_progress, child, command, more or {}, cautions)
+
+
+def _run(
+    plan: Plan,
+    out: str | Path | None,
+    formats: Collection[str],
+    on_progress: Callable[[Mapping[str, Any]], None] | None,
+    child: Child | None,
+    command: list[str] | None,
+    more: Mapping[str, Mapping[str, Any]],
+    cautions: Sequence[Caution],
+) -> Run:
+    """Simulate and save, with the `cautions` that were heard until the result was complete."""
+    begun = time.perf_counter()
+    scene = plan.scene
+    plan.stated(child)
+    _check_duration(plan)
+    judged = verdict(question(plan), plan.board.path, child, scene.solver.time_limit_s)
+    if not scene.solver.allow_unstable:
+        judged.require(str(plan.board.path))
+    warn(*judged.cautions())
+    if not judged.unjudged:
+        warn(*coupled(plan, child))
+    target = Path(out) if out is not None else Path(tempfile.gettempdir()) / f"cosim-run-{uuid.uuid4().hex}"
+    with Staging(target, written_files) as stage:
+        got = call(
+            f"{_TARGETS[plan.model]}:simulate",
+            {
+                "model": plan.model,
+                "band_hz": scene.solver.band_hz,
+                "tolerance": scene.solver.reduction_tolerance,
+                "scene": scene,
+                "board": plan.board,
+                "recorded": plan.recorded,
+                "watched": plan.watched,
+                "tolerances": plan.tolerances,
+                "predicted_points": plan.cost()["points"],
+                "folder": OUTBOX,
+            },
+            time_limit_s=scene.solver.time_limit_s,
+            stall_limit_s=_STALL_S,
+            on_progress=on_progress,
+            deck=str(plan.board.path),
+            child=child,
+            reads=_python_folders(scene),
+            collect=stage.path,
+        )
+        constants: DesignConstants = got["constants"]
+        stamp(stage.path / RAW, run_date())
+        samples = _read_samples(stage.path / "samples.f64", got["sample_columns"])
+        ledger = got["ledger"]
+        signals = read_raw(stage.path / RAW)
+        amplifiers = _amplifiers(plan, got)
+        measures = standard(scene, constants, signals, samples, amplifiers, ledger) | dict(more)
+        own = _own(plan, constants, stage.path / RAW, samples, child)
+        measures |= own["rows"]
+        warn(*plausibility.of_run(scene, constants, signals, samples, measures, amplifiers, ledger))
+        if "end" in got:
+            limits = {a["node"]: a["swing_v"] for a in amplifiers if a["swing_v"]}
+            warn(*latched(plan, got["end"], limits, child))
+        if "circuit" in got:
+            warn(*plausibility.of_circuit(got["circuit"], constants))
+        stats = dict(got["stats"])
+        stats["total_s"] = time.perf_counter() - begun
+        result = Run(
+            scene=scene,
+            signals=signals,
+            samples=samples,
+            plan={
+                **plan.as_dict(),
+                "constants": vars(constants),
+                "amplifiers": headroom(amplifiers),
+                "certificate": got["circuit"].certificate if "circuit" in got else {},
+                "component_noise": got["component_noise"],
+                "stability": judged.as_dict(),
+            },
+            events=_events(samples),
+            measures=chosen(measures, scene),
+            ledger=ledger,
+            stats=stats,
+            said=(*got["said"], *own["said"]),
+            warnings=tuple(cautions),
+            provenance=provenance(
+                scene,
+                command=command if command is not None else list(sys.argv),
+                ngspice=str(got["ngspice"]),
+                deck_digest=plan.board.digest,
+            ),
+        )
+        with disk_errors(stage.path):
+            deck_file.save(plan.board, stage.path)
+        result.write_into(stage.path, formats)  # last: it seals what is there
+        stage.publish()
+    return Run.load(target)
+
+
+def _python_folders(scene: Scene) -> list[Path]:
+    """Return the folders of the user's Python files, which may import what lies beside them."""
+    base = scene.file.parent if scene.file is not None else Path()
+    named = [scene.computer.law] if scene.computer.law is not None else []
+    named += [scene.operator.file] if isinstance(scene.operator, PythonOperator) else []
+    named += own_measures(scene)
+    return list(dict.fromkeys((base / each.rpartition(":")[0]).resolve().parent for each in named))
+
+
+def _own(
+    plan: Plan,
+    constants: DesignConstants,
+    raw: Path,
+    samples: Mapping[str, NDArray[np.float64]],
+    child: Child | None,
+) -> dict[str, Any]:
+    """Ask the user's own measures in the child, as it runs their laws: 'rows', and what they 'said'."""
+    names = own_measures(plan.scene)
+    if not names:
+        return {"rows": {}, "said": []}
+    asked = {"scene": plan.scene, "constants": constants, "raw": raw, "samples": samples, "names": names}
+    found: dict[str, Any] = call(
+        "cosim.loop.usermeasure:measured",
+        asked,
+        time_limit_s=plan.scene.solver.time_limit_s,
+        deck=str(plan.board.path),
+        child=child,
+        reads=[raw.parent, *_python_folders(plan.scene)],
+    )
+    return found
+
+
+def _check_duration(plan: Plan) -> None:
+    """Refuse a run that could not end in time: its prediction is good to a factor of a few."""
+    seconds, limit = plan.cost()["seconds"], plan.scene.solver.time_limit_s
+    if seconds > _HOPELESS * limit:
+        raise InputError(
+            Problem(
+                f"the run would compute for about {seconds:.3g} s (see cosim plan): check duration_s, "
+                "computer.period_s, solver.max_step_s and the noise, or raise this limit",
+                file=str(plan.scene.file) if plan.scene.file else None,
+                key="solver.time_limit_s",
+                value=limit,
+                unit="s",
+            )
+        )
+
+
+def _read_samples(file: Path, columns: list[str]) -> dict[str, NDArray[np.float64]]:
+    """Columns of the computer's samples; the streamed file is used up."""
+    table = np.fromfile(file).reshape(-1, len(columns))
+    file.unlink()
+    return {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(columns)}
+
+
+def _amplifiers(plan: Plan, got: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Peak output of every amplifier against its limit."""
+    out = []
+    for amplifier in plan.board.amplifiers:
+        peak = got["peaks"].get(amplifier.out_node)
+        swing = got["swings"].get(amplifier.out_node)
+        if peak is None:
+            continue
+        out.append(
+            {
+                "path": amplifier.path,
+                "part": amplifier.part,
+                "role": amplifier.role,
+                "node": amplifier.out_node,
+                "peak_v": peak,
+                "swing_v": swing,
+                "clipped_s": got["clipped_s"].get(amplifier.out_node, 0.0),
+                "headroom": 1.0 - peak / swing if swing else 0.0,
+            }
+        )
+    return out
+
+
+def _events(samples: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Contacts made and lost, as the computer saw them."""
+    events: list[dict[str, Any]] = []
+    before = 0.0
+    for at, contact, pen in zip(samples["time"], samples["contact"], samples["pen"], strict=True):
+        if contact != before:
+            kind = "contact" if contact else "release"
+            events.append({"time_s": float(at), "kind": kind, "penetration_m": float(pen)})
+        before = contact
+    return events
