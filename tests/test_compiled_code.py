@@ -71,7 +71,7 @@ def test_a_moved_installation_keeps_its_code(warm: Path, tmp_path: Path) -> None
     cache = tmp_path / "code"
     shutil.copytree(warm, cache)
     assert call(place, cache)[1] == 0
-    with (place / "cosim" / "loop" / "divided.py").open("a") as stream:
+    with (place / "cosim" / "loop" / "linear" / "divided_differences.py").open("a") as stream:
         stream.write("# changed\n")
     assert call(place, cache)[1] == 1
 
