@@ -25,7 +25,7 @@ from cosim.plan import Plan, resolve
 from cosim.rawfile import read_raw, stamp
 from cosim.results import RAW, Run, provenance, run_date, written_files
 from cosim.scene import PythonOperator, Scene
-from cosim.staging import Staging, disk_errors
+from cosim.staging import Staging, disk_errors, require_ours
 
 __all__ = ["resolve", "run"]
 
@@ -95,6 +95,8 @@ def _run(
     """Simulate and save, with the `cautions` that were heard until the result was complete."""
     begun = time.perf_counter()
     scene = plan.scene
+    target = Path(out) if out is not None else Path(tempfile.gettempdir()) / f"cosim-run-{uuid.uuid4().hex}"
+    require_ours(target, written_files)  # told before anything is computed
     plan.stated(child)
     _check_duration(plan)
     judged = verdict(question(plan), plan.board.path, child, scene.solver.time_limit_s)
@@ -103,7 +105,6 @@ def _run(
     warn(*judged.cautions())
     if not judged.unjudged:
         warn(*coupled(plan, child))
-    target = Path(out) if out is not None else Path(tempfile.gettempdir()) / f"cosim-run-{uuid.uuid4().hex}"
     with Staging(target, written_files) as stage:
         got = call(
             f"{_TARGETS[plan.model]}:simulate",

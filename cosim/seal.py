@@ -16,6 +16,7 @@ from cosim.errors import InputError, fail
 __all__ = [
     "MANIFEST",
     "check_files",
+    "coming",
     "file_sums",
     "intact",
     "listed",
@@ -55,19 +56,30 @@ def intact(folder: Path, sums: Mapping[str, str]) -> set[str]:
     }
 
 
-def write_manifest(folder: Path, names: Iterable[str]) -> None:
+def write_manifest(folder: Path, names: Iterable[str], manifest: str = MANIFEST) -> None:
     """Note that files (relative paths) in `folder` are ours, in a file beside them."""
     record = sealed({"format": _MANIFEST_FORM, "files": file_sums(folder, names)})
-    (folder / MANIFEST).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    (folder / manifest).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
 
-def listed(folder: Path) -> set[str]:
-    """Return the relative paths that a manifest proves to be ours and unchanged, itself among them."""
-    try:
-        record = read_sealed(folder / MANIFEST, _MANIFEST_FORM)
-    except InputError:  # none, or one that proves nothing
-        return set()
-    return {MANIFEST, *intact(folder, record["files"])}
+def listed(folder: Path, manifest: str = MANIFEST) -> set[str]:
+    """Return the relative paths that a manifest proves to be ours and unchanged, itself among them.
+
+    A call that was killed while it replaced files leaves a second one, of what was to come.
+    """
+    ours = set()
+    for name in (manifest, coming(manifest)):
+        try:
+            record = read_sealed(folder / name, _MANIFEST_FORM)
+        except InputError:  # none, or one that proves nothing
+            continue
+        ours |= {name, *intact(folder, record["files"])}
+    return ours
+
+
+def coming(manifest: str) -> str:
+    """Return the name of the manifest of files that are being put in place."""
+    return f"{manifest}.new"
 
 
 def sealed(record: Mapping[str, Any]) -> dict[str, Any]:

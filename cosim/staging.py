@@ -68,6 +68,21 @@ def _umask() -> int:
     return umask
 
 
+@contextmanager
+def folder_beside(target: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a new folder beside `target`, for files on their way; removed at the end of the block.
+
+    What killed processes of this machine left for the same target is removed, too.
+    """
+    target = Path(os.path.abspath(target))
+    _sweep(target)
+    folder = Path(tempfile.mkdtemp(prefix=_prefix(target), dir=target.parent))
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
 def own_file(path: str | os.PathLike[str], ours: Callable[[str], bool]) -> None:
     """Refuse to write a file that could not be written, or that would replace one that is not of its kind.
 
@@ -181,6 +196,34 @@ def _lives(pid: int) -> bool:
     return True
 
 
+def require_ours(target: str | os.PathLike[str], ours: Callable[[Path], Collection[str]] | None) -> None:
+    """Refuse a place for a folder that holds anything but what we wrote; see `Staging` for `ours`.
+
+    Raises
+    ------
+    InputError
+        Naming the first file in the way.
+    """
+    folder = Path(os.path.abspath(target))
+    with disk_errors(folder):
+        if not os.path.lexists(folder):
+            return
+        if not os.path.isdir(folder):
+            fail("exists and is not a folder", file=str(folder))
+        if not any(folder.iterdir()):
+            return
+        if ours is None:
+            fail("exists and is not empty; nothing was changed", file=str(folder))
+        foreign = sorted(_files(folder) - set(ours(folder)))
+    if foreign:
+        more = f" and {len(foreign) - 1} more" if len(foreign) > 1 else ""
+        fail(
+            f"holds {foreign[0]}{more}, which no run has written as it is now: nothing was changed; "
+            "choose another folder, or move it away",
+            file=str(folder),
+        )
+
+
 class Staging:
     """A temporary folder beside `target` that takes its place when it is complete.
 
@@ -208,7 +251,7 @@ class Staging:
     ) -> None:
         self.target = Path(os.path.abspath(target))
         self._ours = ours
-        self._refuse_foreign()
+        require_ours(self.target, self._ours)
         with disk_errors(self.target):
             self.target.parent.mkdir(parents=True, exist_ok=True)
             _sweep(self.target)
@@ -219,25 +262,6 @@ class Staging:
     def _beside(self) -> Path:
         return Path(tempfile.mkdtemp(prefix=_prefix(self.target), dir=self.target.parent))
 
-    def _refuse_foreign(self) -> None:
-        with disk_errors(self.target):
-            if not os.path.lexists(self.target):
-                return
-            if not os.path.isdir(self.target):
-                fail("exists and is not a folder", file=str(self.target))
-            if not any(self.target.iterdir()):
-                return
-            if self._ours is None:
-                fail("exists and is not empty; nothing was changed", file=str(self.target))
-            foreign = sorted(_files(self.target) - set(self._ours(self.target)))
-            if foreign:
-                more = f" and {len(foreign) - 1} more" if len(foreign) > 1 else ""
-                fail(
-                    f"holds {foreign[0]}{more}, which no run has written as it is now: nothing was changed; "
-                    "choose another folder, or move it away",
-                    file=str(self.target),
-                )
-
     def publish(self) -> None:
         """Give the folder its final name, in place of an earlier result.
 
@@ -245,7 +269,7 @@ class Staging:
         one tries again, and the last one stays.
         """
         for turn in range(_TURNS):
-            self._refuse_foreign()
+            require_ours(self.target, self._ours)
             with disk_errors(self.target):
                 try:
                     self.path.rename(self.target)  # replaces an empty folder, too

@@ -1,11 +1,12 @@
 """The effects ledger as a picture: what an effect changes against what it costs."""
 
 import csv
+import io
 from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
-from cosim.staging import disk_errors, whole_file
+from cosim.belongings import manifest_of, write_files
 from cosim.units import heading
 
 if TYPE_CHECKING:
@@ -14,6 +15,9 @@ if TYPE_CHECKING:
 
     from cosim.comparisons.effects_ledger import EffectsLedger
 
+#: What `write_effects` writes, and the list of it.
+FILES, MANIFEST = ("effects.csv", "effects.svg", "effects.png"), manifest_of("effects")
+
 
 def write_effects(ledger: "EffectsLedger", measure: str, folder: Path, title: str = "") -> Path:
     """Write ``effects.png``, ``effects.svg`` and ``effects.csv`` (all measures) and return the PNG.
@@ -21,32 +25,26 @@ def write_effects(ledger: "EffectsLedger", measure: str, folder: Path, title: st
     Raises
     ------
     InputError
-        When the folder cannot be written.
+        As `cosim.belongings.write_files`.
     """
-    from reports.style import look
+    from reports.style import look, pictures
 
-    with disk_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        with (
-            whole_file(folder / "effects.csv") as temporary,
-            temporary.open("w", encoding="utf-8", newline="") as stream,
-        ):
-            names = list(ledger.full)
-            writer = csv.writer(stream)
-            units = {name: str(row["unit"]) for name, row in ledger.full.items()}
-            heads = [heading(name, units[name]) for name in names]
-            heads += [heading(f"{name}_among", units[name]) for name in names]
-            writer.writerow(["effect", "value", "alone [s]", "among [s]", *heads])
-            for row in ledger.rows:
-                alone = [row.on.get(name) for name in names]
-                among = [row.off.get(name) for name in names]
-                writer.writerow([row.effect, row.value, row.on_s, row.off_s, *alone, *among])
-        with look():
-            figure = draw(ledger, measure, title)
-            for ending in ("svg", "png"):
-                with whole_file(folder / f"effects.{ending}") as temporary:
-                    figure.savefig(temporary, format=ending)
-    return folder / "effects.png"
+    table = io.StringIO()
+    names = list(ledger.full)
+    writer = csv.writer(table)
+    units = {name: str(row["unit"]) for name, row in ledger.full.items()}
+    heads = [heading(name, units[name]) for name in names]
+    heads += [heading(f"{name}_among", units[name]) for name in names]
+    writer.writerow(["effect", "value", "alone [s]", "among [s]", *heads])
+    for row in ledger.rows:
+        alone = [row.on.get(name) for name in names]
+        among = [row.off.get(name) for name in names]
+        writer.writerow([row.effect, row.value, row.on_s, row.off_s, *alone, *among])
+    with look():
+        drawn = pictures(draw(ledger, measure, title))
+    content = (table.getvalue().encode(), drawn["svg"], drawn["png"])
+    write_files(folder, dict(zip(FILES, content, strict=True)), MANIFEST)
+    return folder / FILES[-1]
 
 
 def draw(ledger: "EffectsLedger", measure: str, title: str = "") -> "Figure":

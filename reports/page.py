@@ -3,10 +3,7 @@
 import base64
 import csv
 import io
-import os
 import re
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,10 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cosim.belongings import write_files
 from cosim.caution import Caution, grouped
-from cosim.errors import fail
-from cosim.seal import MANIFEST, listed, write_manifest
-from cosim.staging import disk_errors
 from reports.summary import summary, tiles
 from reports.tables import Table, Trial, all_tables, command_line, compare_table
 from reports.view import RunLike, View
@@ -147,10 +142,10 @@ def draw_all(view: View) -> tuple[list[Picture], list[str]]:
 
 def picture(name: str, title: str, drawn: "Drawn") -> Picture:
     """Turn a drawn figure into files."""
-    svg, png = io.BytesIO(), io.BytesIO()
-    drawn.figure.savefig(svg, format="svg", metadata={"Date": None})
-    drawn.figure.savefig(png, format="png", dpi=150)
-    return Picture(name, title, drawn.caption, svg.getvalue(), png.getvalue(), _data(drawn.figure))
+    from reports.style import pictures
+
+    files = pictures(drawn.figure)
+    return Picture(name, title, drawn.caption, files["svg"], files["png"], _data(drawn.figure))
 
 
 def _data(figure: "Figure") -> str:
@@ -235,40 +230,15 @@ def write_page(
 ) -> Path:
     """Write the page, its pictures and `tables` (path in the folder -> CSV text), the page last.
 
-    All is written to a temporary folder first. Of what is in the way only files that an earlier report wrote,
-    and that nobody has changed since, are replaced; those that this one has no more are removed.
-
     Raises
     ------
     InputError
-        The folder cannot be written, or holds something else under these names; nothing half-written is left.
+        As `cosim.belongings.write_files`.
     """
     content: dict[str, bytes] = {path: text.encode() for path, text in (tables or {}).items()}
     for each in pictures:
         for ending, data in (("svg", each.svg), ("png", each.png), ("csv", each.data.encode())):
             content[f"{FOLDER_NAME}/{each.name}.{ending}"] = data
     content[PAGE_NAME] = html.encode()
-    before = listed(folder)
-    foreign = [name for name in content if os.path.lexists(folder / name) and name not in before]
-    if foreign:
-        fail(
-            "is in the way, and no report has written it as it is now: nothing was changed; choose another "
-            "folder (--out), or move it away",
-            file=str(folder / foreign[0]),
-        )
-    with disk_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        fresh = Path(tempfile.mkdtemp(prefix=".report-", dir=folder))
-        try:
-            for name, data in content.items():
-                (fresh / name).parent.mkdir(exist_ok=True)
-                (fresh / name).write_bytes(data)
-            write_manifest(fresh, content)
-            for name in [*content, MANIFEST]:
-                (folder / name).parent.mkdir(exist_ok=True)
-                os.replace(fresh / name, folder / name)
-            for name in before - {*content, MANIFEST}:
-                (folder / name).unlink(missing_ok=True)
-        finally:
-            shutil.rmtree(fresh, ignore_errors=True)
+    write_files(folder, content)
     return folder / PAGE_NAME

@@ -1,6 +1,7 @@
 """Stability as a picture: where the eigenvalues go as the wall stiffens, and the limits over the period."""
 
 import csv
+import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -8,16 +9,18 @@ import numpy as np
 
 from cosim.analysis.stability import with_computer
 from cosim.analysis.stiffness_limits import Limits, limits, locus
+from cosim.belongings import manifest_of, write_files
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.scene import Scene
-from cosim.staging import disk_errors, whole_file
 from cosim.studies.grid import decimal
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+#: What `write_stability` writes, and the list of it.
+FILES, MANIFEST = ("stability.csv", "stability.svg", "stability.png"), manifest_of("stability")
 #: Points of the locus, and sampling periods of the map as shares of the scene's.
 _POINTS, _PERIODS = 161, np.geomspace(0.2, 5.0, 9)
 
@@ -30,26 +33,20 @@ def write_stability(
     Raises
     ------
     InputError
-        When the folder cannot be written.
+        As `cosim.belongings.write_files`.
     """
-    from reports.style import look
+    from reports.style import look, pictures
 
     rows = over_period(scene, constants, circuit)
-    with disk_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        with (
-            whole_file(folder / "stability.csv") as temporary,
-            temporary.open("w", encoding="utf-8", newline="") as stream,
-        ):
-            writer = csv.DictWriter(stream, list(rows[0]))
-            writer.writeheader()
-            writer.writerows(rows)
-        with look():
-            figure = draw(found, scene, constants, circuit, rows)
-            for ending in ("svg", "png"):
-                with whole_file(folder / f"stability.{ending}") as temporary:
-                    figure.savefig(temporary, format=ending)
-    return folder / "stability.png"
+    table = io.StringIO()
+    writer = csv.DictWriter(table, list(rows[0]))
+    writer.writeheader()
+    writer.writerows(rows)
+    with look():
+        drawn = pictures(draw(found, scene, constants, circuit, rows))
+    content = (table.getvalue().encode(), drawn["svg"], drawn["png"])
+    write_files(folder, dict(zip(FILES, content, strict=True)), MANIFEST)
+    return folder / FILES[-1]
 
 
 def over_period(

@@ -3,6 +3,7 @@
 Figures are made without pyplot, so that drawing leaves no state behind and needs no display.
 """
 
+import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -34,6 +35,7 @@ __all__ = [
     "held",
     "legend",
     "look",
+    "pictures",
     "sample_ticks",
     "shade",
 ]
@@ -127,6 +129,14 @@ def figure(height_in: float, rows: int = 1, columns: int = 1, **grid: Any) -> tu
     """Return a figure of the page's width with its axes as an array of shape ``(rows, columns)``."""
     drawing = Figure(figsize=(WIDTH_IN, height_in))
     return drawing, drawing.subplots(rows, columns, squeeze=False, **grid)
+
+
+def pictures(drawing: Figure) -> dict[str, bytes]:
+    """Return a figure as files: ``svg`` and ``png``."""
+    svg, png = io.BytesIO(), io.BytesIO()
+    drawing.savefig(svg, format="svg", metadata={"Date": None})
+    drawing.savefig(png, format="png", dpi=150)
+    return {"svg": svg.getvalue(), "png": png.getvalue()}
 
 
 def curve(axes: Axes, time: NDArray[np.float64], value: NDArray[np.float64], **line: Any) -> Line2D:

@@ -3,31 +3,36 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cosim.belongings import manifest_of, write_files
 from cosim.catalogue import UNITS
 from cosim.comparisons.sweep import unit_of
 from cosim.ngspice.lines import number
-from cosim.staging import whole_file
 from cosim.units import heading, scale
-from reports.style import JOINTS, Drawn, figure, legend, look
+from reports.style import JOINTS, Drawn, figure, legend, look, pictures
 
 if TYPE_CHECKING:
     from cosim.comparisons.sweep import Sweep
 
+#: What `write_sweep` writes, and the list of it.
+FILES, MANIFEST = ("sweep.svg", "sweep.png"), manifest_of("sweep-picture")
 _DASHES = ("-", (0, (5, 2)), (0, (2, 1.5)), (0, (6, 1.5, 1, 1.5)), (0, (1, 1)), (0, (8, 2)))
 #: Steps of equal ratio, this far apart at least, ask for a logarithmic axis.
 _LOGARITHMIC = 8.0
 
 
 def write_sweep(found: "Sweep", folder: Path) -> Path | None:
-    """Write ``sweep.png`` and ``sweep.svg``; ``None`` where the first range is not of numbers."""
+    """Write ``sweep.png`` and ``sweep.svg``; ``None`` where the first range is not of numbers.
+
+    Raises
+    ------
+    InputError
+        As `cosim.belongings.write_files`.
+    """
     with look():
         drawn = draw(found)
-        if drawn is None:
-            return None
-        for ending in ("svg", "png"):
-            with whole_file(folder / f"sweep.{ending}") as temporary:
-                drawn.figure.savefig(temporary, format=ending, dpi=150)
-    return folder / "sweep.png"
+        files = pictures(drawn.figure) if drawn is not None else {}
+    write_files(folder, {f"sweep.{ending}": data for ending, data in files.items()}, MANIFEST)
+    return folder / FILES[-1] if files else None
 
 
 def draw(found: "Sweep") -> Drawn | None:

@@ -5,6 +5,7 @@ FLOORS = {
     "mech": 0,
     "cosim": 0,
     "cosim.errors": 0,
+    "cosim.belongings": 0,
     "cosim.caution": 0,
     "cosim.assets": 0,
     "cosim.catalogue": 0,

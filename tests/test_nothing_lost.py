@@ -9,6 +9,8 @@ import pytest
 from support import BOARD1, ROOT, SCENES, scene_of, simulate, slider
 
 from cosim import cli
+from cosim.belongings import write_files
+from cosim.comparisons.effects_ledger import EffectsLedger, Row
 from cosim.errors import CosimError, InputError
 from cosim.results import FORMATS, Run
 from cosim.scene import load_scene
@@ -146,6 +148,75 @@ def test_a_page_of_the_users_is_kept(result: Run, tmp_path: Path, name: str) -> 
     with pytest.raises(InputError, match="is in the way"):
         write_report(result, tmp_path)
     assert contents(tmp_path) == {name: b"mine"}
+
+
+# --- tables and pictures of commands
+
+#: Commands with `-o`, the short arguments that they need, and a file that each writes there.
+PRODUCTS = {
+    "stability": ([], "stability.csv"),
+    "sweep": (["computer.analog_stiffness_n_per_m=50,100", "--measure", "k_max"], "sweep.csv"),
+    "sweep picture": (["computer.analog_stiffness_n_per_m=50,100", "--measure", "k_max"], "sweep.png"),
+    "effects": ([], "effects.svg"),
+}
+
+
+@pytest.mark.parametrize("name", PRODUCTS)
+def test_a_product_replaces_what_is_its_own_and_nothing_else(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments, file = PRODUCTS[name]
+    row = Row("encoder", "True", {"peak_force": 0.1}, {"peak_force": 0.2}, 0.1, 0.1)
+    peak = {"peak_force": {"value": 1.0, "unit": "N", "text": "largest force"}}
+    ledger = EffectsLedger(peak, peak, 1.0, 2.0, (row,), 3)  # what is measured is not the question here
+    monkeypatch.setattr("cosim.comparisons.effects_ledger.effects_ledger", lambda *_, **__: ledger)
+    monkeypatch.setattr("reports.stability._PERIODS", (1.0, 2.0))
+    monkeypatch.setattr("reports.stability._POINTS", 5)
+    out = tmp_path / "out"
+    command = [name.split()[0], str(SCENES / "press.toml"), *arguments, "-o", str(out)]
+    out.mkdir()
+    (out / "thesis.txt").write_text("years of work")
+    for _ in range(2):  # what it wrote itself is replaced
+        assert cli.main(command) == 0, capsys.readouterr().err
+    (out / file).write_bytes((out / file).read_bytes() + b"\nmy remark")
+    before = contents(out)
+    capsys.readouterr()
+    # told before anything is computed: no child is asked
+    monkeypatch.setattr("cosim.ngspice.child.Child.call", lambda *_, **__: pytest.fail("computed first"))
+    assert cli.main(command) == 2
+    said = capsys.readouterr().err
+    assert f"{out / file}: is in the way" in said
+    assert contents(out) == before
+
+
+def test_files_that_a_killed_call_left_are_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_files(tmp_path, {"a.csv": b"1", "b.csv": b"2", "old.csv": b"0"})
+    replace = os.replace
+
+    def killed(source: Path, target: Path) -> None:
+        if Path(target).name == "b.csv":
+            raise KeyboardInterrupt
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", killed)
+    with pytest.raises(KeyboardInterrupt):
+        write_files(tmp_path, {"a.csv": b"3", "b.csv": b"4"})
+    monkeypatch.undo()
+    assert contents(tmp_path).items() >= {"a.csv": b"3", "b.csv": b"2"}.items()
+    write_files(tmp_path, {"a.csv": b"5", "b.csv": b"6"})
+    assert contents(tmp_path).keys() == {"a.csv", "b.csv", ".cosim-files.json"}
+
+
+def test_a_foreign_file_in_a_result_is_told_before_plan_and_verdict(
+    out: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (out / "thesis.txt").write_text("years of work")
+    monkeypatch.setattr("cosim.plan.resolve", lambda *_, **__: pytest.fail("planned first"))
+    monkeypatch.setattr("cosim.runner.verdict", lambda *_, **__: pytest.fail("judged first"))
+    assert cli.main(["run", str(SCENES / "press.toml"), "-o", str(out)]) == 2
+    assert "holds thesis.txt" in capsys.readouterr().err
+    with pytest.raises(InputError, match="holds thesis"):
+        simulate(load_scene(SCENES / "press.toml"), out)
 
 
 # --- single files

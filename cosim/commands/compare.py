@@ -51,10 +51,12 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     with start_early(
         "cosim.loop.spice.run_spice", "cosim.checking.measured", reads=[Path(args.scene).parent]
     ) as child:
+        from cosim.belongings import refuse_foreign
         from cosim.commands.progress import progress
         from cosim.comparisons.compare_boards import changes, compare, sides_of
         from cosim.comparisons.measuring import check_measures
         from cosim.variants import parse_settings, variants
+        from reports.page import PAGE_NAME
 
         check_measures(args.measure)
         last = _USUAL / Path(args.scene).stem if args.last == "" else Path(args.last) if args.last else None
@@ -62,6 +64,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         if args.measure:
             return _measures(args, asked, child)
         out = Path(args.out) if args.out else _USUAL / "compare"
+        refuse_foreign(out / "report", [PAGE_NAME])
         with progress("comparing") as show:
             sides = compare(args.scene, asked, out, child=child, trust=args.trust, on_progress=show)
     from reports.boards import write_comparison

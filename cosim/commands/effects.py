@@ -37,6 +37,11 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         from cosim.errors import fail
         from cosim.variants import parse_settings
 
+        if args.out:
+            from cosim.belongings import refuse_foreign
+            from reports.effects import FILES, MANIFEST
+
+            refuse_foreign(Path(args.out), FILES, MANIFEST)
         check_measures([args.measure])
         wanted = OF_A_RUN if args.measure in OF_A_RUN else (args.measure,)
 

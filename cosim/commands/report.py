@@ -108,10 +108,12 @@ def study_files(given: list[Path]) -> list[Path]:
 
 
 def _report_studies(args: argparse.Namespace, files: list[Path]) -> tuple[dict[str, Any], str]:
+    from cosim.belongings import refuse_foreign
     from cosim.commands.progress import progress
     from cosim.studies.claims import Claims, load_claims
     from cosim.studies.study import load_study, run_study
     from cosim.variants import overrides
+    from reports.page import PAGE_NAME
     from reports.study_page import write_study_page
 
     changes = overrides(args.set)
@@ -124,6 +126,7 @@ def _report_studies(args: argparse.Namespace, files: list[Path]) -> tuple[dict[s
         if args.out
         else Path("out") / (files[0].parent.name if len(files) > 1 else files[0].stem)
     )
+    refuse_foreign(out, [PAGE_NAME])
     results = []
     with collected() as cautions:
         for number, spec in enumerate(specs, start=1):

@@ -49,6 +49,8 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     ) as child:  # it imports while the scene is read
         from cosim.commands.choice import plan_of
         from cosim.comparisons.measuring import check_measures, needs_a_run, run_with_measures
+        from cosim.results import written_files
+        from cosim.staging import require_ours
 
         check_measures(args.measure)
         found = load_variants(args)
@@ -56,15 +58,17 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
             return _without_run(args, [(v, plan_of(args, v, scene, child)) for v, scene in found], child)
         base = Path(args.out) if args.out else Path("out") / Path(args.scene).stem
         _keep_apart(base, series=len(found) > 1)
+        names = folder_names([variant.label for variant, _ in found])
+        places = [base / name for name in names] if len(found) > 1 else [base]
+        for out in places:
+            require_ours(out, written_files)  # told before anything is computed
         announce_compilation()
         plans = []
         for variant, scene in found:
             with collected(about(variant, found)):
                 plans.append((variant, plan_of(args, variant, scene, child)))
         finished: list[tuple[Variant, Path, Run]] = []
-        names = folder_names([variant.label for variant, _ in plans])
-        for (variant, plan), name in zip(plans, names, strict=True):
-            out = base if len(plans) == 1 else base / name
+        for (variant, plan), out in zip(plans, places, strict=True):
             title = variant.label or plan.scene.title
             with collected(about(variant, found)), progress(plan.scene.duration_s, title) as show:
                 result = run_with_measures(

@@ -29,7 +29,8 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
         cases, texts = [], []
         every = load_variants(args)
-        for variant, scene in every:
+        folders = _folders(args, [variant.label for variant, _ in every])
+        for (variant, scene), folder in zip(every, folders, strict=True):
             with collected(about(variant, every)):
                 plan = resolve(scene, trust=args.trust)
                 circuit, constants = circuit_of(plan, child=child)
@@ -38,13 +39,26 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
                 cases.append({"set": dict(variant.values), "model": circuit.model, **found.as_dict()})
                 head = variant.label or scene.title
                 texts.append(f"{head} (circuit model {circuit.model})\n{describe(found)}")
-                if args.out:
-                    from cosim.commands.run import folder_name
+                if folder is not None:
                     from reports.stability import write_stability
 
-                    folder = Path(args.out) / folder_name(variant.label) if variant.label else Path(args.out)
                     texts.append(f"wrote {write_stability(found, scene, constants, circuit, folder)}")
     return {"cases": cases}, "\n".join(texts)
+
+
+def _folders(args: argparse.Namespace, labels: list[str]) -> list[Path | None]:
+    """Return where each case is written, if anywhere; what is in the way is told before the first."""
+    if not args.out:
+        return [None] * len(labels)
+    from cosim.belongings import refuse_foreign
+    from cosim.commands.run import folder_names
+    from reports.stability import FILES, MANIFEST
+
+    names = folder_names(labels) if any(labels) else [""]
+    folders = [Path(args.out) / name for name in names]
+    for folder in folders:
+        refuse_foreign(folder, FILES, MANIFEST)
+    return [*folders]
 
 
 def describe(found: "Limits") -> str:

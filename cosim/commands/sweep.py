@@ -37,10 +37,12 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
     with start_early("cosim.loop.spice.run_spice", reads=[Path(args.scene).parent]) as child:
+        from cosim.belongings import refuse_foreign
         from cosim.commands.progress import progress
         from cosim.comparisons.sweep import TABLE, parse_range, sweep
         from cosim.errors import fail
         from cosim.variants import parse_settings
+        from reports.sweep import FILES, MANIFEST, write_sweep
 
         fixed = parse_settings(args.set)
         if any(len(setting.values) > 1 for setting in fixed):
@@ -51,14 +53,13 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         if doubled:
             fail("is swept twice", key="range", value=", ".join(sorted(doubled)))
         out = Path(args.out) if args.out else Path("out/sweep")
+        refuse_foreign(out, FILES, MANIFEST)
         measures = list(dict.fromkeys(args.measure)) or ["peak_force", "max_penetration"]
         with progress("sweep") as show:
             found = sweep(
                 args.scene, settings, measures, out,
                 overrides=overrides, child=child, trust=args.trust, on_progress=show,
             )  # fmt: skip
-    from reports.sweep import write_sweep
-
     picture = write_sweep(found, out)
     result = {
         "names": list(found.names),

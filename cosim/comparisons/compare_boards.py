@@ -30,9 +30,10 @@ from cosim.measures import Tolerance, tolerances
 from cosim.ngspice import deck_file
 from cosim.ngspice.child import Child, call
 from cosim.plan import Plan, resolve
-from cosim.results import Run
+from cosim.results import Run, written_files
 from cosim.runner import run
 from cosim.scene import load_scene
+from cosim.staging import require_ours
 from cosim.variants import Variant
 
 #: Differences below this share are rounding of the measurement, not the edit.
@@ -187,6 +188,10 @@ def compare(
     InputError
         For a board that does not fit the scene, or a result that keeps no board.
     """
+    places = [folder / _file_name(each.label) for each in asked]
+    for each, place in zip(asked, places, strict=True):
+        if each.stored is None:
+            require_ours(place, written_files)  # told before anything is computed
     prepared = []
     for each in asked:
         with collected(each.label):
@@ -197,11 +202,14 @@ def compare(
             on_progress(number, len(asked), each.label)
         with collected(each.label):
             if result is None:
-                name = "".join(c if c.isalnum() or c in "._=-+" else "_" for c in each.label)
-                result = run(plan, folder / name, formats=(), child=child)
+                result = run(plan, places[number], formats=(), child=child)
             warn(*result.warnings)
             sides.append(_side(each.label, plan, subject, result, child))
     return sides
+
+
+def _file_name(label: str) -> str:
+    return "".join(c if c.isalnum() or c in "._=-+" else "_" for c in label)
 
 
 def _prepared(scene_file: str | Path, asked: Asked, trust: bool) -> tuple[Plan, Subject, Run | None]:

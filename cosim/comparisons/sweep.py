@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import io
 import json
 import math
 import re
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import cosim
+from cosim.belongings import manifest_of, refuse_foreign, write_files
 from cosim.catalogue import OF_A_RUN, UNITS
 from cosim.caution import caution_of, collected, warn
 from cosim.checkpoint import Points, Progress
@@ -25,11 +27,13 @@ from cosim.ngspice.lines import number
 from cosim.plan import Plan, resolve
 from cosim.scene import load_scene
 from cosim.scene.keys import keys
-from cosim.staging import disk_errors, whole_file
+from cosim.staging import disk_errors
 from cosim.units import heading
 from cosim.variants import Setting, Variant, split_values, variants
 
 POINTS, TABLE = "points.jsonl", "sweep.csv"
+#: Lists the table as ours.
+MANIFEST = manifest_of("sweep")
 #: Form of a kept point; points of another form are computed anew.
 _FORM = "measures and warnings"
 #: What elements of a netlist are counted in, by the letter of a designator such as R12 or r_diff_fb.
@@ -124,12 +128,14 @@ def sweep(
     Raises
     ------
     InputError
+        When the table would replace a file that is not ours.
         When no point can be planned, for the reasons of all of them; where only some values do not fit the
         scene or the board, these points are rows without measures, and `Sweep.failed` has their errors.
     StorageError
         When the folder cannot be written.
     """
     check_measures(measures)
+    refuse_foreign(folder, [TABLE], MANIFEST)
     own = [name for name in measures if ":" in name]
     if own:
         overrides = (*overrides, f"measures.names={json.dumps(own)}")
@@ -169,7 +175,7 @@ def sweep(
         measures={name: tuple(_number(row.get(name)) for row in found) for name in measures},
         failed=failed,
     )
-    _write(result, folder / TABLE)
+    _write(result, folder)
     return result
 
 
@@ -214,14 +220,15 @@ def _number(value: Any) -> float | None:
     return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
 
 
-def _write(result: Sweep, file: Path) -> None:
-    with whole_file(file) as temporary, temporary.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(
-            [*(heading(name, unit_of(name)) for name in result.names), *map(_heading, result.measures)]
-        )
-        for number_, values in enumerate(result.values):
-            writer.writerow([*values, *(column[number_] for column in result.measures.values())])
+def _write(result: Sweep, folder: Path) -> None:
+    table = io.StringIO()
+    writer = csv.writer(table, lineterminator="\n")
+    writer.writerow(
+        [*(heading(name, unit_of(name)) for name in result.names), *map(_heading, result.measures)]
+    )
+    for number_, values in enumerate(result.values):
+        writer.writerow([*values, *(column[number_] for column in result.measures.values())])
+    write_files(folder, {TABLE: table.getvalue().encode()}, MANIFEST)
 
 
 def unit_of(name: str) -> str:

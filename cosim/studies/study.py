@@ -28,7 +28,7 @@ from cosim.scene import Scene, load_scene
 from cosim.scene.layers import line_of, read_layer
 from cosim.scene.parameters import Parameters, read_parameters
 from cosim.seal import listed, read_sealed, sealed, write_manifest
-from cosim.staging import Staging, disk_errors
+from cosim.staging import Staging, disk_errors, require_ours
 
 __all__ = ["STUDIES", "Parameters", "Study", "StudyFile", "StudyResult", "Table", "Verdict", "is_study",
            "load_study", "run_study"]  # fmt: skip
@@ -267,6 +267,7 @@ def run_study(
     known = _load(folder)
     if known is not None and known.digest == digest:
         return known
+    require_ours(folder, listed)  # told before anything is computed
     kept = folder.parent / f"{folder.name}.{POINTS}"
     with disk_errors(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
