@@ -13,7 +13,7 @@ from cosim.circuits import cache
 from cosim.circuits.decks import MOST_NODES, Drive, Tolerances
 from cosim.circuits.design_constants import Stated
 from cosim.circuits.extraction.design_numbers import kept
-from cosim.effects.idle_keys import stated_in_vain
+from cosim.effects.idle_keys import forgotten, stated_in_vain
 from cosim.effects.prediction import predict
 from cosim.errors import InputError, Problem
 from cosim.loop.dac_channels import drive
@@ -232,9 +232,8 @@ def _resolved(scene: Scene, trust: bool, board: Deck | None) -> Plan:
     warn(*plausibility.of_plan(scene, board, partial(_unedited, scene, trust)))
     warn(
         *(
-            Caution("key-unused", text, "switch the effect on, or take the key out")
-            for text in stated_in_vain(scene, effects.EFFECTS)
-            if text.startswith("computer.")  # what a mechanism is stays true with its effect off
+            Caution("key-unused", text, "switch the effect on, state that it is off, or take the key out")
+            for text in forgotten(scene, effects.EFFECTS)
         )
     )
     model = effects.circuit_model(scene)

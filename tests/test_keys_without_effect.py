@@ -4,12 +4,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support import scene_of, slider
+from support import SCENES, scene_of, slider
 
 from cosim.effects import EFFECTS
-from cosim.effects.idle_keys import ACTS_THROUGH, stated_in_vain
-from cosim.scene import Scene
+from cosim.effects.idle_keys import ACTS_THROUGH, forgotten, stated_in_vain
+from cosim.plan import resolve
+from cosim.scene import Scene, load_scene
+from cosim.studies.study import is_study, load_study
 
+SHIPPED = sorted([*SCENES.glob("*.toml"), *filter(is_study, SCENES.glob("paper/*.toml"))])
 #: Effect, value in force, and a value for each of its keys that is not the default.
 VALUES: dict[str, tuple[Any, dict[str, Any]]] = {
     "delay": (True, {"computer.delay_periods": 2, "computer.delay_fraction": 0.5}),
@@ -57,6 +60,22 @@ def test_keys_are_told_while_their_effect_is_off(tmp_path: Path, effect: str) ->
             assert f"has no effect: effects.{effect} is off" in said
     assert {said.partition(" = ")[0] for said in told} == set(keys)
     assert stated_in_vain(scene(tmp_path, effect, value, keys), EFFECTS) == []
+
+
+@pytest.mark.parametrize("effect", VALUES)
+def test_a_scene_that_does_not_mention_the_effect_is_warned(tmp_path: Path, effect: str) -> None:
+    """Wherever the key stands; a scene that says that the effect is off is only noted."""
+    value, keys = VALUES[effect]
+    assert len(forgotten(scene(tmp_path, effect, None, keys), EFFECTS)) == len(keys)
+    off = "none" if isinstance(value, str) else False
+    stated = scene(tmp_path, effect, off, keys)
+    assert forgotten(stated, EFFECTS) == []
+    assert len(stated_in_vain(stated, EFFECTS)) == len(keys)
+
+
+@pytest.mark.parametrize("file", SHIPPED, ids=lambda file: file.stem)
+def test_no_shipped_scene_warns_before_it_runs(file: Path) -> None:
+    assert resolve(load_study(file).scene() if is_study(file) else load_scene(file)).cautions == ()
 
 
 def test_defaults_and_scenes_with_chosen_effects_say_nothing(tmp_path: Path) -> None:

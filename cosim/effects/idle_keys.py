@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from cosim.effects.effect import Effect
 from cosim.scene import Scene
 
-__all__ = ["ACTS_THROUGH", "stated_in_vain"]
+__all__ = ["ACTS_THROUGH", "forgotten", "stated_in_vain"]
 
 _JOINTS = ("device.chain", "device.slider")
 
@@ -52,9 +52,19 @@ ACTS_THROUGH: Mapping[str, tuple[str, ...]] = {
 
 def stated_in_vain(scene: Scene, effects: tuple[Effect, ...]) -> list[str]:
     """Say of each key that the scene states, other than by its default, that its effect is off."""
+    return [said for _, said in _in_vain(scene, effects)]
+
+
+def forgotten(scene: Scene, effects: tuple[Effect, ...]) -> list[str]:
+    """Say the same of the keys whose effect the scene does not mention: one that says "off" knows it."""
+    mentioned = scene.effects.model_fields_set
+    return [said for effect, said in _in_vain(scene, effects) if effect not in mentioned]
+
+
+def _in_vain(scene: Scene, effects: tuple[Effect, ...]) -> Iterator[tuple[str, str]]:
+    """Yield the effect that is off, and what to say of a key that needs it."""
     if scene.effects.auto:
-        return []  # what is off now may be chosen
-    said = []
+        return  # what is off now may be chosen
     for effect in effects:
         if effect.is_in_force(scene):
             continue
@@ -63,8 +73,7 @@ def stated_in_vain(scene: Scene, effects: tuple[Effect, ...]) -> list[str]:
         for key in ACTS_THROUGH.get(effect.name, ()):
             value = _stated(scene, key)
             if value is not None:
-                said.append(f"{key} = {_shown(value)} has no effect: effects.{effect.name} is off")
-    return said
+                yield effect.name, f"{key} = {_shown(value)} has no effect: effects.{effect.name} is off"
 
 
 def _stated(scene: Scene, key: str) -> Any:
