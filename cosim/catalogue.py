@@ -7,10 +7,11 @@ its name here. Those that need a run come from `cosim.measures`, the others from
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 
-__all__ = ["MEASURES", "NAMES", "OF_A_RUN", "UNITS", "Measure", "Need"]
+__all__ = ["MEASURES", "NAMES", "OF_A_RUN", "UNITS", "Measure", "Need", "needing_no_run"]
 
 
 class Need(Enum):
@@ -71,3 +72,8 @@ NAMES = tuple(MEASURES)
 UNITS: dict[str, str] = {measure.name: measure.unit for measure in _EVERY}
 #: Those that need a run, which gives all of them where nothing else is asked for.
 OF_A_RUN = tuple(measure.name for measure in _EVERY if measure.needs is Need.RUN)
+
+
+def needing_no_run(names: Iterable[str]) -> tuple[str, ...]:
+    """Return those of the names that no run is needed for."""
+    return tuple(name for name in names if name in MEASURES and MEASURES[name].needs is not Need.RUN)

@@ -13,7 +13,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PPoly
 
 __all__ = ["Spans", "Trace", "changes", "together"]
 
@@ -56,6 +55,75 @@ def together(parts: Sequence[Spans]) -> Spans:
     return Spans(begin[first], reached[last])
 
 
+@dataclass(frozen=True)
+class Cubics:
+    """A cubic for every step between rows; `scipy.interpolate` has it too, at half a second for its import.
+
+    `t` [R] are the rows' times [s]; `c` [4, R - 1] the coefficients, of the highest power first, of the time
+    since the step began.
+    """
+
+    t: Array
+    c: Array
+
+    def __call__(self, t: Array | float) -> Array:
+        """Return values at times [s]; beyond the rows those of the first or last cubic."""
+        x, step = self._within(t)
+        a, b, c, d = self.c[:, step]
+        return ((a * x + b) * x + c) * x + d
+
+    def rate(self, t: Array) -> Array:
+        """Return rates of change at times [s]."""
+        x, step = self._within(t)
+        a, b, c, _ = self.c[:, step]
+        return (3.0 * a * x + 2.0 * b) * x + c
+
+    def integral(self, t: Array | float) -> Array:
+        """Return integrals from the first row to times [s]."""
+        a, b, c, d = self.c
+        h = np.diff(self.t)
+        begun = np.append(0.0, np.cumsum((((a / 4.0 * h + b / 3.0) * h + c / 2.0) * h + d) * h))
+        x, step = self._within(t)
+        a, b, c, d = self.c[:, step]
+        return begun[step] + (((a / 4.0 * x + b / 3.0) * x + c / 2.0) * x + d) * x
+
+    def crossings(self, level: float) -> Array:
+        """Return ascending times [s] at which a step's cubic has a value; none of a step that stays at it."""
+        h = np.diff(self.t)
+        a, b, c, d = self.c * np.array([h**3, h**2, h, np.ones(len(h))])
+        d = d - level
+        # a cubic lies within the hull of its Bernstein coefficients: most steps cannot cross
+        hull = np.array([d, d + c / 3.0, d + (2.0 * c + b) / 3.0, a + b + c + d])
+        inside = np.flatnonzero((hull.min(axis=0) <= 0.0) & (hull.max(axis=0) >= 0.0))
+        step, x = _roots(np.array([a, b, c, d])[:, inside])
+        here = np.abs(x - 0.5) <= 0.5 + 1e-12
+        step = inside[step[here]]
+        return np.sort(self.t[step] + np.clip(x[here], 0.0, 1.0) * h[step])
+
+    def _within(self, t: Array | float) -> tuple[Array, NDArray[np.intp]]:
+        """Return for each time [s] the time since its step began, and the step."""
+        step = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, self.c.shape[1] - 1)
+        return np.asarray(t) - self.t[step], step
+
+
+def _roots(c: Array) -> tuple[NDArray[np.intp], Array]:
+    """Return the real roots of many cubics c [4, N], each with the number of its cubic."""
+    leading = np.abs(c) > 1e-14 * np.abs(c).max(axis=0, initial=0.0)
+    degree = np.where(leading[:3].any(axis=0), 3 - leading[:3].argmax(axis=0), 0)
+    step, x = [np.zeros(0, np.intp)], [np.zeros(0)]
+    for n in (1, 2, 3):
+        at = np.flatnonzero(degree == n)
+        monic = c[4 - n :, at] / c[3 - n, at]
+        companion = np.zeros((len(at), n, n))
+        companion[:, 0] = -monic.T
+        companion[:, range(1, n), range(n - 1)] = 1.0
+        values = np.linalg.eigvals(companion)
+        cubic, root = np.nonzero(np.abs(values.imag) <= 1e-9)
+        step.append(at[cubic])
+        x.append(values.real[cubic, root])
+    return np.concatenate(step), np.concatenate(x)
+
+
 class Trace:
     """One signal over its rows.
 
@@ -90,11 +158,11 @@ class Trace:
         self._kinks = np.zeros(len(t), bool) if kinks is None else kinks
 
     @cached_property
-    def poly(self) -> PPoly:
+    def cubics(self) -> Cubics:
         """The piecewise cubic; of one row a constant over no time."""
         t, y = self.t, self.y
         if len(t) < 2:
-            return PPoly(np.array([[float(y[-1])]]), np.array([t[-1], t[-1] + 1.0]))
+            return Cubics(np.array([t[-1], t[-1] + 1.0]), np.array([[0.0], [0.0], [0.0], [float(y[-1])]]))
         h = np.diff(t)
         if self._slope is not None:
             first, last, left, right = y[:-1], y[1:], self._slope[:-1], self._slope[1:]
@@ -104,7 +172,7 @@ class Trace:
             last = y[1:]
         rise = (last - first) / h
         c = np.array([(left + right - 2 * rise) / h**2, (3 * rise - 2 * left - right) / h, left, first])
-        return PPoly(c, t)
+        return Cubics(t, c)
 
     def _slopes(self) -> tuple[Array, Array]:
         """Return slopes at both ends of every step, of parabolas through the row and its neighbours."""
@@ -130,21 +198,21 @@ class Trace:
     def mean(self) -> float:
         """Mean over time; the value where there is no time."""
         span = float(self.t[-1] - self.t[0])
-        return float(self.poly.integrate(self.t[0], self.t[-1])) / span if span > 0.0 else float(self.y[-1])
+        return float(self.cubics.integral(self.t[-1])) / span if span > 0.0 else float(self.y[-1])
 
     def cut(self, begin: float, end: float) -> Trace:
         """Return the part between two times [s]."""
         inside = np.flatnonzero((self.t > begin) & (self.t < end))
         t = np.concatenate([[begin], self.t[inside], [end]])
-        y = np.concatenate([[float(self.poly(begin))], self.y[inside], [float(self.poly(end))]])
+        y = np.concatenate([[float(self.cubics(begin))], self.y[inside], [float(self.cubics(end))]])
         step = np.clip(np.searchsorted(self.t, 0.5 * (t[:-1] + t[1:])) - 1, 0, len(self._jumped) - 1)
-        rates = None if self._slope is None else self.poly.derivative()(t)
+        rates = None if self._slope is None else self.cubics.rate(t)
         kinks = np.concatenate([[False], self._kinks[inside], [False]])
         return Trace(t, y, self._jumped[step], kinks=kinks, slope=rates, bent=self._bent)
 
     def mean_over(self, spans: Spans) -> float:
         """Mean over spans of time; not a number over none."""
-        whole = self.poly.antiderivative()
+        whole = self.cubics.integral
         total = float(np.sum(whole(spans.end) - whole(spans.begin)))
         return total / spans.length if spans.length > 0.0 else float("nan")
 
@@ -157,7 +225,7 @@ class Trace:
         total = 0.0
         for node, weight in zip(_NODES, _WEIGHTS, strict=True):
             x = 0.5 * h * (1.0 + node)
-            c = self.poly.c
+            c = self.cubics.c
             value = ((c[0] * x + c[1]) * x + c[2]) * x + c[3]
             total += 0.5 * float(weight) * float(np.sum(h * value**2))
         return total / span
@@ -167,7 +235,7 @@ class Trace:
         best = float(self.y.max()) if spans is None else -np.inf
         at, value = self._tops()
         if spans is not None:
-            ends = self.poly(np.concatenate([spans.begin, spans.end]))
+            ends = self.cubics(np.concatenate([spans.begin, spans.end]))
             at, value = np.concatenate([at, self.t]), np.concatenate([value, self.y])
             place = np.searchsorted(spans.begin, at, side="right") - 1
             value = value[(place >= 0) & (at <= spans.end[np.maximum(place, 0)])]
@@ -181,7 +249,7 @@ class Trace:
         """
         if self._bent or len(self.t) < 2:
             return np.zeros(0), np.zeros(0)
-        bend, turn, rate, value = self.poly.c
+        bend, turn, rate, value = self.cubics.c
         h = np.diff(self.t)
         falls = rate + h * (2.0 * turn + 3.0 * h * bend) < 0.0
         level = (self.y[1:] == self.y[:-1]) if self._slope is None else np.zeros(len(h), bool)
@@ -194,11 +262,9 @@ class Trace:
         """Return the spans of time in which the signal is above a level."""
         if len(self.t) < 2:
             return Spans(np.zeros(0), np.zeros(0))
-        found = np.asarray(self.poly.solve(level, extrapolate=False))
-        edges = np.unique(
-            np.concatenate([[self.t[0]], found[np.isfinite(found)], self.t[:-1][self._jumped], [self.t[-1]]])
-        )
-        high = self.poly(0.5 * (edges[:-1] + edges[1:])) > level
+        crossed = self.cubics.crossings(level)
+        edges = np.unique(np.concatenate([[self.t[0]], crossed, self.t[:-1][self._jumped], [self.t[-1]]]))
+        high = self.cubics(0.5 * (edges[:-1] + edges[1:])) > level
         start = high & ~np.append(False, high[:-1])
         stop = high & ~np.append(high[1:], False)
         return Spans(edges[:-1][start], edges[1:][stop])

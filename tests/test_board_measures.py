@@ -23,11 +23,11 @@ from support import (
 )
 
 from cosim.analysis.device_passivity import law_of
-from cosim.catalogue import MEASURES, NAMES, OF_A_RUN
+from cosim.catalogue import MEASURES, NAMES, OF_A_RUN, needing_no_run
 from cosim.circuits.extraction.block_delays import spring_delays
 from cosim.cli import main
 from cosim.comparisons import measuring
-from cosim.comparisons.board_measures import board_measures, needing_no_run
+from cosim.comparisons.board_measures import board_measures
 from cosim.plan import resolve
 from cosim.results import Run
 from cosim.scene import load_scene

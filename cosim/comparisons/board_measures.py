@@ -20,7 +20,7 @@ from cosim.analysis.stability import border, held, touching, with_computer
 from cosim.analysis.stiffness_limits import RANGE, largest_passive, varied
 from cosim.analysis.stiffness_map import pencil
 from cosim.analysis.tip import Tip, joint_area
-from cosim.catalogue import MEASURES, Need
+from cosim.catalogue import MEASURES, needing_no_run
 from cosim.checking.standing import Standing, standing
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.extraction.block_delays import slowest_s, spring_delays
@@ -32,7 +32,7 @@ from cosim.plan import Plan
 from cosim.scene import Method
 from mech import Chain
 
-__all__ = ["BoardMeasures", "Lacking", "board_measures", "needing_no_run"]
+__all__ = ["BoardMeasures", "Lacking", "board_measures"]
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
@@ -45,11 +45,6 @@ _CIRCLE_M = 0.01
 
 class Lacking(Exception):
     """A scene or a board has no such measure; the message says why."""
-
-
-def needing_no_run(names: Iterable[str]) -> tuple[str, ...]:
-    """Return those of the names that no run is needed for."""
-    return tuple(name for name in names if name in MEASURES and MEASURES[name].needs is not Need.RUN)
 
 
 class BoardMeasures:

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from cosim.catalogue import NAMES, OF_A_RUN
+from cosim.catalogue import NAMES, OF_A_RUN, needing_no_run
 from cosim.caution import Caution
-from cosim.comparisons.board_measures import board_measures, needing_no_run
 from cosim.errors import InputError, Problem, nearest
 from cosim.measures import own_measures
 from cosim.ngspice.child import Child
@@ -64,8 +63,7 @@ def measure(
         When the run fails.
     """
     names = tuple(names)
-    rows: Mapping[str, Row]
-    rows, lacking = board_measures(plan, names, child=child, lenient=lenient)
+    rows, lacking = _without_a_run(plan, names, child, lenient)
     if not needs_a_run(names):
         return Measured(rows, lacking, 0.0)
     with scratch_folder("measure") as folder:
@@ -75,12 +73,24 @@ def measure(
         )
 
 
+def _without_a_run(
+    plan: Plan, names: Iterable[str], child: Child | None, lenient: bool = False
+) -> tuple[Mapping[str, Row], Mapping[str, str]]:
+    """Return measures that need no run, and why others are lacking."""
+    names = needing_no_run(names)
+    if not names:
+        return {}, {}
+    from cosim.comparisons.board_measures import board_measures
+
+    return board_measures(plan, names, child=child, lenient=lenient)
+
+
 def run_with_measures(plan: Plan, out: str | Path | None, *, child: Child | None = None, **more: Any) -> Run:
     """Run a plan and keep with the result what its scene's `[measures]` names beside a run's own measures.
 
     Takes what `runner.run` takes, and raises what it and `measure` raise; what needs no run comes first.
     """
-    rows, _ = board_measures(plan, needing_no_run(plan.scene.measures.names), child=child)
+    rows, _ = _without_a_run(plan, plan.scene.measures.names, child)
     return run(plan, out, child=child, more=rows, **more)
 
 

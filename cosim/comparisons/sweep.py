@@ -19,7 +19,6 @@ from cosim.belongings import manifest_of, refuse_foreign, write_files
 from cosim.catalogue import OF_A_RUN, UNITS
 from cosim.caution import caution_of, collected, warn
 from cosim.checkpoint import Points, Progress
-from cosim.comparisons.board_measures import needing_no_run
 from cosim.comparisons.measuring import check_measures, measure, needs_a_run
 from cosim.errors import InputError, Problem, SimulationError, StorageError
 from cosim.ngspice.child import Child

@@ -20,8 +20,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import next_fast_len
-from scipy.interpolate import CubicSpline
 
 from cosim.circuits.extraction.noise_contributions import ComponentNoise, Report, component_noise
 from cosim.errors import InputError, Problem
@@ -106,6 +104,9 @@ def realise(noise: ComponentNoise, seed: int, duration_s: float, bandwidth_hz: f
     The values depend on seed, board, length of the run and bandwidth; a device's stream only on the seed and
     its name. The mean over the run has the density of the lowest frequency measured.
     """
+    from scipy.fft import next_fast_len  # both import slowly, and few runs have this noise
+    from scipy.interpolate import CubicSpline
+
     dt = 1.0 / (2.0 * bandwidth_hz)
     ticks = math.ceil(duration_s / dt) + 2
     size = int(next_fast_len(ticks + math.ceil(_APART_S / dt), real=True))

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import InputError, Problem
@@ -49,13 +48,22 @@ class Modes:
     condition: float
 
 
+def _parts(a: Array) -> Ints:
+    """Return for each state the number of its part: states of two parts do not reach each other."""
+    joined = (a != 0) | (a.T != 0) | np.eye(len(a), dtype=bool)
+    for _ in range(len(a).bit_length()):
+        joined = joined @ joined  # reached over twice as many states
+    first = np.array([row.argmax() for row in joined], np.int64)
+    return np.unique(first, return_inverse=True)[1].astype(np.int64)
+
+
 def modes(a: Array, name: str) -> Modes:
     """Diagonalise a state matrix part by part; `InputError` when it cannot be done to 1e-6."""
     size = len(a)
     poles, v, w = np.zeros(size, complex), np.zeros((size, size), complex), np.zeros((size, size), complex)
     condition = 1.0
-    count, part = connected_components(a != 0, directed=False) if size else (0, np.zeros(0, int))
-    for k in range(count):
+    part = _parts(a)
+    for k in range(part.max(initial=-1) + 1):
         at = np.flatnonzero(part == k)
         poles[at], vectors = np.linalg.eig(a[np.ix_(at, at)])
         cond = float(np.linalg.cond(vectors))
