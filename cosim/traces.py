@@ -70,13 +70,13 @@ class Cubics:
         """Return values at times [s]; beyond the rows those of the first or last cubic."""
         x, step = self._within(t)
         a, b, c, d = self.c[:, step]
-        return ((a * x + b) * x + c) * x + d
+        return np.asarray(((a * x + b) * x + c) * x + d)
 
     def rate(self, t: Array) -> Array:
         """Return rates of change at times [s]."""
         x, step = self._within(t)
         a, b, c, _ = self.c[:, step]
-        return (3.0 * a * x + 2.0 * b) * x + c
+        return np.asarray((3.0 * a * x + 2.0 * b) * x + c)
 
     def integral(self, t: Array | float) -> Array:
         """Return integrals from the first row to times [s]."""
@@ -85,7 +85,7 @@ class Cubics:
         begun = np.append(0.0, np.cumsum((((a / 4.0 * h + b / 3.0) * h + c / 2.0) * h + d) * h))
         x, step = self._within(t)
         a, b, c, d = self.c[:, step]
-        return begun[step] + (((a / 4.0 * x + b / 3.0) * x + c / 2.0) * x + d) * x
+        return np.asarray(begun[step] + (((a / 4.0 * x + b / 3.0) * x + c / 2.0) * x + d) * x)
 
     def crossings(self, level: float) -> Array:
         """Return ascending times [s] at which a step's cubic has a value; none of a step that stays at it."""
@@ -110,7 +110,8 @@ def _roots(c: Array) -> tuple[NDArray[np.intp], Array]:
     """Return the real roots of many cubics c [4, N], each with the number of its cubic."""
     leading = np.abs(c) > 1e-14 * np.abs(c).max(axis=0, initial=0.0)
     degree = np.where(leading[:3].any(axis=0), 3 - leading[:3].argmax(axis=0), 0)
-    step, x = [np.zeros(0, np.intp)], [np.zeros(0)]
+    step: list[NDArray[np.intp]] = [np.zeros(0, np.intp)]
+    x: list[Array] = [np.zeros(0)]
     for n in (1, 2, 3):
         at = np.flatnonzero(degree == n)
         monic = c[4 - n :, at] / c[3 - n, at]
@@ -120,7 +121,7 @@ def _roots(c: Array) -> tuple[NDArray[np.intp], Array]:
         values = np.linalg.eigvals(companion)
         cubic, root = np.nonzero(np.abs(values.imag) <= 1e-9)
         step.append(at[cubic])
-        x.append(values.real[cubic, root])
+        x.append(np.asarray(values.real[cubic, root], float))
     return np.concatenate(step), np.concatenate(x)
 
 
