@@ -16,7 +16,7 @@ from typing import Any
 
 import cosim
 from cosim.belongings import manifest_of, refuse_foreign, write_files
-from cosim.catalogue import OF_A_RUN, UNITS
+from cosim.catalogue import OF_A_RUN, UNITS, needing_no_run
 from cosim.caution import caution_of, collected, warn
 from cosim.checkpoint import Points, Progress
 from cosim.comparisons.measuring import check_measures, measure, needs_a_run
