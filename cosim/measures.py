@@ -16,6 +16,7 @@ from cosim.circuits.design_constants import DesignConstants
 from cosim.errors import InputError, Problem, nearest
 from cosim.loop.dac_channels import channels
 from cosim.scene import PotNoise, Scene
+from cosim.scene.tolerance_table import CLASSES
 from cosim.traces import Trace, changes, together
 
 Signals = Mapping[str, NDArray[np.float64]]
@@ -208,7 +209,7 @@ def tolerances(scene: Scene) -> dict[str, Tolerance]:
         For every measure that there is not, and every amount that is not one of its measure.
     """
     found, problems = {}, []
-    for name, stated in scene.tolerance.items():
+    for name, stated in scene.tolerance.measures.items():
         key = f"tolerance.{name}"
         if name not in UNITS:
             problems.append(_unknown(scene, key, name))
@@ -253,13 +254,14 @@ def _amount(text: str, unit: str) -> Tolerance | None:
 
 
 def _unknown(scene: Scene, key: str, name: str) -> Problem:
-    near = nearest(name, NAMES)
+    classes = CLASSES if key.startswith("tolerance.") else ()  # a slip may be one of either kind
+    near = nearest(name, (*classes, *NAMES))
     return Problem(
         "no such measure" + (f"; nearest is {near}" if near else ""),
         file=str(scene.file) if scene.file else None,
         key=key,
         value=name,
-        allowed=", ".join(NAMES),
+        allowed=", ".join((*CLASSES, *NAMES) if key.startswith("tolerance.") else NAMES),
     )
 
 

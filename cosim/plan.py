@@ -115,7 +115,11 @@ class Plan:
         return [f"amplifiers have no outputs in the model {self.model}: headroom needs the model spice"]
 
     def _unused(self) -> list[str]:
-        return ["tolerance is of no use: the effects are stated, not auto"] if self.scene.tolerance else []
+        return (
+            ["tolerance is of no use: the effects are stated, not auto"]
+            if self.scene.tolerance.measures
+            else []
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready, as `cosim plan` prints it and every result stores it."""
@@ -165,7 +169,7 @@ def _recorded(scene: Scene) -> tuple[str, ...]:
             Problem("is not the name of a node", file=file, key="record.nodes", value=node)
             for node in strange
         )
-    from cosim.loop.setup import columns  # brings compiled code along, which a plan has no other need of
+    from cosim.loop.columns import columns  # brings compiled code along, which a plan has no other need of
 
     known = columns(drive(scene), (), shafts=scene.effects.shaft)
     return tuple(node for node in nodes if node not in known)

@@ -24,6 +24,7 @@ from cosim.ngspice.deck import load_deck
 from cosim.ngspice.lines import Line
 from cosim.plan import resolve
 from cosim.scene import load_scene
+from cosim.scene.tolerance_table import Tolerance
 from cosim.variants import Variant
 from reports.boards import felt
 
@@ -89,7 +90,7 @@ def test_compare_with_a_value_and_with_the_last_run(tmp_path, edited, capsys):
 
 def side(figures, tolerance=None):
     """A side of a comparison that holds figures: (section, quantity, place, unit, value, part)."""
-    scene = load_scene(DROP).model_copy(update={"tolerance": tolerance or {}})
+    scene = load_scene(DROP).model_copy(update={"tolerance": Tolerance.model_validate(tolerance or {})})
     return SimpleNamespace(
         plan=SimpleNamespace(scene=scene), figures=tuple(Figure(*figure) for figure in figures)
     )

@@ -36,7 +36,8 @@ def _dotted(table: dict[str, object], path: str = "") -> list[str]:
     found = []
     for name, value in table.items():
         here = f"{path}.{name}".lstrip(".")
-        names = {"device.parts": "<part>", "device.values": "<name>", "tolerance": "<measure>"}
+        names = {"device.parts": "<part>", "device.values": "<name>",
+                 "tolerance.components": "<name>", "tolerance.trim": "<name>"}  # fmt: skip
         if here in names:
             for inner in value.values():  # type: ignore[attr-defined]
                 each = f"{here}.{names[here]}"

@@ -42,7 +42,7 @@ def open_choice(args: argparse.Namespace, variant: "Variant") -> dict[str, Any]:
         force_n, least_n, ranked = candidates.force_n(), candidates.tolerance_n(), candidates.ranked()
     return {
         "auto": True,
-        "tolerance": dict(candidates.scene.tolerance),
+        "tolerance": candidates.scene.tolerance.measures,
         "force_n": force_n,
         "tolerance_n": least_n,
         "fixed": {name: [candidates.null[name], why] for name, why in candidates.fixed.items()},

@@ -277,7 +277,7 @@ def _check_measures(search: _Search, settings: Settings) -> None:
                 "this scene has no such measure (steady figures need contact in the last fifth of the run)",
                 file=str(scene.file) if scene.file else None,
                 key=f"tolerance.{name}",
-                value=str(scene.tolerance[name]),
+                value=str(scene.tolerance.measures[name]),
                 allowed=", ".join(found),
             )
             for name in missing

@@ -159,7 +159,11 @@ class Candidates:
                 scene = load_scene(self._path, [*self._overrides, *stated, "effects.auto=false"])
                 netlist = (*levels(scene).items(), features(scene), temperature_c(scene))
                 board = self._boards.get(netlist)
-                plan = resolve(scene.model_copy(update={"tolerance": {}}), trust=self._trust, board=board)
+                plan = resolve(
+                    scene.model_copy(update={"tolerance": scene.tolerance.without_measures()}),
+                    trust=self._trust,
+                    board=board,
+                )
                 plan.stated(self._child)
                 self._boards[netlist] = plan.board
                 self._plans[key] = plan

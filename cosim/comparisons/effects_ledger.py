@@ -213,7 +213,10 @@ class _Runner:
             try:
                 scene = load_scene(self.path, [*self.overrides, *stated, "effects.auto=false"])
                 at = (*levels(scene).items(), features(scene), temperature_c(scene))
-                plan = resolve(scene.model_copy(update={"tolerance": {}}), board=self._boards.get(at))
+                plan = resolve(
+                    scene.model_copy(update={"tolerance": scene.tolerance.without_measures()}),
+                    board=self._boards.get(at),
+                )
                 self._boards[at] = plan.board
                 self._plans[key] = plan
             except InputError as error:

@@ -4,10 +4,11 @@ import math
 import operator
 import re
 from collections.abc import Callable, Mapping
+from typing import Any
 
 from cosim.ngspice.lines import number
 
-__all__ = ["evaluate", "is_well_formed"]
+__all__ = ["evaluate", "is_well_formed", "reduce", "split"]
 
 _WORD = re.compile(r"\s*(\d[\w.]*(?:(?<=[eE])[-+]\d+)?|\.\d[\w.]*|[A-Za-z_]\w*|\|\||&&|[!()*/+-])")
 _RANK = {"||": 1, "&&": 2, "+": 3, "-": 3, "*": 4, "/": 4, "!": 5, "neg": 5}
@@ -23,10 +24,14 @@ def evaluate(text: str, known: Mapping[str, float]) -> float | None:
     ``None`` where it holds anything else, an unknown name, or a value that is not finite. The time it takes
     is linear in its length, however deep its parentheses are.
     """
-    words = _split(text)
-    if words is None:
-        return None
-    values: list[float] = []
+    words = split(text)
+    value = None if words is None else reduce(words, known)
+    return value if value is not None and math.isfinite(value) else None
+
+
+def reduce(words: list[str], known: Mapping[str, Any]) -> Any:
+    """Return the value of an expression in words, of whatever arithmetic `known` has; ``None`` if malformed."""
+    values: list[Any] = []
     waiting: list[str] = []
     operand = True  # whether a value is due
     try:
@@ -62,19 +67,20 @@ def evaluate(text: str, known: Mapping[str, float]) -> float | None:
             _apply(waiting.pop(), values)
     except (ZeroDivisionError, OverflowError):
         return None
-    return values[0] if len(values) == 1 and math.isfinite(values[0]) else None
+    return values[0] if len(values) == 1 else None
 
 
 def is_well_formed(text: str) -> bool:
     """Whether an expression of the kind that `evaluate` knows is complete, its names all being known."""
-    words = _split(text)
+    words = split(text)
     if words is None:
         return True  # another kind, which ngspice decides
     names = (word.lower() for word in words if word[0].isalpha() or word[0] == "_")
     return evaluate(text, {name: math.sqrt(2 + k) for k, name in enumerate(names)}) is not None
 
 
-def _split(text: str) -> list[str] | None:
+def split(text: str) -> list[str] | None:
+    """Return the words of an expression; ``None`` where it holds what is not known here."""
     words, at = [], 0
     text = text.strip()
     while at < len(text):

@@ -50,6 +50,8 @@ class Line:
         Why the statement cannot be used, told only if it is needed.
     note
         What was read otherwise than it stands there, in words.
+    drawn
+        The statement with its distribution functions, where it has any; `text` has their nominal values.
     trusted
         Whether it holds what is refused elsewhere, let through because the user trusts the file.
     """
@@ -60,6 +62,7 @@ class Line:
     comment: str = ""
     fault: str = ""
     note: str = ""
+    drawn: str = ""
     trusted: bool = False
 
     @property

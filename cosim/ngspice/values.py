@@ -60,7 +60,8 @@ def as_meant(line: Line, dialect: Dialect, functions: Collection[str] = ()) -> L
         if len(drawn) > MOST_DRAWN:
             return replace(line, fault="draws too many values")
         if drawn:
-            line = replace(line, text=text, note=f"{', '.join(drawn)} taken at the nominal value: {text}")
+            note = f"{', '.join(drawn)} taken at the nominal value: {text}"
+            line = replace(line, text=text, note=note, drawn=line.text)
     if _SUSPECT.search(text) is None:
         return replace(line, fault=_second_value(line) or "")
     text = _MICRO.sub(r"\1\2u", text)

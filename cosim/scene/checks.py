@@ -13,6 +13,7 @@ from typing import Any
 
 from cosim.errors import Problem
 from cosim.scene.sizes import SIZES
+from cosim.scene.tolerance_table import Tolerance
 
 Get = Callable[[str], Any]
 Check = Callable[[Get], Iterator[Problem]]
@@ -340,8 +341,15 @@ def _part_files(get: Get) -> Iterator[Problem]:
             yield from _file_exists(f"device.parts.{name}.file")(get)
 
 
+def _measures(tolerance: Any) -> set[str]:
+    """Return the keys of the table that are measures: all that are no classes of components."""
+    if isinstance(tolerance, Tolerance):
+        return set(tolerance.measures)
+    return set(tolerance) - set(Tolerance.model_fields)
+
+
 def _auto_has_a_tolerance(get: Get) -> Iterator[Problem]:
-    if get("effects.auto") and not get("tolerance"):
+    if get("effects.auto") and not _measures(get("tolerance")):
         yield Problem(
             'effects = "auto" needs the change of a measure that may be left out, such as peak_force = 0.01',
             key="tolerance",

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from annotated_types import Ge, Gt, Le, Lt
 from pydantic import BaseModel
@@ -186,6 +186,9 @@ def _child(field: Field, name: str, key: Sequence[str | int], data: Mapping[str,
         if name in model.model_fields:
             info = model.model_fields[name]
             return unwrapped(info.annotation, tuple(info.metadata), info)
+        if model.model_config.get("extra") == "allow":
+            extra = get_type_hints(model, include_extras=True)["__pydantic_extra__"]
+            return unwrapped(get_args(extra)[1], (), None)
     return None
 
 

@@ -7,7 +7,7 @@ angle brackets (``device.parts.<part>.file``).
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any, get_args, get_origin
+from typing import Any, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
@@ -20,7 +20,8 @@ from cosim.scene.schema import SceneTables
 __all__ = ["Key", "keys", "section"]
 
 #: Names of a table that the user chooses, by the path of the table.
-_NAMES = {"device.parts": "<part>", "device.values": "<name>", "tolerance": "<measure>"}
+_NAMES = {"device.parts": "<part>", "device.values": "<name>", "tolerance": "<measure>",
+          "tolerance.components": "<name>", "tolerance.trim": "<name>"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,9 @@ def _walk(table: type[BaseModel], path: str) -> Iterator[Key]:
                         yield key
         else:
             yield _key(here, field, _default(info))
+    if table.model_config.get("extra") == "allow":
+        extra = get_args(get_type_hints(table, include_extras=True)["__pydantic_extra__"])[1]
+        yield _key(f"{path}.{_NAMES[path]}", unwrapped(extra, (), None), "none")
 
 
 def _key(path: str, field: Field, default: str) -> Key:

@@ -119,6 +119,9 @@ def absolute_paths(data: dict[str, Any], folder: Path) -> dict[str, Any]:
                 _set_path(part, "file", folder)
         if isinstance(values, dict):
             device["values"] = _flat_values(values)
+    tolerance = data.get("tolerance")
+    if isinstance(tolerance, dict) and isinstance(tolerance.get("components"), dict):
+        tolerance["components"] = _flat_tolerances(tolerance["components"])
     measures = data.get("measures")
     if isinstance(measures, dict) and isinstance(measures.get("names"), tuple):
         measures["names"] = tuple(_own_measure(name, folder) for name in measures["names"])
@@ -146,6 +149,15 @@ def _flat_values(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
         else:
             number = isinstance(value, int | float) and not isinstance(value, bool)
             flat[(prefix + name).lower()] = repr(value) if number else value
+    return flat
+
+
+def _flat_tolerances(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Join nested keys as `_flat_values`; a number is a share and stays one."""
+    flat: dict[str, Any] = {}
+    for name, value in values.items():
+        inner = _flat_tolerances(value, f"{prefix}{name}.") if isinstance(value, dict) else None
+        flat |= {(prefix + name).lower(): value} if inner is None else inner
     return flat
 
 

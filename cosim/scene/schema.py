@@ -15,6 +15,8 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag
 from pydantic_core import PydanticCustomError
 
+from cosim.scene.tolerance_table import Tolerance
+
 
 @dataclass(frozen=True)
 class Unit:
@@ -472,16 +474,6 @@ class Effects(Table):
     operator_dynamics: bool = False
 
 
-def _tolerance_kind(value: object) -> str:
-    return "<text>" if isinstance(value, str) else "<share>"
-
-
-Tolerated = Annotated[
-    Annotated[float, Field(gt=0, le=1), Tag("<share>")] | Annotated[str, Tag("<text>")],
-    Discriminator(_tolerance_kind),
-]
-
-
 class Solver(Table):
     """``[solver]``: circuit model and tolerances; `time_limit_s` is on the wall clock.
 
@@ -530,8 +522,7 @@ class SceneTables(Table):
     wall: Wall | None = None  # free space when left out
     operator: Operator = NoOperator()
     effects: Effects = Effects()
-    # change of each measure that effects = "auto" may leave out: a share, or text with a unit ("0.1 mm")
-    tolerance: Mapping[str, Tolerated] = {}
+    tolerance: Tolerance = Tolerance()
     solver: Solver = Solver()
     record: Record = Record()
     measures: Measures = Measures()

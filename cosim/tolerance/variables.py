@@ -1,95 +1,315 @@
-"""Which components of a device vary, how, and by which independent random variables."""
+"""What varies of a scene's device, read from its netlist and from the scene's ``[tolerance]``."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from cosim.circuits.extraction.alter import netlist
+from cosim.errors import InputError, Problem, nearest
+from cosim.ngspice.deck import Deck
+from cosim.ngspice.expression import split
+from cosim.ngspice.lines import number
+from cosim.plan import resolve
 from cosim.scene import Scene
+from cosim.scene.layers import line_of
+from cosim.scene.tolerance_table import Tolerance
+from cosim.tolerance.distributions import Shape
+from cosim.tolerance.eseries import preferred
+from cosim.tolerance.grammar import Stated, Wrong, merged, parse
+from cosim.tolerance.mechanics import Mechanical, numbers
+from cosim.tolerance.placed import Board, Found, Param, Place, value_of
+from cosim.tolerance.recipe import MOST_NEGATIVE, Recipe, Term
+from cosim.tolerance.varying import Component, Tolerances
 
 __all__ = ["Component", "Tolerances", "tolerances"]
 
-Array = NDArray[np.float64]
+_CLASSES = {"r": "resistors", "c": "capacitors", "l": "inductors"}
+_UNITS = {"r": "Ohm", "c": "F", "l": "H", "v": "V", "i": "A"}
+#: What a parameter of a part is called behind the part's name -> its class in the scene's table.
+_PART_CLASSES = {"gbw": "gbw", "vos": "offset", "vosin": "offset", "vosout": "offset", "scale": "vca_gain"}
+#: Classes whose deviations go either way about nothing.
+_ABOUT_ZERO = ("offset", "vca_gain")
+_K_T = "motor_k"
+_KNOWN_UNITS = ("Hz", "Ohm", "V", "A", "F", "H", "%", "V/V", "V/s", "N m/A", "rad", "1/K")
 
 
-@dataclass(frozen=True)
-class Component:
-    """One placed component, or one number of the mechanics, that varies.
+def tolerances(scene: Scene, *, board: Deck | None = None, trust: bool = False) -> Tolerances:
+    """Return what varies of a scene's device: by its netlist, and by the scene's ``[tolerance]``.
 
-    Attributes
+    Parameters
     ----------
-    key
-        ``xdiff1.r11``: the value of a flattened element; ``xdiff1.xop:tl072_gbw``: a parameter of one placed
-        part; ``scene:device.chain.masses_kg[0]``: a number of the scene.
-    nominal, unit
-        Value as designed, SI, and its unit.
-    distribution
-        In words.
-    lots
-        Names of the shared draws that it takes part in.
-    file, line
-        Where its tolerance stands.
-    """
-
-    key: str
-    nominal: float
-    unit: str
-    distribution: str
-    lots: tuple[str, ...] = ()
-    file: str = ""
-    line: int = 0
-
-
-@dataclass(frozen=True)
-class Tolerances:
-    """All that varies of a device.
-
-    Attributes
-    ----------
-    components
-        What varies, in the order of the columns of `values`.
-    variables
-        Names of the independent random variables: own draws and shared ones.
-    """
-
-    components: tuple[Component, ...] = ()
-    variables: tuple[str, ...] = ()
-
-    @property
-    def keys(self) -> tuple[str, ...]:
-        """Keys of the components."""
-        return tuple(component.key for component in self.components)
-
-    @property
-    def nominal(self) -> Array:
-        """Nominal values (components), SI."""
-        return np.array([component.nominal for component in self.components], dtype=float)
-
-    def values(self, uniforms: Array) -> Array:
-        """Return the components' values, SI, of samples of the unit cube.
-
-        Parameters
-        ----------
-        uniforms
-            (n, variables), within (0, 1).
-
-        Returns
-        -------
-        ndarray
-            (n, components)
-        """
-        return np.broadcast_to(self.nominal, (len(uniforms), len(self.components))).copy()
-
-
-def tolerances(scene: Scene, **_: Any) -> Tolerances:
-    """Return what varies of a scene's device.
+    scene
+        The scene.
+    board
+        Its flat deck, where it is at hand.
+    trust
+        Whether control blocks and file access may pass.
 
     Raises
     ------
     InputError
-        With all that is wrong with the tolerances.
+        With all that is wrong with the tolerances, each with file and line.
     """
-    return Tolerances()
+    board = resolve(scene, trust=trust).board if board is None else board
+    return _Reader(board, scene).read()
+
+
+class _Reader:
+    """Collects components, random variables and problems."""
+
+    def __init__(self, board: Deck, scene: Scene | None) -> None:
+        self._deck, self._scene = board, scene
+        self._text = _text(scene)
+        self._problems: list[Problem] = []
+        self._variables: dict[str, int] = {}
+        self._members: dict[str, list[tuple[str, str, int]]] = {}
+        self._found: dict[str, Component] = {}
+        self._used: set[str] = set()
+        table = scene.tolerance if scene is not None else Tolerance()
+        self._classes = self._of_scene(table.classes, "")
+        self._named = self._of_scene(table.components, "components.")
+        self._series = table.series
+        self._roles = {part.name: part.role for part in board.parts}
+
+    def read(self) -> Tolerances:
+        """Return all, or raise with all that is wrong."""
+        board = Board(netlist(self._deck), self._deck.board, self._named)
+        seen: list[str] = []
+        classes: set[str] = set()
+        for found in board.found():
+            seen += [found.key, found.key.rpartition(":")[2].rpartition(".")[2]]
+            classes.add(self._add(found))
+        for each in numbers(self._scene) if self._scene is not None else ():
+            seen.append(each.path)
+            classes.add(self._add_mechanical(each))
+        self._used |= board.used
+        self._unknown([*board.top, *seen])
+        self._alone()
+        self._problems = [*board.problems, *self._problems]
+        if self._problems:
+            raise InputError(self._problems)
+        idle = tuple(name for name in self._classes if name not in classes)
+        return Tolerances(tuple(self._found.values()), tuple(self._variables), idle)
+
+    def _add(self, found: Found) -> str:
+        """Take a component of the board, if it varies; return its class."""
+        param, kind = found.value, self._class(found)
+        default = self._classes.get(kind)
+        if found.kind == ":" and found.key in self._named:
+            self._used.add(found.key)
+            param = replace(param, stated=self._named[found.key])
+        by_class = default is not None and not _outermost(param)
+        if default is not None and by_class:
+            lot = param.name if found.kind == ":" else f"{kind} of {param.text}"
+            param = replace(param, stated=self._about_percent(default, kind), name=lot)
+        elif param.stated is not None:
+            param = replace(param, stated=merged(param.stated, default))
+        origin = _outermost(param)
+        if not origin or found.key in self._found:
+            return kind
+        recipe = self._recipe(found, param, kind)
+        if recipe is not None:
+            place = origin[0].place
+            where = self._scene_place(kind) if by_class else (place.file, place.line)
+            names = (found.key, found.key.rpartition(".")[2], origin[0].name)
+            named = [name for name in names if name in self._named]
+            where = self._scene_place(f"components.{named[0]}") if named else where
+            unit = _UNITS.get(found.kind, "") or _unit(param.comment)
+            signed = kind in _ABOUT_ZERO or found.kind in "viegfh"
+            self._take(found.key, recipe, unit, where, not signed)
+        return kind
+
+    def _about_percent(self, stated: Stated, kind: str) -> Stated:
+        """Return the multipliers' gain error in per cent of the gain, which their parameter counts in."""
+        if kind != "vca_gain":
+            return stated
+
+        def per_cent(shape: Shape | None) -> Shape | None:
+            return None if shape is None else replace(shape.scaled(100.0), relative=False)
+
+        return Stated(per_cent(stated.own), per_cent(stated.shared), stated.match)
+
+    def _take(self, key: str, recipe: Recipe, unit: str, where: tuple[str, int], positive: bool) -> None:
+        if positive and recipe.nominal <= 0.0:
+            self._problem(
+                f"{key} = {recipe.nominal:g} {unit} cannot have a tolerance: it is not positive", where
+            )
+            return
+        chance = recipe.not_positive() if positive else 0.0
+        if chance > MOST_NEGATIVE:
+            self._problem(
+                f"more tolerance than value: {key} = {recipe.nominal:.6g} {unit}, {recipe.text(unit)}, "
+                f"is not positive with a probability of {chance:.2g}",
+                where,
+            )
+            return
+        names = list(self._variables)
+        shared = tuple(
+            names[term.variable] for term in recipe.used() if names[term.variable].startswith(_SHARED)
+        )
+        self._found[key] = Component(
+            key, recipe.nominal, unit, recipe.text(unit), tuple(dict.fromkeys(shared)), *where, recipe
+        )
+
+    def _recipe(self, found: Found, param: Param, kind: str) -> Recipe | None:
+        """Return how a component's value comes about."""
+        several = len(_outermost(param)) > 1
+        nominal = value_of(param)
+        if nominal is None:
+            self._problem(
+                f"the tolerance of {found.key} cannot be drawn: its value {param.text} is more than "
+                "arithmetic; give the tolerance to a plain number",
+                (param.place.file, param.place.line),
+            )
+            return None
+        if self._series and found.kind == "r" and number(param.text) is not None:
+            nominal = preferred(nominal, self._series)
+
+        def own(name: str) -> str:
+            return f"{found.key}/{name}" if several else found.key
+
+        def made(each: Param) -> Recipe:
+            value = value_of(each)
+            assert value is not None
+            if each is param:
+                value = nominal  # rounded to a preferred one
+            terms = self._terms(each, found, own(each.name)) if each.stated is not None else ()
+            names: dict[str, Recipe] = {}
+            for call, (middle, shape) in each.calls.items() if each.stated is None else ():
+                alone = not several and len(each.calls) == 1
+                variable = self._variable(found.key if alone else f"{found.key}/{each.name}.{call[7:]}")
+                names[call] = Recipe(middle, terms=(Term(variable, shape),))
+            words = tuple(split(each.text) or ())
+            if each.stated is None:
+                names |= {
+                    word: made(each.env[word]) for word in words if word not in names and word in each.env
+                }
+                if any(recipe.used() for recipe in names.values()):
+                    return names[words[0]] if len(words) == 1 else Recipe(value, words, names)
+            return Recipe(value, terms=terms, centre=0.0 if kind in _ABOUT_ZERO else None)
+
+        return made(param)
+
+    def _terms(self, param: Param, found: Found, own: str) -> tuple[Term, ...]:
+        stated = param.stated
+        assert stated is not None
+        terms = []
+        if stated.shared is not None or stated.match:
+            network, _, name = stated.match.rpartition(":")
+            shared = f"match:{network}:{name}" if network else f"match:{found.path or 'board'}/{name}"
+            shared = shared if stated.match else f"lot:{param.name}"
+            self._members.setdefault(shared, []).append((found.key, param.place.file, param.place.line))
+            if stated.shared is not None:
+                terms.append(Term(self._variable(shared), stated.shared))
+        if stated.own is not None:
+            terms.append(Term(self._variable(own), stated.own))
+        return tuple(terms)
+
+    def _variable(self, name: str) -> int:
+        return self._variables.setdefault(name, len(self._variables))
+
+    def _class(self, found: Found) -> str:
+        if found.kind != ":":
+            return _CLASSES.get(found.kind, "")
+        name = found.key.rpartition(":")[2]
+        role = self._roles.get(found.owner)
+        if role == "motor":
+            return "k_t" if name == _K_T else ""
+        return _PART_CLASSES.get(name.removeprefix(f"{found.owner}_"), "") if role else ""
+
+    def _add_mechanical(self, each: Mechanical) -> str:
+        name = next((n for n in (each.path, each.path.partition("[")[0]) if n in self._named), None)
+        stated = self._named[name] if name is not None else self._classes.get(each.kind)
+        if name is not None:
+            self._used.add(name)
+        if stated is not None:
+            key = f"scene:{each.path}"
+            param = Param(each.path.partition("[")[0], repr(each.value), {}, Place(), stated)
+            terms = self._terms(param, Found(key, param, ":", "", ""), key)
+            where = self._scene_place(f"components.{name}" if name else each.kind)
+            self._take(key, Recipe(each.value, terms=terms), each.unit, where, True)
+        return each.kind
+
+    def _of_scene(self, table: Mapping[str, float | str], prefix: str) -> dict[str, Stated]:
+        """Read the tolerances of a table of the scene."""
+        file = self._scene.file if self._scene is not None else None
+        found: dict[str, Stated] = {}
+        for name, value in table.items():
+            text = f"{100.0 * value:.12g}%" if isinstance(value, float) else value
+            try:
+                found[name] = parse(text, file.parent if file is not None else None)
+            except Wrong as wrong:
+                where, line = self._scene_place(prefix + name)
+                key = f"tolerance.{prefix}{name}"
+                self._problems.append(Problem(str(wrong), where or None, key, value, line=line or None))
+        return found
+
+    def _scene_place(self, name: str) -> tuple[str, int]:
+        file = self._scene.file if self._scene is not None else None
+        if file is None:
+            return "", 0
+        return str(file), line_of(self._text, ("tolerance", *name.split("."))) or 0
+
+    def _problem(self, message: str, where: tuple[str, int]) -> None:
+        self._problems.append(Problem(message, file=where[0] or None, line=where[1] or None))
+
+    def _unknown(self, known: list[str]) -> None:
+        for name in self._named:
+            if name not in self._used:
+                near = nearest(name, known)
+                said = "nothing that could vary has this name" + (f"; nearest is {near}" if near else "")
+                file, line = self._scene_place(f"components.{name}")
+                key = f"tolerance.components.{name}"
+                self._problems.append(Problem(said, file or None, key, line=line or None))
+
+    def _alone(self) -> None:
+        """Refuse a network with one member: its name is misspelt, or nothing is matched to anything."""
+        networks = [name for name in self._members if name.startswith("match:")]
+        for name in networks:
+            members = self._members[name]
+            if len(members) == 1:
+                others = [other for other in networks if other != name]
+                near = nearest(name, others)
+                key, file, line = members[0]
+                self._problem(
+                    f"{key} is alone in the network {name.removeprefix('match:')}"
+                    + (f"; nearest is {near.removeprefix('match:')}" if near else ""),
+                    (file, line),
+                )
+
+
+_SHARED = ("lot:", "match:")
+
+
+def _varies(param: Param) -> bool:
+    return bool(_outermost(param))
+
+
+def _outermost(param: Param, depth: int = 0) -> list[Param]:
+    """Return the varying parameters that a value is made of, the outermost of each way."""
+    if param.varies:
+        return [param]
+    words = split(param.text) or [] if depth < 40 else []
+    found: dict[int, Param] = {}
+    for word in words:
+        if word in param.env:
+            found |= {id(each): each for each in _outermost(param.env[word], depth + 1)}
+    return list(found.values())
+
+
+def _unit(comment: str) -> str:
+    """Return the unit that a comment begins with."""
+    words = comment.partition(";")[2].strip() or comment
+    return next(
+        (unit for unit in _KNOWN_UNITS if words == unit or words.startswith((f"{unit},", f"{unit};"))), ""
+    )
+
+
+def _text(scene: Scene | None) -> str:
+    file = scene.file if scene is not None else None
+    try:
+        return Path(file).read_text(encoding="utf-8-sig") if file is not None else ""
+    except OSError:
+        return ""

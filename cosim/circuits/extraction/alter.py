@@ -16,7 +16,7 @@ from cosim.ngspice.lines import Line, assignments, number, tokens
 from cosim.ngspice.netlist import Block, Instance, Netlist, parse
 from cosim.ngspice.overrides import apply_overrides
 
-__all__ = ["Handle", "Way", "altered", "handle", "nominal_value"]
+__all__ = ["Handle", "Way", "altered", "handle", "netlist", "nominal_value", "walk"]
 
 _PASSIVE = "rcl"
 #: Place of the value on the line of a resistor, capacitor or inductor.
@@ -61,7 +61,7 @@ def altered(board: Deck, values: Mapping[str, str]) -> Deck:
     InputError
         For names that are nothing on the board, and values that are none.
     """
-    net = _netlist(board)
+    net = netlist(board)
     apply_overrides(net, net.blocks[board.board], values)
     heads = [line for line in board.lines if line.keyword.startswith("*@")]
     lines = [board.lines[0], *heads, *net.top]
@@ -80,7 +80,7 @@ def handle(board: Deck, name: str) -> Handle:
     """
     altered(board, {name: "1"})
     key = name.strip().lower().removeprefix("xboard.")
-    net = _netlist(board)
+    net = netlist(board)
     if "." in key:
         return _of_instance(net, board.board, key)
     where = [block for block in net.blocks.values() if any(_defines(line, key) for line in block.body)]
@@ -90,7 +90,7 @@ def handle(board: Deck, name: str) -> Handle:
         elements = _identical(net, board.board, key)
         return Handle(Way.ELEMENTS, elements) if elements else Handle(Way.PARAMETER, (key,))
     owners = [b for part in (False, True) for b in net.blocks.values() if b.is_part is part and _has(b, key)]
-    return _passive(key, [path for path, block, _ in _walk(net, board.board) if block is owners[0]], 1)
+    return _passive(key, [path for path, block, _ in walk(net, board.board) if block is owners[0]], 1)
 
 
 def nominal_value(board: Deck, name: str) -> float | None:
@@ -103,7 +103,8 @@ def nominal_value(board: Deck, name: str) -> float | None:
     return None
 
 
-def _netlist(board: Deck) -> Netlist:
+def netlist(board: Deck) -> Netlist:
+    """Return the structure of a flat deck, its parts marked as such."""
     net = parse(board.lines[1:])
     parts = {part.name for part in board.parts}
     for block in net.blocks.values():
@@ -114,7 +115,7 @@ def _netlist(board: Deck) -> Netlist:
 def _of_instance(net: Netlist, board: str, key: str) -> Handle:
     *path, leaf = key.split(".")
     at = ".".join(["xboard", *path])
-    block = next(block for where, block, _ in _walk(net, board) if where == at)
+    block = next(block for where, block, _ in walk(net, board) if where == at)
     if leaf not in block.params:
         return _passive(leaf, [at], 2)
     found = _used(block, at, {leaf})
@@ -128,7 +129,7 @@ def _passive(key: str, paths: list[str], rank: int) -> Handle:
     return Handle(Way.ELEMENTS, tuple(f"{key[0]}.{path}.{key}" for path in paths), rank)
 
 
-def _walk(
+def walk(
     net: Netlist, board: str, path: str = "xboard", instance: Instance | None = None
 ) -> Iterator[tuple[str, Block, Instance | None]]:
     """Yield every instance: its path, its subcircuit, its line."""
@@ -136,7 +137,7 @@ def _walk(
     yield path, block, instance
     for inner in block.instances():
         if inner.block in net.blocks:
-            yield from _walk(net, inner.block, f"{path}.{inner.name}", inner)
+            yield from walk(net, inner.block, f"{path}.{inner.name}", inner)
 
 
 def _identical(net: Netlist, board: str, key: str) -> tuple[str, ...] | None:
@@ -150,7 +151,7 @@ def _identical(net: Netlist, board: str, key: str) -> tuple[str, ...] | None:
                 return None
     names: dict[str, set[str]] = {}
     found: list[str] = []
-    for path, block, instance in _walk(net, board):
+    for path, block, instance in walk(net, board):
         outside = names.get(path.rpartition(".")[0], {key})
         given = assignments(list(instance.extra)) if instance else {}
         inside = set() if key in block.params else {key}

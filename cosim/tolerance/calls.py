@@ -1,0 +1,72 @@
+"""Distribution functions in a value, as ngspice, LTspice and PSpice spell them."""
+
+from __future__ import annotations
+
+import re
+
+from cosim.ngspice.lines import number
+from cosim.tolerance.distributions import Shape
+
+__all__ = ["extracted_calls"]
+
+_CALL = re.compile(r"(?<![\w.])(agauss|gauss|aunif|unif|limit|mc|flat)\s*\(([^()]*)\)", re.IGNORECASE)
+
+
+def extracted_calls(text: str) -> tuple[str, dict[str, tuple[float, Shape]], str]:
+    """Put a name in the place of every call of a distribution function.
+
+    ngspice: agauss(nominal, deviation, sigmas), gauss(nominal, share, sigmas), aunif(nominal, deviation),
+    unif(nominal, share), limit(nominal, deviation). LTspice: mc(nominal, share), flat(deviation), and gauss
+    of a standard deviation alone.
+
+    Returns
+    -------
+    str, dict, str
+        The text; name -> nominal value and deviation; what is wrong, if anything.
+    """
+    calls: dict[str, tuple[float, Shape]] = {}
+    wrong = ""
+
+    def put(match: re.Match[str]) -> str:
+        nonlocal wrong
+        found = _shape(match[1].lower(), [part.strip(" {}'") for part in match[2].split(",")])
+        if isinstance(found, str):
+            wrong = wrong or f"{match[0]}: {found}"
+            return "0"
+        name = f"drawn__{len(calls) + 1}"
+        calls[name] = found
+        return name
+
+    text = _CALL.sub(put, text)
+    left = re.search(r"(?<![\w.])(agauss|aunif|mc|flat)\s*\(", text, re.IGNORECASE)
+    if left and not wrong:
+        wrong = f"{left[1]}: its arguments must be numbers to be drawn"
+    return text, calls, wrong
+
+
+def _shape(name: str, arguments: list[str]) -> tuple[float, Shape] | str:
+    numbers = [number(argument) for argument in arguments]
+    if any(value is None for value in numbers):
+        return "its arguments must be numbers to be drawn"
+    n = [value or 0.0 for value in numbers]
+    if name in ("agauss", "gauss") and len(n) == 3:
+        if n[2] <= 0.0:
+            return "number of sigmas must be > 0"
+        size = abs(n[1]) * (abs(n[0]) if name == "gauss" else 1.0)
+        return _drawn(n[0], Shape("gauss", -size, size, n[2], relative=False))
+    if name == "gauss" and len(n) == 1:
+        return _drawn(0.0, Shape("gauss", -abs(n[0]), abs(n[0]), 1.0, relative=False))
+    if name in ("aunif", "unif", "mc") and len(n) == 2:
+        size = abs(n[1]) * (1.0 if name == "aunif" else abs(n[0]))
+        return _drawn(n[0], Shape("uniform", -size, size, relative=False))
+    if name == "flat" and len(n) == 1:
+        return _drawn(0.0, Shape("uniform", -abs(n[0]), abs(n[0]), relative=False))
+    if name == "limit" and len(n) == 2:
+        return _drawn(n[0], Shape("limit", -abs(n[1]), abs(n[1]), relative=False))
+    return "wrong number of arguments"
+
+
+def _drawn(nominal: float, shape: Shape) -> tuple[float, Shape] | str:
+    if shape.high == 0.0:
+        return "deviates by nothing"
+    return nominal, shape
