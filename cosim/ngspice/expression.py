@@ -30,7 +30,7 @@ def evaluate(text: str, known: Mapping[str, float]) -> float | None:
 
 
 def reduce(words: list[str], known: Mapping[str, Any]) -> Any:
-    """Return the value of an expression in words, of whatever arithmetic `known` has; ``None`` if malformed."""
+    """Return the value of an expression in words, in the arithmetic of `known`; ``None`` if malformed."""
     values: list[Any] = []
     waiting: list[str] = []
     operand = True  # whether a value is due

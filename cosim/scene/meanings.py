@@ -137,7 +137,7 @@ MEANINGS: dict[str, str] = {
     "tolerance.link_length": "tolerance of each link's length, or of the drum's radius",
     "tolerance.mass": "tolerance of each link's mass, or of the carriage's",
     "tolerance.friction": "tolerance of viscous and Coulomb friction of each joint",
-    "tolerance.components.<name>": "tolerance of one parameter, element or key of the scene, before all others",
+    "tolerance.components.<name>": "tolerance of one parameter, element or key, before all others",
     "tolerance.series": "preferred values to which resistors are rounded before they are drawn",
     "tolerance.calibration": "gains: the computer of each device knows the gains that it renders",
     "tolerance.trim.<name>": 'resistor set for each device: "rendered_stiffness to 100 N/m"',

@@ -66,6 +66,6 @@ class Tolerance(BaseModel):
 
 #: Classes of components with a default tolerance.
 CLASSES = (
-    "resistors", "capacitors", "inductors", "gbw", "offset", "vca_gain", "pot_linearity", "k_t", "link_length",
-    "mass", "friction",
+    "resistors", "capacitors", "inductors", "gbw", "offset", "vca_gain", "pot_linearity", "k_t",
+    "link_length", "mass", "friction",
 )  # fmt: skip
