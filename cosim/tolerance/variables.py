@@ -18,9 +18,9 @@ from cosim.scene.tolerance_table import Tolerance
 from cosim.tolerance.distributions import Shape
 from cosim.tolerance.eseries import preferred
 from cosim.tolerance.grammar import Stated, Wrong, merged, parse
-from cosim.tolerance.mechanics import Mechanical, numbers
 from cosim.tolerance.placed import Board, Found, Param, Place, value_of
 from cosim.tolerance.recipe import MOST_NEGATIVE, Recipe, Term
+from cosim.tolerance.scene_numbers import Mechanical, numbers
 from cosim.tolerance.varying import Component, Tolerances
 
 __all__ = ["Component", "Tolerances", "tolerances"]
