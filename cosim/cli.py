@@ -17,6 +17,7 @@ from typing import Any, TextIO
 from cosim import __version__
 from cosim.caution import Caution, collected
 from cosim.commands import (
+    accuracy,
     check,
     compare,
     device,
@@ -51,6 +52,7 @@ COMMANDS = (
     effects.COMMAND,
     compare.COMMAND,
     sweep.COMMAND,
+    accuracy.COMMAND,
     stability.COMMAND,
     noise.COMMAND,
     device.COMMAND,

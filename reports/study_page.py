@@ -13,7 +13,7 @@ from cosim.studies.study import Table as StudyTable
 from reports.page import Picture, picture, render, write_page
 from reports.style import look
 
-__all__ = ["write_study_page"]
+__all__ = ["Section", "TextTable", "write_study_page"]
 
 #: A longer table is data for a program: the page only links it.
 _MOST_ROWS = 40
@@ -23,7 +23,9 @@ _OWN = {True: "own check passed", False: "own check failed", None: "answered"}
 
 
 @dataclass(frozen=True)
-class _Table:
+class TextTable:
+    """A table as a page shows it: `numbers` are the columns set as such, `file` its CSV beside the page."""
+
     title: str
     head: list[str]
     rows: list[list[str]]
@@ -59,13 +61,15 @@ class _Claim:
 
 
 @dataclass(frozen=True)
-class _Section:
+class Section:
+    """A part of a page; `name` is its anchor, `judges` the claims that it answers, `price` its last line."""
+
     name: str
     title: str
     judges: list[_Claim]
     notes: tuple[str, ...]
     pictures: list[Picture]
-    tables: list[_Table]
+    tables: list[TextTable]
     price: str
 
 
@@ -104,7 +108,7 @@ def write_study_page(
         pictures += drawn
         ids = {verdict.id for verdict in result.verdicts}
         sections.append(
-            _Section(
+            Section(
                 name,
                 result.title,
                 [claim for claim in judged if claim.id in ids],
@@ -175,7 +179,7 @@ def _draw(name: str, result: StudyResult) -> list[Picture]:
         return [picture(f"{name}_{part}", heading, drawn) for part, heading, drawn in draw(result)]
 
 
-def _table(table: StudyTable, file: str) -> _Table:
+def _table(table: StudyTable, file: str) -> TextTable:
     columns = list(table.columns.values())
     count = len(columns[0]) if columns else 0
     numbers = {
@@ -184,9 +188,9 @@ def _table(table: StudyTable, file: str) -> _Table:
     }  # fmt: skip
     if count > _MOST_ROWS:
         note = f"{table.note} {count} rows, in the file.".strip()
-        return _Table(table.title, list(table.columns), [], numbers, note, file)
+        return TextTable(table.title, list(table.columns), [], numbers, note, file)
     rows = [[_text(value) for value in row] for row in zip(*columns, strict=True)]
-    return _Table(table.title, list(table.columns), rows, numbers, table.note, file)
+    return TextTable(table.title, list(table.columns), rows, numbers, table.note, file)
 
 
 def _text(value: Any) -> str:

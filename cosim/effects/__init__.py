@@ -20,7 +20,7 @@ from cosim.ngspice.deck import NOMINAL_C, Feature
 from cosim.scene import CircuitModelName, Differentiator, Scene
 
 __all__ = ["EFFECTS", "Cost", "Effect", "Size", "check", "circuit_model", "features", "in_force",
-           "left_out", "levels", "temperature_c", "without_dynamics"]  # fmt: skip
+           "left_out", "lesser", "levels", "temperature_c", "without_dynamics"]  # fmt: skip
 
 #: Every effect, in the order in which a plan lists them.
 EFFECTS: tuple[Effect, ...] = (*CIRCUIT, *NOISE, *SENSING, *COMPUTER, *LINKAGE)
@@ -130,18 +130,31 @@ def circuit_model(scene: Scene) -> str:
 
 
 def without_dynamics(scene: Scene) -> tuple[str, ...]:
-    """Return the overrides that bring a scene to the model `ideal`: the assumption of footnote 1.
+    """Return the overrides that bring a scene to the model `ideal`: the assumption of footnote 1."""
+    return (*lesser(scene, "ideal"), "solver.model=ideal")
 
-    An effect that this model cannot carry takes a lesser value that it can, or its null form.
+
+def lesser(scene: Scene, model: str) -> tuple[str, ...]:
+    """Return the overrides that leave out what a circuit model cannot carry, as `load_scene` takes them.
+
+    An effect takes a lesser value that the model can carry, or its null form, and with it those that mean
+    nothing without it.
     """
-    out = []
+    out: dict[str, str | bool] = {}
     for effect in EFFECTS:
-        if "ideal" in effect.carriers(scene):
+        if model in effect.carriers(scene):
             continue
-        lesser = [v for v in effect.on if v != "full" and "ideal" in effect.models]
-        value = lesser[-1] if lesser and effect.value(scene) == "full" else effect.null
-        out.append(f"effects.{effect.name}={str(value).lower() if isinstance(value, bool) else value}")
-    return (*out, "solver.model=ideal")
+        less = [v for v in effect.on if v != "full" and model in effect.models]
+        out[effect.name] = less[-1] if less and effect.value(scene) == "full" else effect.null
+    gone = {effect.name for effect in EFFECTS if out.get(effect.name) == effect.null}
+    while more := [
+        e for e in EFFECTS if gone & {*e.requires} and e.name not in gone and e.is_in_force(scene)
+    ]:
+        out |= {effect.name: effect.null for effect in more}
+        gone |= {effect.name for effect in more}
+    nodes = ("record.nodes=[]",) if scene.record.nodes and model != "spice" else ()
+    words = (f"effects.{k}={str(v).lower() if isinstance(v, bool) else v}" for k, v in out.items())
+    return (*words, *nodes)
 
 
 def levels(scene: Scene) -> dict[str, str]:

@@ -59,16 +59,21 @@ def export(plan: Plan, run: Run, path: str | os.PathLike[str], kind: str = "mono
         For a run of another board or another time, a scene that a monolithic deck cannot carry (end stops,
         potentiometer noise, an operator in Python), or a file that cannot be written.
     """
-    if kind not in KINDS:
-        fail("there is no such kind of export", key="kind", value=kind, allowed=", ".join(KINDS))
-    _check_run(plan, run)
-    _check_clock(plan.scene)
-    lines = _monolithic(plan, run) if kind == "monolithic" else _replay(plan, run)
+    lines = deck_lines(plan, run, kind)
     target = Path(path)
     own_file(target, is_deck)
     with whole_file(target) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return target
+
+
+def deck_lines(plan: Plan, run: Run, kind: str = "monolithic") -> list[str]:
+    """Return the deck that `export` writes, line by line; raises what it raises."""
+    if kind not in KINDS:
+        fail("there is no such kind of export", key="kind", value=kind, allowed=", ".join(KINDS))
+    _check_run(plan, run)
+    _check_clock(plan.scene)
+    return _monolithic(plan, run) if kind == "monolithic" else _replay(plan, run)
 
 
 def is_deck(head: str) -> bool:

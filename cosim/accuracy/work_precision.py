@@ -1,0 +1,422 @@
+"""A scene over settings of its solver: what each costs, how wrong it is, and which is the cheapest.
+
+Errors are against the first of two or three references that share no integrator; what these disagree by is
+the floor, and no error is claimed below it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import statistics
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import cosim
+from cosim.accuracy.outcome import instants, peers, summary, trace_errors
+from cosim.accuracy.solver_settings import MODELS, Setting, carries, grid, reference, second_reference
+from cosim.catalogue import OF_A_RUN, UNITS
+from cosim.caution import collected
+from cosim.checkpoint import Points, Progress
+from cosim.circuits.decks import Tolerances
+from cosim.errors import CosimError, InputError, StorageError, fail
+from cosim.export.scene_deck import deck_lines
+from cosim.ngspice.child import Child, start_early
+from cosim.plan import Plan, resolve
+from cosim.runner import run
+from cosim.scene import Scene, load_scene
+from cosim.staging import disk_errors, scratch_folder
+
+__all__ = ["POINTS", "Accuracy", "Row", "accuracy"]
+
+POINTS = "points.jsonl"
+_FORM = "accuracy 1"
+#: Measures that say what a run has, not how right it is.
+_NO_ERROR = frozenset({"ledger_closure", "dac_saturations", "unreachable_samples", "headroom"})
+#: Relative tolerances and methods at which the peer, one deck in plain ngspice, is run.
+_PEER_RTOL, _PEER_METHODS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6), ("trap", "gear")
+_PEER = "one deck in ngspice"
+_TIGHT_PEER = "one deck in ngspice, tight"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One setting and what came of it.
+
+    Attributes
+    ----------
+    setting : what was asked for; a peer's has no overrides
+    wall_s, cpu_s, setup_s : each repetition's seconds: the simulation's own, its processor time, all before
+    points, rejected, states : of the simulation
+    errors : quantity -> share; a quantity is 'position', 'force' or a measure
+    failed : why there are no errors
+    front : whether no other is both cheaper and better, by the worst error
+    """
+
+    setting: Setting
+    wall_s: tuple[float, ...] = ()
+    cpu_s: tuple[float, ...] = ()
+    setup_s: tuple[float, ...] = ()
+    points: int = 0
+    rejected: int = 0
+    states: int | None = None
+    errors: Mapping[str, float] = field(default_factory=dict)
+    failed: str = ""
+    front: bool = False
+
+    @property
+    def seconds(self) -> float:
+        """Median of the simulation's wall time."""
+        return statistics.median(self.wall_s) if self.wall_s else math.inf
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the row JSON-ready."""
+        asked = self.setting
+        return {
+            "setting": asked.label,
+            "model": asked.model,
+            "series": asked.series,
+            "overrides": list(asked.overrides),
+            **{name: list(getattr(self, name)) for name in ("wall_s", "cpu_s", "setup_s")},
+            **{name: getattr(self, name) for name in ("points", "rejected", "states", "failed", "front")},
+            "errors": dict(self.errors),
+        }
+
+    def worst(self, quantities: Iterable[str]) -> float:
+        """Return the largest error of several quantities, infinite where one is missing."""
+        return max((self.errors.get(name, math.inf) for name in quantities), default=math.inf)
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """A finished study.
+
+    Attributes
+    ----------
+    scene : what was studied
+    quantities : what errors are of: 'position', 'force', then measures, those asked for
+    references : labels of the references, the first being the one that errors are against
+    floor : quantity -> what the references disagree by, as a share
+    values : measure -> value of the first reference
+    rows : one a setting, peers last
+    left_out : model -> what it leaves out of the scene, as overrides
+    model_error : model -> quantity -> error of its finest setting, where it leaves something out
+    neglected : effect that the scene leaves out -> a-priori share of the peak force, the largest first
+    tolerance : what the recommendation has to meet
+    cheapest : the recommendation; None where no setting meets the tolerance
+    """
+
+    scene: Scene
+    quantities: tuple[str, ...]
+    references: tuple[str, ...]
+    floor: Mapping[str, float]
+    values: Mapping[str, float]
+    rows: tuple[Row, ...]
+    left_out: Mapping[str, tuple[str, ...]]
+    model_error: Mapping[str, Mapping[str, float]]
+    neglected: Mapping[str, float]
+    tolerance: float
+    cheapest: Row | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the study JSON-ready."""
+        return {
+            "title": self.scene.title,
+            "quantities": list(self.quantities),
+            "references": list(self.references),
+            "floor": dict(self.floor),
+            "values": {name: {"value": v, "unit": UNITS.get(name, "")} for name, v in self.values.items()},
+            "left_out": {model: list(gone) for model, gone in self.left_out.items()},
+            "neglected": dict(self.neglected),
+            "model_error": {model: dict(errors) for model, errors in self.model_error.items()},
+            "tolerance": self.tolerance,
+            "recommended": self.cheapest.setting.lines() if self.cheapest else None,
+            "rows": [row.as_dict() for row in self.rows],
+        }
+
+
+def accuracy(
+    path: str | Path,
+    folder: Path,
+    *,
+    overrides: tuple[str, ...] = (),
+    measures: Sequence[str] = (),
+    models: Sequence[str] = MODELS,
+    tolerance: float = 1e-3,
+    repeats: int = 3,
+    peer: bool = True,
+    trust: bool = False,
+    child: Child | None = None,
+    on_progress: Progress | None = None,
+) -> Accuracy:
+    """Run a scene at many settings of its solver; what is already in `folder` is not run again.
+
+    Parameters
+    ----------
+    path, overrides, trust
+        The scene, as for `load_scene` and `resolve`.
+    measures
+        Whose errors decide, besides those of position and force; by default those that the scene has of
+        `peak_force`, `max_penetration` and `rendered_stiffness`.
+    models
+        Circuit models to try; one that does not carry all effects of the scene runs without these.
+    tolerance
+        Largest error of the recommendation, a share.
+    repeats
+        How often every setting is timed; all settings once, then all again.
+    peer
+        Whether one deck in plain ngspice is run as well, where the scene can be written as one.
+
+    Raises
+    ------
+    InputError, SimulationError
+        When scene or references cannot be run; a single setting that cannot is told in its row.
+    """
+    scene = load_scene(path, overrides)
+    with collected(forward=False):
+        plan = resolve(scene, trust=trust)
+    text = f"{_FORM} {cosim.__version__} {scene.digest()} {scene.code_digest()} {plan.board.digest}"
+    settings = grid(scene, models)
+    with disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    with Points(folder / POINTS, hashlib.sha256(text.encode()).hexdigest(), on_progress) as points:
+        points.expect(2 + len(settings) * repeats)
+        runner = _Runner(path, overrides, trust, child, points)
+        try:
+            first = runner.reference(reference(scene))
+            second = runner.with_peers(second_reference(scene), repeats if peer else 0)
+            found = [[runner.point(setting, k) for setting in settings] for k in range(repeats)]
+        finally:
+            runner.close()
+    quantities = _quantities(first, measures, scene)
+    kept = {name: value for name, value in first["measures"].items() if name not in _NO_ERROR}
+    judged = partial(_errors, first, tuple(kept))
+    floor = judged(second)
+    for name, share in judged(second["decks"].get(_TIGHT_PEER, {})).items():
+        floor[name] = max(floor.get(name, 0.0), share)
+    rows = [
+        _row(setting, [part[i] for part in found], judged) for i, setting in enumerate(settings)
+    ] + _peer_rows(second["decks"], judged)
+    rows = _marked([_clipped(row, floor) for row in rows], quantities)
+    left = {model: _left_out(scene, model) for model in models if not carries(scene, model)}
+    references = [reference(scene).label, second_reference(scene).label]
+    references += [_TIGHT_PEER] if "motion" in second["decks"].get(_TIGHT_PEER, {}) else []
+    return Accuracy(
+        scene=scene,
+        quantities=quantities,
+        references=tuple(references),
+        floor=floor,
+        values=kept,
+        rows=tuple(rows),
+        left_out=left,
+        model_error={model: _finest(rows, model) for model in left},
+        neglected=_neglected(plan, first),
+        tolerance=tolerance,
+        cheapest=_cheapest(rows, quantities, tolerance),
+    )
+
+
+class _Runner:
+    """Runs settings of one scene, each kept as a point; a process that a failed run ended is replaced."""
+
+    def __init__(
+        self, path: str | Path, overrides: tuple[str, ...], trust: bool, child: Child | None, points: Points
+    ) -> None:
+        self._path, self._overrides, self._trust = path, overrides, trust
+        self._child, self._own, self._points = child, False, points
+        self._times: list[float] | None = None
+        self._plans: dict[Setting, Plan | InputError] = {}
+
+    def close(self) -> None:
+        """End the process that was started here."""
+        if self._own and self._child is not None:
+            self._child.close()
+
+    def _plan(self, setting: Setting) -> Plan:
+        if setting not in self._plans:
+            try:
+                with collected(forward=False):
+                    scene = load_scene(
+                        self._path, (*self._overrides, *setting.overrides, "measures.names=[]")
+                    )
+                    self._plans[setting] = resolve(scene, trust=self._trust)
+            except InputError as error:
+                self._plans[setting] = error
+        plan = self._plans[setting]
+        if isinstance(plan, InputError):
+            raise plan
+        return plan
+
+    def _run(self, setting: Setting, then: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        try:
+            with scratch_folder("accuracy") as place, collected(forward=False):
+                return then(run(self._plan(setting), place / "run", formats=(), child=self._child))
+        except StorageError:
+            raise
+        except CosimError:
+            self.close()
+            self._child, self._own = (
+                start_early("cosim.loop.spice.run_spice"),
+                True,
+            )  # the other one has ended
+            raise
+
+    def reference(self, setting: Setting) -> dict[str, Any]:
+        """Run the first reference; it says when the others are compared with it."""
+
+        def then(result: Any) -> dict[str, Any]:
+            times = instants(result)
+            return {**summary(result, times), "times": times.tolist()}
+
+        found = self._points.get(setting.label, lambda: self._run(setting, then))
+        self._times = found["times"]
+        return dict(found)
+
+    def with_peers(self, setting: Setting, repeats: int) -> dict[str, Any]:
+        """Run the second reference, and from its DACs the decks of the peer."""
+        assert self._times is not None
+        times = np.array(self._times)
+
+        def then(result: Any) -> dict[str, Any]:
+            decks = {}
+            lockstep = setting if setting.model == "spice" else None
+            if repeats and lockstep is not None:
+                try:
+                    decks = self._decks(lockstep, result)
+                except InputError as error:
+                    return {**summary(result, times), "decks": {_PEER: {"reason": error.problems[0].message}}}
+            plan = self._plan(setting)
+            timed = peers(decks, plan, times, 1, self._child) if decks else {}
+            return {**summary(result, times), "decks": timed}
+
+        key = f"{setting.label}, {_PEER if repeats else 'alone'}"
+        return dict(self._points.get(key, lambda: self._run(setting, then)))
+
+    def _decks(self, setting: Setting, result: Any) -> dict[str, str]:
+        """Return the peer's decks by label: a grid of settings, and one that is tight."""
+        plan = self._plan(setting)
+        given = load_scene(self._path, self._overrides).solver
+        coarse = plan.scene.model_copy(
+            update={"solver": plan.scene.solver.model_copy(update={"max_step_s": given.max_step_s})}
+        )
+        decks = {_TIGHT_PEER: replace(plan, tolerances=Tolerances(1e-7, "gear", 1e-13))}
+        for method in _PEER_METHODS:
+            for rtol in _PEER_RTOL:
+                told = Tolerances(rtol, method, given.charge_tolerance_c)
+                decks[f"{_PEER}, {method}, rtol {rtol:g}"] = replace(plan, scene=coarse, tolerances=told)
+        return {label: "\n".join(deck_lines(each, result)) + "\n" for label, each in decks.items()}
+
+    def point(self, setting: Setting, repetition: int) -> dict[str, Any]:
+        """Run a setting once; a failure is a point as well."""
+        times = np.array(self._times)
+
+        def measured() -> dict[str, Any]:
+            try:
+                return self._run(setting, lambda result: summary(result, times))
+            except StorageError:
+                raise
+            except CosimError as error:
+                return {"failed": _first_line(error)}
+
+        return dict(self._points.get(f"{setting.label} #{repetition + 1}", measured))
+
+
+def _first_line(error: CosimError) -> str:
+    if isinstance(error, InputError):
+        return "; ".join(dict.fromkeys(problem.message for problem in error.problems))
+    return str(error).splitlines()[0]
+
+
+def _quantities(first: Mapping[str, Any], asked: Sequence[str], scene: Scene) -> tuple[str, ...]:
+    """Return what errors decide: the motion, and the measures asked for."""
+    there = {name for name, value in first["measures"].items() if value != 0.0}
+    lacking = [name for name in asked if name not in there]
+    if lacking:
+        fail(
+            "this scene has no such measure of a run, or it is zero", key="--measure",
+            value=", ".join(lacking), allowed=", ".join(n for n in OF_A_RUN if n in there - _NO_ERROR),
+        )  # fmt: skip
+    usual = [n for n in ("peak_force", "max_penetration", "rendered_stiffness") if n in there]
+    return (*trace_errors(first["motion"], first["motion"]), *(asked or usual))
+
+
+def _errors(first: Mapping[str, Any], names: tuple[str, ...], other: Mapping[str, Any]) -> dict[str, float]:
+    """Return the errors of a run against the first reference, as shares of the reference's value."""
+    out = trace_errors(other.get("motion", {}), first["motion"])
+    for name in names:
+        right, value = first["measures"][name], other.get("measures", {}).get(name)
+        if value is not None and right != 0.0:
+            out[name] = abs(value - right) / abs(right)
+    return out
+
+
+def _row(setting: Setting, runs: Sequence[Mapping[str, Any]], judged: Callable[..., dict[str, float]]) -> Row:
+    failed = next((each["failed"] for each in runs if "failed" in each), "")
+    if failed:
+        return Row(setting, failed=failed)
+    wall_s, cpu_s, setup_s = (
+        tuple(float(each[clock]) for each in runs) for clock in ("wall_s", "cpu_s", "setup_s")
+    )
+    one = runs[0]
+    return Row(setting, wall_s, cpu_s, setup_s, one["points"], one["rejected"], one["states"], judged(one))
+
+
+def _peer_rows(decks: Mapping[str, Any], judged: Callable[..., dict[str, float]]) -> list[Row]:
+    rows = []
+    for label, got in decks.items():
+        if label == _TIGHT_PEER and "motion" in got:
+            continue
+        setting = Setting("peer", _PEER, label, ())
+        if "reason" in got:
+            rows.append(Row(setting, failed=got["reason"]))
+        else:
+            wall_s, cpu_s = (tuple(map(float, got[clock])) for clock in ("wall_s", "cpu_s"))
+            errors = judged(got)
+            rows.append(Row(setting, wall_s, cpu_s, points=int(got["points"]), errors=errors))
+    return rows
+
+
+def _clipped(row: Row, floor: Mapping[str, float]) -> Row:
+    """Claim no error below the floor."""
+    return replace(row, errors={name: max(e, floor.get(name, 0.0)) for name, e in row.errors.items()})
+
+
+def _marked(rows: Sequence[Row], quantities: Sequence[str]) -> list[Row]:
+    """Mark the rows for which no other is both faster and better; peers have no measures and compete not."""
+    own = [row for row in rows if row.errors and row.setting.model != "peer"]
+    best: set[str] = set()
+    least = math.inf
+    for row in sorted(own, key=lambda r: (r.seconds, r.worst(quantities))):
+        if row.worst(quantities) < least:
+            least = row.worst(quantities)
+            best.add(row.setting.label)
+    return [replace(row, front=row.setting.label in best) for row in rows]
+
+
+def _left_out(scene: Scene, model: str) -> tuple[str, ...]:
+    setting = grid(scene, (model,))[0]
+    return setting.overrides[:-1]
+
+
+def _finest(rows: Sequence[Row], model: str) -> dict[str, float]:
+    """Return the errors that no setting of a model gets below."""
+    own = [row for row in rows if row.setting.model == model and row.errors]
+    names = dict.fromkeys(name for row in own for name in row.errors)
+    return {name: min(row.errors[name] for row in own if name in row.errors) for name in names}
+
+
+def _neglected(plan: Plan, first: Mapping[str, Any]) -> dict[str, float]:
+    """Return the a-priori sizes of the effects that the scene leaves out, the largest first."""
+    peak = first["measures"].get("peak_force", 0.0)
+    told = [row for row in plan.as_dict()["left_out"] if not row["not_applicable"]]
+    return {str(row["name"]): float(row["size"]["force_n"]) / peak for row in told} if peak else {}
+
+
+def _cheapest(rows: Sequence[Row], quantities: Sequence[str], tolerance: float) -> Row | None:
+    good = [row for row in rows if row.setting.model != "peer" and row.worst(quantities) <= tolerance]
+    return min(good, key=lambda row: row.seconds, default=None)

@@ -1,0 +1,255 @@
+"""What accuracy costs as a picture, a table (CSV, JSON) and a page: error over time, log by log."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import statistics
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cosim.units import quantity
+from reports.page import picture, render, write_page
+from reports.study_page import Section, TextTable
+from reports.style import FAINT, INK, JOINTS, LIMIT, Drawn, figure, look
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from cosim.accuracy.work_precision import Accuracy
+
+__all__ = ["draw", "words", "write_accuracy"]
+
+_COLORS = {"ideal": JOINTS[2], "linear": JOINTS[0], "spice": JOINTS[1], "peer": JOINTS[5]}
+_MARKS = {
+    "as the scene states it": "*",
+    "relative tolerance": "o",
+    "charge tolerance": "D",
+    "all together": "P",
+    "order of the circuit": "v",
+    "coupling tolerance": "s",
+    "longest step": "^",
+    "one deck in ngspice": "x",
+}
+#: Effects that a scene leaves out and that are named.
+_MOST_NEGLECTED = 5
+#: Below this share an error is rounding.
+_ROUNDING = 1e-15
+
+
+def write_accuracy(found: Accuracy, folder: Path) -> Path:
+    """Write page, picture, ``accuracy.csv`` and ``accuracy.json`` into the folder; return the page.
+
+    Raises
+    ------
+    InputError
+        The folder cannot be written, or holds something else under these names.
+    """
+    with look():
+        shown = picture("accuracy", "Error over time", draw(found))
+    section = Section(
+        "accuracy", f"{found.scene.title}: what accuracy costs", [], tuple(words(found)), [shown],
+        [_front(found), _failures(found)], "",
+    )  # fmt: skip
+    html = render(
+        "study.html.j2", title=f"What accuracy costs: {found.scene.title}", command="", summary=[],
+        sections=[section], claims=[], warnings=[],
+    )  # fmt: skip
+    text = json.dumps(found.as_dict(), indent=1, allow_nan=False) + "\n"
+    return write_page(folder, html, [shown], {"accuracy.csv": _csv(found), "accuracy.json": text})
+
+
+def words(found: Accuracy) -> list[str]:
+    """Return what was found in sentences, the recommendation first."""
+    share = f"{found.tolerance:g}"
+    own = [row for row in found.rows if row.setting.model != "peer" and row.errors]
+    if found.cheapest is None:
+        best = min((row.worst(found.quantities) for row in own), default=math.inf)
+        floor = max((found.floor.get(name, 0.0) for name in found.quantities), default=0.0)
+        why = f"the references themselves disagree by {floor:.1e}" if floor > found.tolerance else (
+            f"the best reaches {best:.1e}"
+        )  # fmt: skip
+        said = [f"No setting is known to be within {share}: {why}."]
+    else:
+        cost = quantity(found.cheapest.seconds, "s")
+        lines = "; ".join(found.cheapest.setting.lines())
+        worst = found.cheapest.worst(found.quantities)
+        said = [f"Cheapest within {share}: {found.cheapest.setting.label}, {cost}, worst error {worst:.1e}; "
+                f"put into the scene: {lines}"]  # fmt: skip
+    said.append(
+        f"Errors are shares of the largest value, against {found.references[0]}; the floor is what "
+        f"{', '.join(found.references[1:])} differ from it by, and nothing is claimed below it."
+    )
+    for model, gone in found.left_out.items():
+        error = max((found.model_error[model].get(n, math.inf) for n in found.quantities), default=math.inf)
+        named = ", ".join(gone) or "nothing"
+        if math.isfinite(error):
+            said.append(f"The model {model} leaves out {named}; no setting of it gets below {error:.1e}.")
+    if found.scene.effects.encoder:
+        said.append(
+            "The encoder counts in steps: a count that comes a sample early or late is an error of its own, "
+            "the same for all settings that have it."
+        )
+    large = [f"{name} {size:.1e}" for name, size in found.neglected.items() if size > found.tolerance]
+    if large:
+        said.append(
+            "The scene itself leaves out, as shares of the peak force, a priori and from above: "
+            f"{', '.join(large[:_MOST_NEGLECTED])}. Where it has no reason to (cosim plan), digits below "
+            "that say nothing about the device."
+        )
+    return said
+
+
+def draw(found: Accuracy) -> Drawn:
+    """Return the figure: a row of panels a quantity, over wall time and processor time."""
+    names = found.quantities
+    drawing, grid = figure(1.2 + 2.5 * len(names), len(names), 2, sharex="col", sharey="row")
+    for row, name in enumerate(names):
+        for column, clock in enumerate(("wall_s", "cpu_s")):
+            _panel(grid[row, column], found, name, clock)
+        grid[row, 0].set_ylabel(f"error of {name.replace('_', ' ')}")
+    grid[-1, 0].set_xlabel("wall time of the simulation [s]")
+    grid[-1, 1].set_xlabel("its processor time [s]")
+    handles = _key(found)
+    drawing.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False)
+    drawing.suptitle(f"{found.scene.title}: what each digit costs")
+    count = max((len(row.wall_s) for row in found.rows), default=0)
+    caption = (
+        f"Error of each quantity over the time of the simulation alone, medians of {count} runs with their "
+        "spread. The line is the Pareto front of this program's own settings; grey below is the floor, where "
+        "the references disagree. Dashed: what a model's missing effects cost; dotted: the largest effect "
+        "that the scene itself leaves out, from above. Crosses: one deck in plain ngspice with the recorded "
+        "voltages of the DACs."
+    )
+    failed = sum(bool(row.failed) for row in found.rows)
+    if failed:
+        caption += f" {failed} settings failed; they are named below."
+    return Drawn(drawing, caption)
+
+
+def _panel(axes: Axes, found: Accuracy, name: str, clock: str) -> None:
+    floor = max(found.floor.get(name, 0.0), _ROUNDING)
+    shown: list[tuple[float, float]] = []
+    for row in found.rows:
+        if name not in row.errors:
+            continue
+        times = getattr(row, clock)
+        middle = statistics.median(times)
+        error = max(row.errors[name], _ROUNDING)
+        spread = [[middle - min(times)], [max(times) - middle]]
+        stated = row.setting.series == "as the scene states it"
+        axes.errorbar(
+            [middle], [error], xerr=spread, fmt=_MARKS[row.setting.series], color=_COLORS[row.setting.model],
+            markersize=9 if stated else 4.5, markeredgecolor="white" if stated else None, elinewidth=0.7,
+            zorder=5 if stated else 3, label="_",
+        )  # fmt: skip
+        if row.setting.model != "peer":
+            shown.append((middle, error))
+    front, least = [], math.inf
+    for time, error in sorted(shown):
+        if error < least:
+            front.append((time, error))
+            least = error
+    if front:
+        axes.step(*zip(*front, strict=True), where="post", color=INK, linewidth=0.8, zorder=2, label="_front")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    low = min(low, floor / 3.0)
+    axes.axhspan(low * 1e-3, floor, color="#E6E6E6", zorder=0)
+    for model, errors in found.model_error.items():
+        if name in errors:
+            axes.axhline(errors[name], color=_COLORS[model], linestyle="--", linewidth=0.9, zorder=1)
+    gone = _drawn_neglect(found)
+    if gone is not None and name in ("force", "peak_force"):
+        axes.axhline(gone[1], color=LIMIT, linestyle=":", linewidth=1.0, zorder=1)
+        high = max(high, 2.0 * gone[1])
+    axes.axhline(found.tolerance, color=FAINT, linewidth=0.7, zorder=1)
+    axes.set_ylim(low, high)
+    if found.cheapest is not None and name in found.cheapest.errors:
+        at = statistics.median(getattr(found.cheapest, clock)), max(found.cheapest.errors[name], _ROUNDING)
+        axes.plot(*at, "o", markersize=11, markerfacecolor="none", color=LIMIT, zorder=6, label="_cheapest")
+
+
+def _drawn_neglect(found: Accuracy) -> tuple[str, float] | None:
+    """Return the largest effect that the scene leaves out; what would outweigh all forces is a choice."""
+    return next(((name, size) for name, size in found.neglected.items() if size < 1.0), None)
+
+
+def _key(found: Accuracy) -> list[object]:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    models = dict.fromkeys(row.setting.model for row in found.rows if row.errors)
+    series = dict.fromkeys(row.setting.series for row in found.rows if row.errors)
+    handles: list[object] = [
+        Line2D([], [], color=_COLORS[model], marker="o", linestyle="",
+               label="peer: one deck in ngspice" if model == "peer" else model)
+        for model in models
+    ]  # fmt: skip
+    handles += [
+        Line2D([], [], color=INK, marker=_MARKS[name], linestyle="", markersize=5, label=name)
+        for name in series
+        if name != "one deck in ngspice"
+    ]
+    handles.append(Line2D([], [], color=INK, linewidth=0.8, label="Pareto front"))
+    handles.append(Line2D([], [], color=FAINT, linewidth=0.7, label=f"tolerance {found.tolerance:g}"))
+    if found.cheapest is not None:
+        handles.append(Line2D([], [], color=LIMIT, marker="o", markersize=9, markerfacecolor="none",
+                              linestyle="", label="recommended"))  # fmt: skip
+    if any(found.model_error.values()):
+        handles.append(Line2D([], [], color=INK, linestyle="--", label="effects a model leaves out"))
+    gone = _drawn_neglect(found)
+    if gone is not None:
+        label = f"scene leaves out {gone[0]}"
+        handles.append(Line2D([], [], color=LIMIT, linestyle=":", label=label))
+    handles.append(Patch(color="#E6E6E6", label="below the references' floor"))
+    return handles
+
+
+def _front(found: Accuracy) -> TextTable:
+    rows = sorted((row for row in found.rows if row.front), key=lambda row: row.seconds)
+    head = ["setting", "wall", "set-up", "points", "rejected", *found.quantities]
+    cells = [
+        [
+            row.setting.label, quantity(row.seconds, "s"), quantity(statistics.median(row.setup_s), "s"),
+            str(row.points), str(row.rejected),
+            *(f"{row.errors[n]:.1e}" if n in row.errors else "-" for n in found.quantities),
+        ]
+        for row in rows
+    ]  # fmt: skip
+    numbers = set(range(1, len(head)))
+    return TextTable(
+        "The Pareto front", head, cells, numbers, "All settings are in the file.", "accuracy.csv"
+    )
+
+
+def _failures(found: Accuracy) -> TextTable:
+    rows = [[row.setting.label, row.failed] for row in found.rows if row.failed]
+    return TextTable("Settings that failed", ["setting", "why"], rows, set(), "" if rows else "None.")
+
+
+def _header(found: Accuracy) -> list[str]:
+    names = list(dict.fromkeys(name for row in found.rows for name in row.errors))
+    return [*found.quantities, *(name for name in names if name not in found.quantities)]
+
+
+def _csv(found: Accuracy) -> str:
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    names = _header(found)
+    clocks = ("wall", "cpu", "setup")
+    spread = [f"{clock}_{which} [s]" for clock in clocks for which in ("median", "min", "max")]
+    writer.writerow(["setting", "model", "series", "overrides", "failed", "front", *spread, "points",
+                     "rejected", "states", *(f"error of {name}" for name in names)])  # fmt: skip
+    for row in found.rows:
+        times: list[object] = []
+        for clock in (row.wall_s, row.cpu_s, row.setup_s):
+            times += [statistics.median(clock), min(clock), max(clock)] if clock else [None] * 3
+        writer.writerow([row.setting.label, row.setting.model, row.setting.series,
+                         " ".join(row.setting.overrides), row.failed, int(row.front), *times, row.points,
+                         row.rejected, row.states, *(row.errors.get(name) for name in names)])  # fmt: skip
+    writer.writerow(["floor", "", "", "", "", "", *[None] * 9, "", "", "", *map(found.floor.get, names)])
+    return stream.getvalue()

@@ -1,0 +1,144 @@
+"""What accuracy costs: errors against references that are right, a front, and a recommendation that holds."""
+
+import csv
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import SCENES, ExactSlider, scene_of, shared_child, slider
+
+from cosim.accuracy import work_precision as module
+from cosim.accuracy.solver_settings import carries, grid, reference, second_reference
+from cosim.accuracy.work_precision import POINTS, accuracy
+from cosim.cli import main
+from cosim.effects import lesser
+from cosim.errors import InputError
+from cosim.scene import load_scene
+from reports.accuracy import words, write_accuracy
+
+RADIUS = 0.1333
+#: A carriage thrown at the wall, ideal parts, no rounding: between its samples a matrix exponential.
+THROWN = slider(
+    duration_s=0.25,
+    device={"start": {"q_rad": [0.06], "v_rad_per_s": [-1.0]}},
+    operator={"type": "mass", "mass_kg": 0.05},
+    solver={"model": "auto"},
+)
+
+
+def few(scene, models=("spice",)):
+    """Two settings of each model, for tests that are not about the grid."""
+    return [s for m in models for s in grid(scene, (m,)) if "rtol 0.01" in s.label or "rtol 1e-06" in s.label
+            or s.series == "as the scene states it"]  # fmt: skip
+
+
+@pytest.fixture
+def thrown(tmp_path: Path) -> Path:
+    scene_of(tmp_path, THROWN)
+    return tmp_path / "scene.toml"
+
+
+def test_errors_fall_with_the_tolerance_and_the_references_agree(tmp_path, thrown, monkeypatch):
+    monkeypatch.setattr(module, "grid", few)
+    found = accuracy(thrown, tmp_path / "out", models=("linear", "spice"), repeats=1, child=shared_child())
+    assert len(found.references) == 3  # our own loop, the lockstep, and one deck in ngspice
+    # three integrators, no rounding in the computer: what op-amp gains of 1e9 leave (test_coupling: 5e-8)
+    assert found.floor["position"] < 1e-6
+    assert found.floor["force"] < 1e-5  # the deck's DACs take 100 ns to jump
+    by = {row.setting.label: row for row in found.rows}
+    coarse, fine = by["spice, rtol 0.01"], by["spice, rtol 1e-06"]
+    assert fine.errors["position"] <= coarse.errors["position"]
+    assert all(row.errors[n] >= found.floor.get(n, 0.0) for row in found.rows for n in row.errors)
+    assert all(len(row.wall_s) == 1 and row.wall_s[0] > 0 for row in found.rows if not row.failed)
+    assert found.cheapest is not None
+    assert found.cheapest.worst(found.quantities) <= 1e-3
+    assert any("Cheapest within 0.001" in line for line in words(found))
+    page = write_accuracy(found, tmp_path / "out")
+    assert page.exists()
+    assert (tmp_path / "out" / "figures" / "accuracy.png").exists()
+    told = json.loads((tmp_path / "out" / "accuracy.json").read_text())
+    assert told["recommended"] == found.cheapest.setting.lines()
+    rows = list(csv.DictReader((tmp_path / "out" / "accuracy.csv").read_text().splitlines()))
+    assert [row["setting"] for row in rows] == [*by, "floor"]
+    # the first reference against the closed form, from the same start: momentum is all that the mass changes
+    exact = ExactSlider(inertia=0.25 * RADIUS**2, radius=RADIUS, period=0.025, q_wall=0.0, k_dp=100.0)
+    points = [json.loads(line) for line in (tmp_path / "out" / POINTS).read_text().splitlines()[1:]]
+    first = next(p["value"] for p in points if p["key"] == reference(found.scene).label)
+    states = exact.solve(0.06, -1.0, 10, [(0.0, 0.0)], np.array(first["times"]))
+    y = np.array(first["motion"]["y"][1:])
+    assert np.abs(y - RADIUS * states[:, 0]).max() < 1e-6 * RADIUS * 0.06
+
+
+def test_what_is_finished_is_not_run_again(tmp_path, thrown, monkeypatch):
+    monkeypatch.setattr(module, "grid", few)
+    seen: list[str] = []
+    first = accuracy(thrown, tmp_path / "out", models=("spice",), repeats=1, peer=False, child=shared_child(),
+                     on_progress=lambda done, total, name: seen.append(f"{done}/{total}"))  # fmt: skip
+    assert seen == [f"{k}/{len(first.rows) + 2}" for k in range(len(first.rows) + 2)]
+    kept = (tmp_path / "out" / POINTS).read_bytes()
+    monkeypatch.setattr(module, "run", None)  # a run would fail
+    again = accuracy(thrown, tmp_path / "out", models=("spice",), repeats=1, peer=False)
+    assert again.as_dict() == first.as_dict()
+    assert (tmp_path / "out" / POINTS).read_bytes() == kept
+
+
+def test_a_model_without_the_effects_has_an_error_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "grid", few)
+    # the slope's force differs between `ideal` and the circuit by delays of microseconds and the motors' L/R
+    found = accuracy(SCENES / "slope.toml", tmp_path, overrides=("duration_s=0.9",), models=("ideal",),
+                     repeats=1, peer=False, child=shared_child())  # fmt: skip
+    assert "effects.motor=emf" in found.left_out["ideal"]
+    assert found.model_error["ideal"]["force"] > 1e2 * found.floor["force"]
+    assert any("ideal leaves out" in line for line in words(found))
+
+
+def test_settings_that_fail_are_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "grid", few)
+    scene_of(tmp_path, slider(
+        duration_s=0.1, wall=None, device={"start": {"v_rad_per_s": [1.0]}, "slider": {
+            "stops_rad": [[-0.5, 0.5]], "stop_restitution": 0.5}},
+        effects={"end_stops": True}, solver={"model": "linear"},
+    ))  # fmt: skip
+    with pytest.raises(InputError, match="does not locate impacts"):  # the second reference is `spice`
+        accuracy(tmp_path / "scene.toml", tmp_path / "out", models=("spice",), repeats=1,
+                 child=shared_child())  # fmt: skip
+
+
+def test_recommended_lines_are_those_of_a_scene(thrown):
+    scene = load_scene(thrown)
+    for setting in (*grid(scene), reference(scene), second_reference(scene)):
+        stated = tomllib.loads("\n".join(setting.lines()))
+        assert stated["solver"]["model"] == setting.model
+        assert load_scene(thrown, setting.overrides).solver.model.value == setting.model
+
+
+@pytest.mark.parametrize("model", ["ideal", "linear"])
+def test_lesser_effects_are_carried(model):
+    full = [
+        "effects.opamp=full", "effects.vca=full", "effects.opamp_slew=true", "effects.coulomb=true",
+        'record.nodes=["xboard.n"]',
+    ]  # fmt: skip
+    scene = load_scene(SCENES / "slope.toml", [*full, "solver.model=spice"])
+    assert not carries(scene, model)
+    assert carries(load_scene(SCENES / "slope.toml", [*full, *lesser(scene, model)]), model)
+
+
+@pytest.mark.parametrize(
+    ("words_", "key"),
+    [(["--tol", "0"], "--tol"), (["--repeat", "0"], "--repeat"), (["--measure", "peak_forc"], "--measure"),
+     (["--set", "seed=1,2"], "--set")],
+)  # fmt: skip
+def test_bad_words_are_one_clear_error(tmp_path, words_, key, capsys):
+    argv = ["accuracy", str(SCENES / "press.toml"), "-o", str(tmp_path / "o"), *words_]
+    assert main(argv) == 2
+    assert key in capsys.readouterr().err
+
+
+def test_errors_are_shares_of_the_largest_value():
+    from cosim.accuracy.outcome import trace_errors
+
+    truth = {"x": [1.0, 2.0, 1.0], "y": [0.0, 0.0, 0.0], "fx": [0.0, 0.0, 3.0], "fy": [0.0, 4.0, 4.0]}
+    found = {**truth, "x": [1.0, 2.25, 1.0], "fy": [0.0, 4.0, 4.5]}
+    assert trace_errors(found, truth) == {"position": 0.25, "force": 0.1}  # of 1 m moved, of 5 N
