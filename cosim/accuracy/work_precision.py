@@ -260,10 +260,8 @@ class _Runner:
             raise
         except CosimError:
             self.close()
-            self._child, self._own = (
-                start_early("cosim.loop.spice.run_spice"),
-                True,
-            )  # the other one has ended
+            self._child = start_early("cosim.loop.spice.run_spice")  # the other one has ended
+            self._own = True
             raise
 
     def reference(self, setting: Setting) -> dict[str, Any]:
