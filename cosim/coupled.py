@@ -64,13 +64,13 @@ def growing(
     return sorted(sure, key=lambda p: -p.real)
 
 
-def hidden(poles: list[complex], step_s: float) -> list[Caution]:
-    """Say which poles steps of `step_s` may hide."""
+def hidden(poles: list[complex], step_s: float, where: str = "") -> list[Caution]:
+    """Say which poles steps of `step_s` may hide; `where` tells the pose."""
     return [
         Caution(
             "coupling-unstable",
-            f"board and linkage together have a pole at {p.real:+.4g} +- {abs(p.imag):.4g}j rad/s, which "
-            f"steps of {step_s:.3g} s may hide",
+            f"board and linkage together{where} have a pole at {p.real:+.4g} +- {abs(p.imag):.4g}j rad/s, "
+            f"which steps of {step_s:.3g} s may hide",
             f"shorten solver.max_step_s to {0.1 / abs(p):.2g} s to see it grow, or soften the analog wall",
         )
         for p in poles

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim import effects
 from cosim.caution import Caution
@@ -16,22 +17,25 @@ from cosim.circuits.extraction import motor_response
 from cosim.circuits.instability.stability_verdict import Question, Verdict, keep, known
 from cosim.coupled import growing, hidden
 from cosim.loop.setup import mechanism, operator, start
+from cosim.loop.spice.watch import AT_LIMIT, AT_SUPPLY, REST_RAD_PER_S
 from cosim.ngspice.child import TIME_LIMIT_S, Child, call
 from cosim.ngspice.deck import Deck, load_deck
 from cosim.plan import Plan, swaps
 from cosim.scene import Level, Method, PartFile, PythonOperator, Scene
 
-__all__ = ["FINITE", "commanded", "coupled", "latched", "question", "verdict"]
+__all__ = ["FINITE", "commanded", "coupled", "latched", "left", "question", "reached", "verdict"]
+
+Array = NDArray[np.float64]
 
 #: Levels at which a board is judged: every amplifier has its bandwidth, the winding its inductance.
 FINITE: Mapping[str, str] = {
     "opamp": "gbw", "vca": "gbw", "driver_level": "gbw", "motor": "full", "potentiometer": "ideal",
 }  # fmt: skip
-#: A device that moves slower [rad/s] is at rest: its differentiators are then at their operating point.
-_REST_RAD_PER_S = 0.05
-#: An output stands at its limit from this share of it, of the supply where its part states none; and is
-#: latched there if the same pins do not ask for so much of it, this share of it less.
-_AT_LIMIT, _AT_SUPPLY, _ASKED = 0.97, 0.6, 0.8
+#: An output is latched at its limit if the same pins ask for this share of it less; and has left its
+#: operating point if it is this share of the supply away: no device at rest is so far from settled.
+_ASKED, _OFF_POINT = 0.8, 0.2
+#: Poses so near to one another [rad] have the same inertia and gains, within a tenth.
+_SAME_RAD = 0.1
 #: Decks made for verdicts in this process, by the plan's own: to flatten one takes longer than to look it up.
 _decks: dict[tuple[str, ...], Deck] = {}
 _MOST_DECKS = 32
@@ -72,8 +76,8 @@ def _finite(plan: Plan, *, vendors: bool) -> Deck:
     return _decks[name]
 
 
-def commanded(scene: Scene, constants: DesignConstants) -> dict[str, float]:
-    """Return the voltages [V] at the gain pins in contact, about the pose of the start."""
+def commanded(scene: Scene, constants: DesignConstants, pose: Array | None = None) -> dict[str, float]:
+    """Return the voltages [V] at the gain pins in contact, about a pose [n] rad (that of the start)."""
     c = scene.computer
     if c.method is Method.DISCRETE or c.law is not None:
         return {}
@@ -81,7 +85,8 @@ def commanded(scene: Scene, constants: DesignConstants) -> dict[str, float]:
     square = np.zeros((n, n))
     if scene.wall is not None:
         linkage = mechanism(scene, constants.gear)
-        w = linkage.jacobian(start(scene, linkage)[0]).T @ np.array(scene.wall.normal)
+        q = start(scene, linkage)[0] if pose is None else pose
+        w = linkage.jacobian(q).T @ np.array(scene.wall.normal)
         square = np.outer(w, w)
     spring, damper = c.analog_stiffness_n_per_m * square, c.analog_damping_n_s_per_m * square
     if c.method is Method.JOINT_PD:
@@ -114,8 +119,11 @@ def verdict(
     return found
 
 
-def coupled(plan: Plan, child: Child | None = None) -> list[Caution]:
-    """Say where board and linkage together grow within a step of the run, at no gain and as commanded."""
+def coupled(plan: Plan, child: Child | None = None, poses: Sequence[Array] = ()) -> list[Caution]:
+    """Say where board and linkage together grow within a step of the run, at no gain and as commanded.
+
+    About the start; or about `poses` ([n] rad each) that a run has reached, of which the first is told.
+    """
     scene, board = plan.scene, _finite(plan, vendors=True)
     constants = plan.stated()
     response = motor_response.known(board)
@@ -128,19 +136,36 @@ def coupled(plan: Plan, child: Child | None = None) -> list[Caution]:
     linkage = mechanism(scene, constants.gear)
     # a user's operator is loaded where it runs; without its mass the device is lighter, and faster to grow
     person = None if isinstance(scene.operator, PythonOperator) else operator(scene)
-    mass = linkage.mass_matrix(start(scene, linkage)[0], person)
     viscosity = np.diag(linkage.pack()[0]["viscous"][: scene.joints])
     found: dict[Caution, None] = {}
-    for volts in ({}, commanded(scene, constants)):
-        poles = growing(response, volts, mass, viscosity, constants.torque_per_amp, constants.gear)
-        found |= dict.fromkeys(hidden(poles, scene.solver.max_step_s))
+    for pose in poses or (start(scene, linkage)[0],):
+        mass = linkage.mass_matrix(pose, person)
+        where = f" at the angles {', '.join(f'{q:.3g}' for q in pose)} rad" if len(poses) else ""
+        for volts in ({}, commanded(scene, constants, pose)):
+            poles = growing(response, volts, mass, viscosity, constants.torque_per_amp, constants.gear)
+            found |= dict.fromkeys(hidden(poles, scene.solver.max_step_s, where))
+        if found:
+            break
     return list(found)
+
+
+def reached(plan: Plan, q: Array) -> list[Array]:
+    """Return the poses [n] of a run's angles `q` [points, n] that differ most: its extremes and its end.
+
+    Without those that are nearly the start's (`_SAME_RAD`), which was judged before the run.
+    """
+    rows = [*np.argmin(q, axis=0), *np.argmax(q, axis=0), len(q) - 1]
+    poses: list[Array] = [np.asarray(start(plan.scene, mechanism(plan.scene, plan.stated().gear))[0])]
+    for row in rows:
+        if min(float(np.abs(q[row] - pose).max()) for pose in poses) > _SAME_RAD:
+            poses.append(q[row])
+    return poses[1:]
 
 
 def latched(
     plan: Plan, end: Mapping[str, Any], limits: Mapping[str, float], child: Child | None = None
 ) -> list[Caution]:
-    """Look at the end of a run on ngspice for outputs that hang at their limit without being driven there.
+    """Look at a run on ngspice for outputs that hung at their limit without being driven there.
 
     An overdriven amplifier is at its limit because its inputs ask for more. A latched one is there although
     the same board with linear amplifiers, at the same pins, asks for less.
@@ -150,35 +175,85 @@ def latched(
     plan
         Of the run.
     end
-        'nodes' and 'pins' [V] at the last point, and 'speed_rad_per_s' of the fastest joint.
+        'nodes' and 'pins' [V] at the last point, 'speed_rad_per_s' of the fastest joint, and 'hung': what the
+        watch within the run has noted.
     limits
         Node -> limit of the output [V], where a part states one.
     child
         The run's process.
     """
+    paths = _undeclared(plan)
+    found = []
+    for each in end.get("hung", ()):
+        stuck = {each["node"]: each["volts"]} if each["node"] in paths else {}
+        when = f"from {each['since_s']:.4g} s on"
+        found += _unasked(plan, stuck, each["pins"], when, paths, child)
+    known = {node for node, _ in found}
     stuck = {}
-    for a in plan.board.amplifiers:
-        limit = limits.get(a.out_node)
-        volts = end["nodes"].get(a.out_node, 0.0)
-        declared = any(f"{a.path}.".startswith(f"{block}.") for block in plan.board.declared)
-        if not declared and abs(volts) >= (_AT_LIMIT * limit if limit else _AT_SUPPLY * SUPPLY_V):
-            stuck[a.out_node] = (a.path, volts)
-    if not stuck or end["speed_rad_per_s"] > _REST_RAD_PER_S:
+    if end["speed_rad_per_s"] <= REST_RAD_PER_S:
+        for node in paths.keys() - known:
+            limit, volts = limits.get(node), end["nodes"].get(node, 0.0)
+            if abs(volts) >= (AT_LIMIT * limit if limit else AT_SUPPLY * SUPPLY_V):
+                stuck[node] = volts
+    found += _unasked(plan, stuck, end["pins"], "at the end of the run", paths, child)
+    return [caution for _, caution in found]
+
+
+def left(plan: Plan, end: Mapping[str, Any]) -> list[Caution]:
+    """Say which outputs of a device at rest are far from the operating point of their own circuit.
+
+    The equations have more than one solution, or the one that was begun from is left by itself.
+    """
+    point = end.get("operating_point", {})
+    return [
+        Caution(
+            "operating-point-left",
+            f"at the end of the run, with the device at rest, the output of {path} stands at "
+            f"{end['nodes'][node]:+.3g} V, the operating point of the circuit is {point[node]:+.3g} V",
+            "look for positive feedback around it; declare it (stability=bistable) where it is meant",
+        )
+        for node, path in _undeclared(plan).items()
+        if node in point and abs(end["nodes"][node] - point[node]) > _OFF_POINT * SUPPLY_V
+    ]
+
+
+def _undeclared(plan: Plan) -> dict[str, str]:
+    """Return output node -> path of the amplifiers outside of what the netlist declares bistable."""
+    return {
+        a.out_node: a.path
+        for a in plan.board.amplifiers
+        if not any(f"{a.path}.".startswith(f"{block}.") for block in plan.board.declared)
+    }
+
+
+def _unasked(
+    plan: Plan,
+    stuck: Mapping[str, float],
+    pins: Mapping[str, float],
+    when: str,
+    paths: Mapping[str, str],
+    child: Child | None,
+) -> list[tuple[str, Caution]]:
+    """Return those of the outputs (node -> volts) for which linear amplifiers at these pins ask less."""
+    if not stuck:
         return []
     asked: list[float] = call(
         "cosim.circuits.instability.search:at_rest",
-        {"board": _finite(plan, vendors=False), "pins": end["pins"], "nodes": list(stuck)},
+        {"board": _finite(plan, vendors=False), "pins": dict(pins), "nodes": list(stuck)},
         time_limit_s=plan.scene.solver.time_limit_s,
         deck=str(plan.board.path),
         child=child,
     )
     return [
-        Caution(
-            "output-latched",
-            f"at the end of the run the output of {path} hangs at {volts:+.3g} V, where its inputs ask for "
-            f"{wanted:+.3g} V",
-            "look for positive feedback around it that begins once it clips",
+        (
+            node,
+            Caution(
+                "output-latched",
+                f"{when} the output of {paths[node]} hangs at {volts:+.3g} V, where its inputs ask for "
+                f"{wanted:+.3g} V",
+                "look for positive feedback around it that begins once it clips",
+            ),
         )
-        for (path, volts), wanted in zip(stuck.values(), asked, strict=True)
+        for (node, volts), wanted in zip(stuck.items(), asked, strict=True)
         if wanted * np.sign(volts) < _ASKED * abs(volts)
     ]

@@ -17,12 +17,12 @@ from cosim import plausibility
 from cosim.caution import Caution, collected, warn
 from cosim.circuits.design_constants import DesignConstants
 from cosim.errors import InputError, Problem
-from cosim.judgement import coupled, latched, question, verdict
+from cosim.judgement import coupled, latched, left, question, reached, verdict
 from cosim.measures import chosen, headroom, own_measures, standard
 from cosim.ngspice import deck_file
 from cosim.ngspice.child import OUTBOX, Child, call
 from cosim.plan import Plan, resolve
-from cosim.rawfile import read_raw, stamp
+from cosim.rawfile import Signals, read_raw, stamp
 from cosim.results import RAW, Run, provenance, run_date, written_files
 from cosim.scene import PythonOperator, Scene
 from cosim.staging import Staging, disk_errors, require_ours
@@ -140,7 +140,9 @@ def _run(
         warn(*plausibility.of_run(scene, constants, signals, samples, measures, amplifiers, ledger))
         if "end" in got:
             limits = {a["node"]: a["swing_v"] for a in amplifiers if a["swing_v"]}
-            warn(*latched(plan, got["end"], limits, child))
+            warn(*latched(plan, got["end"], limits, child), *left(plan, got["end"]))
+        if not judged.unjudged and (poses := reached(plan, _angles(signals, scene.joints))):
+            warn(*coupled(plan, child, poses))
         if "circuit" in got:
             warn(*plausibility.of_circuit(got["circuit"], constants))
         stats = dict(got["stats"])
@@ -253,6 +255,10 @@ def _amplifiers(plan: Plan, got: Mapping[str, Any]) -> list[dict[str, Any]]:
             }
         )
     return out
+
+
+def _angles(signals: Signals, joints: int) -> NDArray[np.float64]:
+    return np.column_stack([signals[f"q{k + 1}"] for k in range(joints)])
 
 
 def _events(samples: Mapping[str, Any]) -> list[dict[str, Any]]:

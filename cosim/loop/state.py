@@ -123,9 +123,18 @@ STATE = np.dtype(
         ("current_index", "i8", NMAX),
         ("nodes", "i8"),
         ("node_index", "i8", MOST_NODES),
+        ("node_volts", "f8", MOST_NODES),  # at the last accepted point
         ("node_peak", "f8", MOST_NODES),
         ("node_limit", "f8", MOST_NODES),  # V, where an amplifier's output clips; inf where that is not known
         ("node_clipped", "f8", MOST_NODES),  # s spent there, by the accepted points
+        # outputs that hang at their limit while the device stands still (see spice/watch.py)
+        ("hang_limit", "f8", MOST_NODES),
+        ("hang_from", "f8", MOST_NODES),  # s, since when without a break
+        ("hang_volts", "f8", MOST_NODES),  # at the first moment that was long enough; 0 for none
+        ("hang_since", "f8", MOST_NODES),
+        ("hang_pins", "f8", (MOST_NODES, 2 * NMAX + CHANNELS)),
+        ("hang_wait", "f8"),
+        ("hang_quiet", "f8"),
         # rows of results
         ("rows", "i8"),
         ("rows_capacity", "i8"),

@@ -26,6 +26,7 @@ from cosim.loop.spice.coupling import (
     shortened,
     write_row,
 )
+from cosim.loop.spice.watch import watch
 from cosim.loop.state import STATE, Fault
 
 _NOT_FINITE, _COLLAPSED, _CRAWLS = Fault.NOT_FINITE, Fault.STEP_COLLAPSED, Fault.CRAWLS
@@ -169,12 +170,14 @@ def accepted(data: Any, count: int, ident: int, user: Any) -> int:
     at = write_row(s, t, row)
     for i in range(s.nodes):
         value = vector_value(vectors, s.node_index[i])
+        s.node_volts[i] = value
         if not abs(value) <= s.node_peak[i]:
             s.node_peak[i] = abs(value)
             if s.fault == 0 and not abs(value) < NO_VOLTAGE:  # a device that ran away is the cause
                 s.fault = _NOT_FINITE
         if abs(value) >= s.node_limit[i]:
             s.node_clipped[i] += step
+        watch(s, i, value, t)
         if i < s.nodes_recorded:
             row[at] = value
             at += 1

@@ -22,7 +22,7 @@ from cosim.loop.component_noise import ComponentGrid, component_grid
 from cosim.loop.dac_channels import drive
 from cosim.loop.setup import Memory, columns, pack, sample_columns
 from cosim.loop.signals import Layout, write_signals
-from cosim.loop.spice import coupling
+from cosim.loop.spice import coupling, watch
 from cosim.loop.spice.convergence import PATIENCE, Aid, aided, bound_work, plain_start
 from cosim.loop.state import Fault
 from cosim.loop.userclass import Said, in_users_words
@@ -197,7 +197,8 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     dict
         'ledger', 'sample_columns', 'constants', 'stats', 'peaks' (largest |v| of each node), 'clipped_s' (how
         long it was at its limit), 'swings' (output limits by node), 'end' (volts of
-        'nodes' and 'pins' at the last point, 'speed_rad_per_s' of the fastest joint), 'ngspice' (version),
+        'nodes' and 'pins' at the last point, 'speed_rad_per_s' of the fastest joint, 'hung' as of
+        `watch.hung`; of a device at rest the 'operating_point' of the nodes), 'ngspice' (version),
         'said' (what the law printed), 'component_noise' (as `ComponentGrid.about`); signals.raw and
         samples.f64 are in the folder
     """
@@ -248,6 +249,7 @@ def _simulate(payload: dict[str, Any], report: Report, aid: Aid) -> dict[str, An
     state = memory.state[0]
     limits = {node: AT_LIMIT * limit for node, limit in swings.items()}
     state["node_limit"][: len(nodes)] = [limits.get(node, math.inf) for node in nodes]
+    watch.begin(state, nodes, swings, scene.computer.period_s)
     missing: list[str] = []
     person = scene.operator.file if isinstance(scene.operator, PythonOperator) else "operator"
     recorder = Recorder(
@@ -311,6 +313,14 @@ def _simulate(payload: dict[str, Any], report: Report, aid: Aid) -> dict[str, An
     done = np.array(state["work"]) if shafts else None
     ledger = write_signals(folder / ROWS, folder / RAW, layout, scene.title, done)
     (folder / ROWS).unlink()
+    end: dict[str, Any] = {
+        "nodes": dict(zip(nodes, state["node_volts"].tolist(), strict=False)),
+        "pins": dict(zip(circuit.sources(), state["out"].tolist(), strict=False)),
+        "speed_rad_per_s": float(np.abs(state["v"][:n]).max()),
+        "hung": watch.hung(state, nodes, circuit),
+    }
+    if end["speed_rad_per_s"] <= watch.REST_RAD_PER_S:
+        end["operating_point"] = watch.operating_point(simulator, list(end["pins"].values()), nodes)
     return {
         "ledger": ledger,
         "sample_columns": sample_columns(circuit.joints),
@@ -319,11 +329,7 @@ def _simulate(payload: dict[str, Any], report: Report, aid: Aid) -> dict[str, An
         "component_noise": component.about if component is not None else None,
         "peaks": dict(zip(nodes, state["node_peak"].tolist(), strict=False)),
         "clipped_s": dict(zip(nodes, state["node_clipped"].tolist(), strict=False)),
-        "end": {
-            "nodes": {node: float(simulator.vector(node)[-1]) for node in nodes},
-            "pins": dict(zip(circuit.sources(), state["out"].tolist(), strict=False)),
-            "speed_rad_per_s": float(np.abs(state["v"][:n]).max()),
-        },
+        "end": end,
         "swings": swings,
         "ngspice": simulator.version,
         "said": said.lines,

@@ -1,0 +1,80 @@
+"""A watch within a run on ngspice: outputs that hang at their limit while the device stands still.
+
+An output that latches later in a run, or an operating point that time integration has left, is no error of
+the simulation, and nothing before the run can see it. The watch only notes what the pins were; whether they
+ask for what was seen is judged when the run has ended (`cosim.judgement`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from cosim.circuits.decks import MOST_NODES, SUPPLY_V, Drive
+from cosim.errors import CosimError
+from cosim.ngspice.simulator import Simulator
+
+__all__ = ["AT_LIMIT", "AT_SUPPLY", "REST_RAD_PER_S", "begin", "hung", "operating_point", "watch"]
+
+#: A device that moves slower [rad/s] is at rest: its differentiators are then at their operating point.
+REST_RAD_PER_S = 0.05
+#: An output may hang from this share of its limit on; of the supply, where its part states none.
+AT_LIMIT, AT_SUPPLY = 0.97, 0.6
+#: Shortest time at the limit [s] that is no transient, and how long after the last jump of the DACs, as a
+#: share of the period, the pins count as quiet.
+_WAIT_S, _QUIET = 0.02, 0.4
+
+
+def begin(state: np.void, nodes: Sequence[str], limits: Mapping[str, float], period_s: float) -> None:
+    """Set from which voltage on each output may hang; without a stated limit by the supply."""
+    bounds = [AT_LIMIT * limits[node] if node in limits else AT_SUPPLY * SUPPLY_V for node in nodes]
+    state["hang_limit"][:MOST_NODES] = math.inf
+    state["hang_limit"][: len(nodes)] = bounds
+    state["hang_wait"], state["hang_quiet"] = max(period_s, _WAIT_S), _QUIET * period_s
+
+
+@njit(cache=True, error_model="numpy")
+def watch(s: Any, i: int, value: float, t: float) -> None:
+    """Note the pins at the first moment at which output `i` has hung long enough; called at every point."""
+    moving = False
+    for j in range(s.n):
+        moving = moving or abs(s.v[j]) > REST_RAD_PER_S
+    if moving or abs(value) < s.hang_limit[i]:
+        s.hang_from[i] = t
+    elif s.hang_volts[i] == 0.0 and t - s.hang_from[i] >= s.hang_wait:
+        if t - max(s.dac_start[0], s.dac_start[1]) >= s.hang_quiet:
+            s.hang_volts[i], s.hang_since[i] = value, s.hang_from[i]
+            for k in range(len(s.out)):
+                s.hang_pins[i, k] = s.out[k]
+
+
+def hung(state: np.void, nodes: Sequence[str], circuit: Drive) -> list[dict[str, Any]]:
+    """Return 'node', 'volts', 'since_s' and 'pins' [V] of every output that hung at its limit for a while."""
+    return [
+        {
+            "node": node,
+            "volts": float(state["hang_volts"][i]),
+            "since_s": float(state["hang_since"][i]),
+            "pins": dict(zip(circuit.sources(), state["hang_pins"][i].tolist(), strict=False)),
+        }
+        for i, node in enumerate(nodes)
+        if state["hang_volts"][i] != 0.0
+    ]
+
+
+def operating_point(simulator: Simulator, pins: Sequence[float], nodes: Sequence[str]) -> dict[str, float]:
+    """Return the volts of `nodes` at the operating point of the run's own deck with its pins held.
+
+    Empty where Newton's method finds none: the run itself has come to its end.
+    """
+    held = {f"v{k:02d}": float(volts) for k, volts in enumerate(pins)}
+    try:
+        simulator.attach(source=lambda name, t: held.get(name, 0.0))
+        simulator.command("op")
+        return {node: float(simulator.vector(node)[-1]) for node in nodes}
+    except CosimError:
+        return {}
