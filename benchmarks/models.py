@@ -22,10 +22,10 @@ from benchmarks.rig import ROOT, SMOOTH, Outcome, at, instants, lockstep, retold
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.extraction.extract import extract
 from cosim.circuits.linear_circuit import LinearCircuit
+from cosim.loop.columns import columns
+from cosim.loop.events import begin
 from cosim.loop.linear import stepper
 from cosim.loop.linear.run_linear import Propagation, prepare, rest
-from cosim.loop.setup import columns
-from cosim.loop.spice.coupling import begin
 from cosim.ngspice.child import Child
 from cosim.plan import Plan, resolve
 from cosim.scene import load_scene

@@ -23,9 +23,9 @@ from cosim.circuits.decks import SUPPLY_V
 from cosim.circuits.design_constants import DesignConstants
 from cosim.export.mechanics import mechanics
 from cosim.loop.dac_channels import channels
-from cosim.loop.setup import mechanism, operator, start
 from cosim.ngspice.simulator import Simulator
 from cosim.plan import Plan
+from cosim.scene.mechanism import mechanism, operator, start
 
 #: How the recorded DAC voltages enter the deck.
 FEEDS = ("pwl", "filesource", "chunks")

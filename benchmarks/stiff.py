@@ -23,8 +23,8 @@ from benchmarks.figure import Figure, figure, interleaved
 from benchmarks.models import Prepared, model, packed, scene, signals
 from benchmarks.rig import lockstep, retold
 from cosim.circuits.linear_circuit import LinearCircuit
+from cosim.loop.events import begin
 from cosim.loop.linear.run_linear import Propagation, prepare, rest
-from cosim.loop.spice import coupling as loop
 from cosim.ngspice.child import Child
 from mech.kernels import dynamics
 
@@ -112,7 +112,7 @@ def system(run: Propagation, table: dict[str, Array]) -> System:
         b.append(drive @ inputs)
         c.append(out)
         d.append(through @ inputs)
-    loop.begin(fresh)
+    begin(fresh)
     z0 = np.concatenate([rest(circuit, fresh), fresh["q"][:1], fresh["v"][:1]])
     found = System(period, a, b, c, d, z0, np.ones(len(z0)))
     found.scale = np.abs(np.vstack([z0, found.exact()])).max(axis=0)

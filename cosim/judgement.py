@@ -16,12 +16,12 @@ from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.extraction import motor_response
 from cosim.circuits.instability.stability_verdict import Question, Verdict, keep, known
 from cosim.coupled import growing, hidden
-from cosim.loop.setup import mechanism, operator, start
 from cosim.loop.spice.watch import AT_LIMIT, AT_SUPPLY, REST_RAD_PER_S
 from cosim.ngspice.child import TIME_LIMIT_S, Child, call
 from cosim.ngspice.deck import Deck, load_deck
 from cosim.plan import Plan, swaps
 from cosim.scene import Level, Method, PartFile, PythonOperator, Scene
+from cosim.scene.mechanism import mechanism, operator, start
 
 __all__ = ["FINITE", "commanded", "coupled", "latched", "left", "question", "reached", "verdict"]
 

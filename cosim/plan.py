@@ -169,7 +169,7 @@ def _recorded(scene: Scene) -> tuple[str, ...]:
             Problem("is not the name of a node", file=file, key="record.nodes", value=node)
             for node in strange
         )
-    from cosim.loop.setup import columns  # brings compiled code along, which a plan has no other need of
+    from cosim.loop.columns import columns  # brings compiled code along, which a plan has no other need of
 
     known = columns(drive(scene), (), shafts=scene.effects.shaft)
     return tuple(node for node in nodes if node not in known)

@@ -106,28 +106,7 @@ def _run(
     if not judged.unjudged:
         warn(*coupled(plan, child))
     with Staging(target, written_files) as stage:
-        got = call(
-            f"{_TARGETS[plan.model]}:simulate",
-            {
-                "model": plan.model,
-                "band_hz": scene.solver.band_hz,
-                "tolerance": scene.solver.reduction_tolerance,
-                "scene": scene,
-                "board": plan.board,
-                "recorded": plan.recorded,
-                "watched": plan.watched,
-                "tolerances": plan.tolerances,
-                "predicted_points": plan.cost()["points"],
-                "folder": OUTBOX,
-            },
-            time_limit_s=scene.solver.time_limit_s,
-            stall_limit_s=_STALL_S,
-            on_progress=on_progress,
-            deck=str(plan.board.path),
-            child=child,
-            reads=_python_folders(scene),
-            collect=stage.path,
-        )
+        got = _simulated(plan, stage.path, child, on_progress)
         constants: DesignConstants = got["constants"]
         stamp(stage.path / RAW, run_date())
         samples = _read_samples(stage.path / "samples.f64", got["sample_columns"])
@@ -177,6 +156,39 @@ def _run(
         result.write_into(stage.path, formats)  # last: it seals what is there
         stage.publish()
     return Run.load(target)
+
+
+def _simulated(
+    plan: Plan,
+    folder: Path,
+    child: Child | None,
+    on_progress: Callable[[Mapping[str, Any]], None] | None,
+) -> dict[str, Any]:
+    """Let the child process simulate; its answer. It leaves signals.raw and samples.f64 in `folder`."""
+    scene = plan.scene
+    got: dict[str, Any] = call(
+        f"{_TARGETS[plan.model]}:simulate",
+        {
+            "model": plan.model,
+            "band_hz": scene.solver.band_hz,
+            "tolerance": scene.solver.reduction_tolerance,
+            "scene": scene,
+            "board": plan.board,
+            "recorded": plan.recorded,
+            "watched": plan.watched,
+            "tolerances": plan.tolerances,
+            "predicted_points": plan.cost()["points"],
+            "folder": OUTBOX,
+        },
+        time_limit_s=scene.solver.time_limit_s,
+        stall_limit_s=_STALL_S,
+        on_progress=on_progress,
+        deck=str(plan.board.path),
+        child=child,
+        reads=_python_folders(scene),
+        collect=folder,
+    )
+    return got
 
 
 def _python_folders(scene: Scene) -> list[Path]:

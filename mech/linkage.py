@@ -183,9 +183,11 @@ class Linkage(ABC):
 
     def energy(self, q: ArrayLike, v: ArrayLike, operator: Operator | None = None) -> tuple[float, float]:
         """Return kinetic and gravity energy [J], rotors and operator's mass included, shafts' not."""
+        from mech.energy import energy  # compiled code, which a plan has no need of
+
         held = _held(operator)[0]
         angles, speeds = (vector(s, x, self.coordinates) for s, x in (("q", q), ("v", v)))
-        kinetic, lift = _kernels().energy(self._packed[0], held, angles, speeds)
+        kinetic, lift = energy(self._packed[0], held, angles, speeds)
         return float(kinetic), float(lift)
 
     def joint_stiffness(self, q: ArrayLike, stiffness_n_per_m: ArrayLike) -> Array:

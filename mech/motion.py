@@ -100,6 +100,7 @@ def free_motion(
     from scipy.integrate import OdeSolution, solve_ivp
 
     from mech import kernels
+    from mech.energy import energy as energy_of
     from mech.shaft import windup_energy
 
     check = Checker()
@@ -146,10 +147,7 @@ def free_motion(
     time, history = np.concatenate(times), np.concatenate(states, axis=1).T
     angles, speeds = history[:, :n].copy(), history[:, n : 2 * n].copy()
     energy = np.array(
-        [
-            sum(kernels.energy(p, op, a, b)) + windup_energy(p, a, work)
-            for a, b in zip(angles, speeds, strict=True)
-        ]
+        [sum(energy_of(p, op, a, b)) + windup_energy(p, a, work) for a, b in zip(angles, speeds, strict=True)]
     )
     dense = OdeSolution(time, pieces)
     return Motion(time, angles, speeds, history[:, 2 * n :], energy, evaluations, dense)

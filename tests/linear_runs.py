@@ -18,8 +18,8 @@ from support import (
 
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
+from cosim.loop.columns import columns, sample_columns
 from cosim.loop.linear.run_linear import Propagation, prepare
-from cosim.loop.setup import columns, sample_columns
 from cosim.scene import Scene
 
 Array = Any

@@ -91,6 +91,33 @@ def test_no_module_name_occurs_twice():
     assert not {name: where for name, where in places.items() if len(where) > 1}
 
 
+@pytest.mark.parametrize(("one", "other"), [("spice", "linear"), ("linear", "spice")])
+def test_the_two_loops_do_not_know_each_other(one, other):
+    for name, path in FOUND:
+        if name.startswith(f"cosim.loop.{one}."):
+            assert not [t for t in imports(name, path) if t.startswith(f"cosim.loop.{other}")], name
+
+
+#: Longer for now: being written.
+GROWING = {"cosim.accuracy.work_precision"}
+
+
+def test_files_and_functions_are_short():
+    """A file has at most 400 lines, a function 80 without its docstring."""
+    long = []
+    for name, path in FOUND:
+        text = path.read_text(encoding="utf-8")
+        if text.count("\n") > 400:
+            long.append(name)
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef):
+                documented = ast.get_docstring(node) is not None
+                first = node.body[0].end_lineno if documented else node.lineno
+                if node.end_lineno - first > 80:
+                    long.append(f"{name}.{node.name}")
+    assert not set(long) - GROWING
+
+
 def test_no_import_cycles():
     graph = {
         name: {target for target in imports(name, path) if target in NAMES and target != name}

@@ -10,7 +10,8 @@ from support import SCENES, quick, simulate, slider
 from cosim.caution import Caution, collected
 from cosim.circuits.decks import Tolerances
 from cosim.errors import Crawl, InputError, NoOperatingPoint, Problem, SimulationError, StepTooSmall
-from cosim.loop.spice.convergence import ITERATIONS, PATIENCE, Aid, aided
+from cosim.loop.spice.convergence import ITERATIONS, Aid, aided
+from cosim.loop.state import PATIENCE
 from cosim.ngspice.dcpath import has_dc_path
 from cosim.ngspice.messages import operating_point_problem
 from cosim.plan import resolve

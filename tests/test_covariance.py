@@ -27,9 +27,10 @@ from cosim.analysis.period_map import lift
 from cosim.errors import InputError
 from cosim.loop.computer import COMPUTER, SAMPLE, law, to_volts
 from cosim.loop.noise import potentiometer_noise
-from cosim.loop.setup import computer_record, mechanism
+from cosim.loop.setup import computer_record
 from cosim.plan import resolve
 from cosim.scene import load_scene
+from cosim.scene.mechanism import mechanism
 
 
 def held(folder, *more):

@@ -20,10 +20,11 @@ from support import BOARD2, GEAR, merge, scene_of, slider
 
 from cosim.errors import InputError
 from cosim.loop.linear.run_linear import Propagation
-from cosim.loop.setup import mechanism
 from cosim.plan import resolve
+from cosim.scene.mechanism import mechanism
 from mech import NoOperator
-from mech.kernels import dynamics, energy
+from mech.energy import energy
+from mech.kernels import dynamics
 from mech.records import NMAX, new_work
 from mech.stiction import settle
 

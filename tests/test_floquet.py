@@ -113,7 +113,7 @@ def test_the_words_name_the_limit_to_design_for(press: Board) -> None:
 
 def _lever(scene: Scene, constants: DesignConstants):
     from cosim.analysis.stability import touching
-    from cosim.loop.setup import mechanism
+    from cosim.scene.mechanism import mechanism
 
     assert scene.wall is not None
     jac = mechanism(scene, constants.gear).jacobian(touching(scene, constants))

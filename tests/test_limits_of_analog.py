@@ -11,7 +11,7 @@ from support import COMMAND_TRUE, SCENES, SPRING_TRUE, V_NM, merge, scene_of, sl
 from cosim.analysis.stability import border, held, touching, with_computer
 from cosim.analysis.stiffness_map import Axis, border_map, changed, pencil
 from cosim.checkpoint import Points
-from cosim.loop.setup import sample_columns
+from cosim.loop.columns import sample_columns
 from cosim.scene import load_scene
 from cosim.studies.analog_limit import delay
 from cosim.studies.drop_test import Falls, Job, Rest

@@ -9,6 +9,7 @@ from numba import njit
 from numba.core.runtime import _nrt_python, rtsys
 
 from mech import Chain, Hand, NoOperator, ParameterError, PointMass, Slider, UserOperator, kernels
+from mech.energy import energy
 from mech.records import new_work
 
 mujoco = pytest.importorskip("mujoco")
@@ -241,7 +242,7 @@ def many(p, op, q, v, tau, a, y, out, jac, work, times):
     for _ in range(times):
         kernels.dynamics(p, op, 0.1, q, v, tau, a, work)
         kernels.flow(p, op, 0.1, y, tau, out, work)
-        kernels.energy(p, op, q, v)
+        energy(p, op, q, v)
         kernels.tip(p, q, a)
         kernels.tip_velocity(p, q, v, a)
         kernels.jacobian(p, q, jac)

@@ -39,10 +39,10 @@ from cosim.loop.linear.divided_differences import TOP, double, single
 from cosim.loop.linear.matrix_phi import phi_functions
 from cosim.loop.linear.step_layout import plan
 from cosim.loop.noise import potentiometer_noise
-from cosim.loop.setup import mechanism
 from cosim.scene import load_scene
+from cosim.scene.mechanism import mechanism
 from mech import NoOperator
-from mech.kernels import energy
+from mech.energy import energy
 
 #: Rounding of some thousand steps, each of a few hundred products.
 ROUNDING = 1e-11

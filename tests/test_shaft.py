@@ -36,12 +36,12 @@ from support import (
 from cosim.analysis.control_law import law_point
 from cosim.errors import InputError
 from cosim.export import export
-from cosim.loop.setup import mechanism
 from cosim.loop.spice import runge_kutta
 from cosim.loop.state import STATE
 from cosim.plan import resolve
 from cosim.results import Run
 from cosim.scene import load_scene
+from cosim.scene.mechanism import mechanism
 from mech import Chain, ParameterError, Slider
 from mech.motion import free_motion
 

@@ -17,8 +17,8 @@ from cosim.analysis.period_map import lift
 from cosim.analysis.stability import border, held, stability, touching, with_computer
 from cosim.cli import main
 from cosim.errors import InputError
-from cosim.loop.setup import mechanism, operator
 from cosim.scene import load_scene
+from cosim.scene.mechanism import mechanism, operator
 
 #: What the hand-made board renders of what the computer asks: 5e-7 off one.
 COMMAND = COMMAND_TRUE * V_NM

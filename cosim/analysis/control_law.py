@@ -16,8 +16,8 @@ from scipy.optimize import root
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import InputError, Problem
-from cosim.loop.setup import mechanism, operator
 from cosim.scene import CommandPath, Method, Scene
+from cosim.scene.mechanism import mechanism, operator
 from mech.contact import operator_force
 from mech.linkage import Linkage
 

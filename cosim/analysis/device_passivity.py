@@ -14,8 +14,8 @@ from cosim.analysis.control_law import law_point
 from cosim.analysis.passivity import Device, Law, wall
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
-from cosim.loop.setup import mechanism
 from cosim.scene import CommandPath, Method, Scene
+from cosim.scene.mechanism import mechanism
 
 __all__ = ["Delivered", "delivered", "device_of", "law_of"]
 

@@ -7,10 +7,10 @@ from typing import Any
 
 from cosim.circuits.decks import lockstep_deck
 from cosim.circuits.design_constants import DesignConstants
+from cosim.circuits.extraction.design_numbers import read_constants
 from cosim.circuits.extraction.extract import extract
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.loop.dac_channels import drive
-from cosim.loop.spice.run_spice import read_constants
 from cosim.ngspice.child import Child, call
 from cosim.ngspice.simulator import Simulator
 from cosim.plan import Plan

@@ -19,8 +19,8 @@ from cosim.analysis.stability import border, held, stability, touching, with_com
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import fail
-from cosim.loop.setup import mechanism
 from cosim.scene import Method, Scene
+from cosim.scene.mechanism import mechanism
 
 __all__ = ["Displayed", "displayed", "full_scale", "impedance", "largest"]
 

@@ -18,8 +18,8 @@ from cosim.analysis.control_law import LawPoint, external_force, law_point, rest
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.loop.dac_channels import is_geometric
-from cosim.loop.setup import mechanism, operator
 from cosim.scene import Jitter, Onset, Scene
+from cosim.scene.mechanism import mechanism, operator
 from mech import Chain
 from mech.linkage import Linkage
 

@@ -339,7 +339,7 @@ def _checked(
     """Add what noise of this size meets: the wall's surface, the driver's limit."""
     from dataclasses import replace
 
-    from cosim.loop.setup import mechanism
+    from cosim.scene.mechanism import mechanism
 
     said = list(found.notes)
     depth = law_point(scene, constants, mechanism(scene, constants.gear), found.q).penetration_m

@@ -145,7 +145,7 @@ def touching(scene: Scene, constants: DesignConstants) -> Array:
     InputError
         Without a wall, or where it is out of reach.
     """
-    from cosim.loop.setup import mechanism
+    from cosim.scene.mechanism import mechanism
 
     file = str(scene.file) if scene.file else None
     if scene.wall is None:

@@ -27,8 +27,8 @@ from cosim.analysis.stability import (
 )
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
-from cosim.loop.setup import mechanism
 from cosim.scene import Method, Scene
+from cosim.scene.mechanism import mechanism
 
 __all__ = ["RANGE", "Limits", "largest_passive", "limits", "locus", "varied"]
 

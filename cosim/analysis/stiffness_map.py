@@ -23,9 +23,9 @@ from cosim.analysis.stability import FREE, SCAN, touching, with_computer
 from cosim.checkpoint import Points
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
-from cosim.loop.setup import mechanism
 from cosim.scene import Scene
-from cosim.scene.schema import Table
+from cosim.scene.mechanism import mechanism
+from cosim.scene.table import Table
 
 __all__ = ["Axis", "Pencil", "border_map", "changed", "pencil"]
 

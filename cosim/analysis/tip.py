@@ -14,10 +14,10 @@ from cosim.analysis.stability import touching
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import InputError, Problem
-from cosim.loop.setup import mechanism
 from cosim.ngspice.child import Child
 from cosim.plan import resolve
 from cosim.scene import CircuitModelName, Scene
+from cosim.scene.mechanism import mechanism
 from cosim.scene.parameters import Field, Parameters
 from mech import Chain
 

@@ -31,7 +31,7 @@ def step_bound(
     scene: Scene, admittance_a_s: Sequence[Sequence[float]], constants: DesignConstants
 ) -> Coupling | None:
     """Bound the coupling's step as the lockstep does; ``None`` without a back-EMF."""
-    from cosim.loop.setup import mechanism, operator, start
+    from cosim.scene.mechanism import mechanism, operator, start
 
     linkage = mechanism(scene, constants.gear)
     q, _ = start(scene, linkage)

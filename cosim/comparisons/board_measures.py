@@ -26,10 +26,10 @@ from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.extraction.block_delays import slowest_s, spring_delays
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import InputError
-from cosim.loop.setup import mechanism
 from cosim.ngspice.child import Child
 from cosim.plan import Plan
 from cosim.scene import Method
+from cosim.scene.mechanism import mechanism
 from mech import Chain
 
 __all__ = ["BoardMeasures", "Lacking", "board_measures"]

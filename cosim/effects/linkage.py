@@ -8,7 +8,7 @@ from cosim.circuits.design_constants import Stated
 from cosim.effects.effect import ALL, Cost, Effect, Size
 from cosim.effects.scale import scale
 from cosim.scene import HandOperator, Scene
-from cosim.scene.schema import Chain, Slider
+from cosim.scene.device_tables import Chain, Slider
 
 
 def _table(scene: Scene) -> Chain | Slider:

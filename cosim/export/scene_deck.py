@@ -14,12 +14,12 @@ from cosim.circuits.decks import testbench
 from cosim.errors import InputError, Problem, fail
 from cosim.export.mechanics import mechanics
 from cosim.export.waveform import channels, source, stopping_source
-from cosim.loop.setup import mechanism, operator, start
 from cosim.ngspice.gate import admit
 from cosim.ngspice.lines import Line
 from cosim.plan import Plan
 from cosim.results import Run
 from cosim.scene import Jitter, PotNoise, PythonOperator, Scene
+from cosim.scene.mechanism import mechanism, operator, start
 from cosim.staging import own_file, whole_file
 
 KINDS = ("monolithic", "replay")

@@ -19,7 +19,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mech.kernels import energy, jacobian
+from mech.energy import energy
+from mech.kernels import jacobian
 from mech.records import NMAX
 
 #: Names of the works, in the order of `works`' columns.

@@ -176,3 +176,14 @@ def vector_value(vectors: Any, index: int) -> float:
     entry = carray(words_at(vectors), (index + 1,))[index]
     value: float = carray(doubles_at(entry), (2,))[1]
     return value
+
+
+@njit(cache=True, error_model="numpy")
+def name_hash(letters: Any, count: int) -> int:
+    """Return a number for the first `count` letters of a name, or for those before its end."""
+    found = 0
+    for i in range(count):
+        if letters[i] == 0:
+            break
+        found = (found * 257 + letters[i]) % 9007199254740881  # the largest prime below 2^53
+    return found

@@ -16,6 +16,12 @@ Record = Any
 _RAMP, _SHORT = 2, 1e-3
 
 
+@njit(cache=True, error_model="numpy")
+def is_gain(s: Record, channel: int) -> bool:
+    """Whether a DAC channel is the gain of a multiplier."""
+    return bool(s.n <= channel < s.n + 2 * s.n * s.n)
+
+
 @njit(cache=True, error_model="numpy", forceinline=True)
 def volts(s: Record, channel: int, t: float) -> float:
     """Voltage of a DAC channel [V] at `t`."""
@@ -77,6 +83,25 @@ def position_noise(s: Record, q: float, joint: int) -> float:
     i = int(x)
     at = i * s.n + joint
     return float(table[at] + (x - i) * (table[at + s.n] - table[at]))
+
+
+@njit(cache=True, error_model="numpy")
+def noise_at(s: Record, t: float, joint: int) -> float:
+    """Return what the potentiometer of a joint adds to its angle [rad]: linear in time, then in angle."""
+    value = 0.0
+    if s.noise != 0:
+        table = carray(doubles_at(s.noise), (s.noise_rows * s.n,))
+        x = t / s.noise_dt - s.noise_tick
+        at = s.noise_tick * s.n + joint
+        value += table[at] + x * (table[at + s.n] - table[at])
+    if s.position_noise != 0:
+        table = carray(doubles_at(s.position_noise), (s.position_points * s.n,))
+        x = (s.q_trial[joint] - s.position_lo) / s.position_step
+        x = min(max(x, 0.0), s.position_points - 1.000001)
+        k = int(x)
+        at = k * s.n + joint
+        value += table[at] + (x - k) * (table[at + s.n] - table[at])
+    return value
 
 
 @njit(cache=True, error_model="numpy")

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 from cosim.circuits.decks import lockstep_deck
+from cosim.loop.columns import columns, sample_columns
 from cosim.loop.dac_channels import drive
-from cosim.loop.setup import columns, sample_columns
 from cosim.loop.signals import signal_names
 from cosim.ngspice.simulator import Simulator
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,118 +11,31 @@ from numpy.typing import NDArray
 from cosim.circuits.decks import Drive
 from cosim.circuits.design_constants import DesignConstants
 from cosim.errors import InputError, Problem
+from cosim.loop.columns import columns, sample_columns
 from cosim.loop.component_noise import ComponentGrid
 from cosim.loop.computer import COMPUTER, Method, Path
 from cosim.loop.dac_channels import channels, is_geometric
 from cosim.loop.noise import Noise, no_noise, period_jitter, potentiometer_noise, with_errors
-from cosim.loop.spice.coupling import name_hash
+from cosim.loop.numba_calls import name_hash
 from cosim.loop.state import QUEUE, STATE
-from cosim.scene import Scene, schema
-from mech import Chain, Hand, NoOperator, Operator, ParameterError, PointMass, Slider, load_user
+from cosim.scene import Scene, choices
+from cosim.scene.mechanism import encoder_step, mechanism, operator, start
+from mech import Operator
 
 _METHOD = {
-    schema.Method.DISCRETE: Method.DISCRETE,
-    schema.Method.CONTINUOUS: Method.CONTINUOUS,
-    schema.Method.COMBINED: Method.COMBINED,
-    schema.Method.JOINT_PD: Method.JOINT_PD,
+    choices.Method.DISCRETE: Method.DISCRETE,
+    choices.Method.CONTINUOUS: Method.CONTINUOUS,
+    choices.Method.COMBINED: Method.COMBINED,
+    choices.Method.JOINT_PD: Method.JOINT_PD,
 }
 #: The first step behind a jump, as a share of the longest step (backward Euler; see adams.py).
 FIRST_STEP_SHARE = 0.002
 
 
-def mechanism(scene: Scene, gear: float) -> Chain | Slider:
-    """Linkage of the scene with the effects that are off left out."""
-    effects = scene.effects
-    device = scene.device
-    if device.chain is not None and device.linkage is schema.Linkage.CHAIN:
-        chain = device.chain
-        zeros = (0.0,) * len(chain.lengths_m)
-        return Chain(
-            lengths_m=chain.lengths_m,
-            masses_kg=chain.masses_kg,
-            coms_m=chain.coms_m,
-            inertias_kg_m2=chain.inertias_kg_m2,
-            rotor_inertia_kg_m2=chain.rotor_inertia_kg_m2 if effects.rotor_inertia else zeros,
-            gear=gear,
-            gravity_m_per_s2=chain.gravity_m_per_s2 if effects.gravity else (0.0, 0.0),
-            coriolis=effects.coriolis,
-            viscous_n_m_s=chain.viscous_n_m_s if effects.viscous else zeros,
-            coulomb_n_m=chain.coulomb_n_m if effects.coulomb else zeros,
-            coulomb_speed_rad_per_s=chain.coulomb_speed_rad_per_s,
-            stops_rad=(chain.stops_rad or None) if effects.end_stops else None,
-            stop_stiffness_n_m_per_rad=chain.stop_stiffness_n_m_per_rad,
-            stop_damping_n_m_s=chain.stop_damping_n_m_s,
-            stop_restitution=chain.stop_restitution if effects.end_stops else None,
-            **_shafts(scene, chain),
-        )
-    slider = device.slider
-    assert slider is not None  # the scene's checks hold this
-    return Slider(
-        radius_m=slider.radius_m,
-        mass_kg=slider.mass_kg,
-        rotor_inertia_kg_m2=slider.rotor_inertia_kg_m2 if effects.rotor_inertia else 0.0,
-        gear=gear,
-        direction=slider.direction,
-        origin_m=slider.origin_m,
-        gravity_m_per_s2=slider.gravity_m_per_s2 if effects.gravity else (0.0, 0.0),
-        viscous_n_m_s=slider.viscous_n_m_s if effects.viscous else 0.0,
-        coulomb_n_m=slider.coulomb_n_m if effects.coulomb else 0.0,
-        coulomb_speed_rad_per_s=slider.coulomb_speed_rad_per_s,
-        stops_rad=(slider.stops_rad or None) if effects.end_stops else None,
-        stop_stiffness_n_m_per_rad=slider.stop_stiffness_n_m_per_rad,
-        stop_damping_n_m_s=slider.stop_damping_n_m_s,
-        stop_restitution=slider.stop_restitution if effects.end_stops else None,
-        **_shafts(scene, slider),
-    )
-
-
-def _shafts(scene: Scene, table: schema.Chain | schema.Slider) -> dict[str, Any]:
-    """Fields of a linkage whose motors sit behind shafts; none when the effect is off."""
-    if not scene.effects.shaft:
-        return {}
-    return {
-        "shaft_stiffness_n_m_per_rad": table.shaft_stiffness_n_m_per_rad,
-        "shaft_damping_n_m_s": table.shaft_damping_n_m_s,
-        "backlash_rad": table.backlash_rad if scene.effects.backlash else 0.0,
-    }
-
-
-def operator(scene: Scene) -> Operator:
-    """Return the operator of the scene as mechanics knows it; a user's class is loaded from its file.
-
-    Raises
-    ------
-    InputError
-        When the user's file or class is not what it should be.
-    """
-    try:
-        return _operator(scene)
-    except ParameterError as error:
-        file = str(scene.file) if scene.file else None
-        raise InputError(Problem(str(error), file=file, key="operator")) from error
-
-
-def _operator(scene: Scene) -> Operator:
-    given, dynamic = scene.operator, scene.effects.operator_dynamics
-    if isinstance(given, schema.MassOperator):
-        return PointMass(mass_kg=given.mass_kg)
-    if isinstance(given, schema.HandOperator):
-        return Hand(
-            mass_kg=given.mass_kg if dynamic else 0.0,
-            damping_n_s_per_m=given.damping_n_s_per_m if dynamic else 0.0,
-            stiffness_n_per_m=given.stiffness_n_per_m,
-            waypoints_s_m=given.waypoints_s_m,
-            force_s_n=given.force_s_n,
-        )
-    if isinstance(given, schema.PythonOperator):
-        return load_user(given.file, scene.file.parent if scene.file else ".")
-    return NoOperator()
-
-
 def noise(scene: Scene) -> Noise:
     """Draw the potentiometers' noise and errors of the scene (null form: nothing drawn)."""
     kind, pot, effects = scene.effects.pot_noise, scene.device.potentiometer, scene.effects
-    drawn = no_noise(scene.joints) if kind is schema.PotNoise.NONE else _pot_noise(scene)
+    drawn = no_noise(scene.joints) if kind is choices.PotNoise.NONE else _pot_noise(scene)
     return with_errors(
         drawn,
         scene.seed,
@@ -148,28 +60,20 @@ def _pot_noise(scene: Scene) -> Noise:
     )
 
 
-def encoder_step(scene: Scene, gear: float) -> float:
-    """Joint angle of one encoder count [rad]; 0 when the effect is off."""
-    encoder = scene.computer.encoder
-    if not scene.effects.encoder:
-        return 0.0
-    return 2 * math.pi / (encoder.pulses_per_rev * encoder.decoding * gear)
-
-
 def computer_record(scene: Scene, constants: DesignConstants) -> NDArray[np.void]:
     """Pack what the compiled computer needs (`COMPUTER`, one record)."""
     c = np.zeros((), COMPUTER)
     computer, dac = scene.computer, scene.computer.dac
     c["n"] = scene.joints
     c["method"] = _METHOD[computer.method]
-    c["path"] = Path.U if computer.command_path is schema.CommandPath.U else Path.CMD
+    c["path"] = Path.U if computer.command_path is choices.CommandPath.U else Path.CMD
     c["period"] = computer.period_s
     c["kp"] = computer.discrete_stiffness_n_per_m
     c["kd"] = computer.discrete_damping_n_s_per_m
     c["k_dp"] = computer.analog_stiffness_n_per_m
     c["k_dd"] = computer.analog_damping_n_s_per_m
     c["geometric"] = is_geometric(scene)
-    c["ramp"], c["anchored"] = computer.gain_ramp_samples, computer.onset is schema.Onset.ANCHORED
+    c["ramp"], c["anchored"] = computer.gain_ramp_samples, computer.onset is choices.Onset.ANCHORED
     if scene.wall is not None:
         c["point"], c["normal"] = scene.wall.point_m, scene.wall.normal
     c["joint_gain"] = -1.0
@@ -192,24 +96,6 @@ def computer_record(scene: Scene, constants: DesignConstants) -> NDArray[np.void
         c["dac_range"] = reach
         c["dac_step"] = 2 * reach / 2**bits
     return c
-
-
-def start(scene: Scene, linkage: Chain | Slider) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return initial angles [rad] and speeds [rad/s]; `InputError` when the tip is out of reach."""
-    given = scene.device.start
-    n = scene.joints
-    if given.q_rad is not None:
-        q = np.array(given.q_rad, dtype=float)
-    else:
-        assert given.tip_m is not None  # the scene's checks hold this
-        try:
-            q = np.asarray(linkage.inverse(np.array(given.tip_m), elbow=given.elbow), dtype=float)
-        except ValueError as error:
-            key = "device.start.tip_m"
-            problem = Problem(str(error), file=str(scene.file), key=key, value=given.tip_m, unit="m")
-            raise InputError(problem) from None
-    v = np.array(given.v_rad_per_s, dtype=float) if given.v_rad_per_s else np.zeros(n)
-    return q, v
 
 
 @dataclass
@@ -237,30 +123,6 @@ class Memory:
         """Random numbers drawn for the run."""
         drawn = self.component.draws if self.component is not None else 0
         return self.noise.draws + max(len(self.jitter) - 1, 0) + drawn
-
-
-def columns(drive: Drive, recorded: tuple[str, ...], *, shafts: bool = False) -> list[str]:
-    """Names of the columns of `rows`, as `accepted` writes them (tau_*: torques in N m; pot in rad).
-
-    With `shafts` the motors have angles and speeds of their own, qm and vm, at the joint.
-    """
-    joint = range(1, drive.joints + 1)
-    names = ["time", "rule", "x", "y", "fx", "fy"]
-    for kind in ("q", "v", "a", "imot", "tau_visc", "tau_coul", "tau_stop", "pot"):
-        names += [f"{kind}{j}" for j in joint]
-    if shafts:
-        names += [f"{kind}{j}" for kind in ("qm", "vm", "tau_shaft") for j in joint] + ["p_shaft", "e_shaft"]
-    return names + list(drive.channels) + list(recorded)
-
-
-def sample_columns(joints: int) -> list[str]:
-    """Names of the columns of `samples`, as `_write_sample` writes them."""
-    joint = range(1, joints + 1)
-    pairs = [f"{a}{b}" for a in joint for b in joint]
-    names = ["tick", "time", "contact", "pen", "saturated", "unsolved", "x", "y"]
-    for kind in ("q_enc", "v_enc", "u_rad", "cmd_nm"):
-        names += [f"{kind}{j}" for j in joint]
-    return names + [f"ksp{ab}" for ab in pairs] + [f"ksd{ab}" for ab in pairs]
 
 
 def pack(
@@ -308,6 +170,34 @@ def pack(
     if scene.effects.dac_skew:
         s["skew"] = scene.computer.dac.skew_s
     s["c"] = computer_record(scene, constants)
+    _put_delay(s, scene)
+    period = scene.computer.period_s
+    s["last_tick"] = math.floor(scene.duration_s / period * (1 + 1e-12))
+    s["t_end"] = scene.duration_s
+    jitter = _put_jitter(s, scene)
+    drawn = noise(scene)
+    if drawn.dt > 0:
+        s["noise"], s["noise_rows"], s["noise_dt"] = drawn.grid.ctypes.data, len(drawn.grid), drawn.dt
+    if len(drawn.table):
+        s["position_noise"], s["position_points"] = drawn.table.ctypes.data, len(drawn.table)
+        s["position_lo"], s["position_step"] = drawn.lo, drawn.step
+    grids = [drawn.dt] if drawn.dt > 0 else []
+    if component is not None:
+        _put_component(s, component)
+        grids.append(component.dt)
+    _put_steps(s, scene, grids)
+    rows = np.zeros((row_capacity, len(columns(circuit, recorded, shafts=scene.effects.shaft))))
+    samples = np.zeros((sample_capacity, len(sample_columns(n))))
+    s["rows"], s["rows_capacity"], s["columns"] = rows.ctypes.data, len(rows), rows.shape[1]
+    s["samples"], s["samples_capacity"] = samples.ctypes.data, len(samples)
+    s["nodes"], s["nodes_recorded"] = len(recorded) + len(watched), len(recorded)
+    knots = np.array([t for t in person.knots_s if 0.0 < t < scene.duration_s])
+    s["knot_times"], s["knots"] = knots.ctypes.data, len(knots)
+    return Memory(state, rows, samples, drawn, circuit, person, knots, jitter, component)
+
+
+def _put_delay(s: np.void, scene: Scene) -> None:
+    """Set the computing delay; `InputError` for one that would lose samples."""
     period = scene.computer.period_s
     if scene.effects.delay:
         s["delay_ticks"] = scene.computer.delay_periods
@@ -324,25 +214,24 @@ def pack(
                 )
             ]
         )
-    s["last_tick"] = math.floor(scene.duration_s / period * (1 + 1e-12))
-    s["t_end"] = scene.duration_s
+
+
+def _put_jitter(s: np.void, scene: Scene) -> NDArray[np.float64]:
+    """Draw by how much each sample comes early or late [s]; nothing without the effect."""
+    period = scene.computer.period_s
     jitter = np.zeros(0)
-    if scene.effects.period_jitter is not schema.Jitter.NONE and scene.computer.jitter_share > 0.0:
+    if scene.effects.period_jitter is not choices.Jitter.NONE and scene.computer.jitter_share > 0.0:
         share = scene.computer.jitter_share
         jitter = period * period_jitter(
             scene.effects.period_jitter.value, scene.seed, int(s["last_tick"]) + 1, share
         )
         s["jitter"] = jitter.ctypes.data
-    drawn = noise(scene)
-    if drawn.dt > 0:
-        s["noise"], s["noise_rows"], s["noise_dt"] = drawn.grid.ctypes.data, len(drawn.grid), drawn.dt
-    if len(drawn.table):
-        s["position_noise"], s["position_points"] = drawn.table.ctypes.data, len(drawn.table)
-        s["position_lo"], s["position_step"] = drawn.lo, drawn.step
-    grids = [drawn.dt] if drawn.dt > 0 else []
-    if component is not None:
-        _put_component(s, component)
-        grids.append(component.dt)
+    return jitter
+
+
+def _put_steps(s: np.void, scene: Scene, grids: list[float]) -> None:
+    """Set the longest steps and tolerances; `grids` [s] are those of the noises."""
+    period = scene.computer.period_s
     solver = scene.solver
     s["h_max"] = min(solver.max_step_s, period)
     s["h_first"] = FIRST_STEP_SHARE * s["h_max"]
@@ -356,14 +245,6 @@ def pack(
     s["most_points"] = max(1_000_000, math.ceil(10 * period / fine))
     s["calls_free"] = math.inf  # `convergence` bounds what may be tried again
     s["delta_min"] = 1e-12 * max(period, scene.duration_s * 1e-3)
-    rows = np.zeros((row_capacity, len(columns(circuit, recorded, shafts=scene.effects.shaft))))
-    samples = np.zeros((sample_capacity, len(sample_columns(n))))
-    s["rows"], s["rows_capacity"], s["columns"] = rows.ctypes.data, len(rows), rows.shape[1]
-    s["samples"], s["samples_capacity"] = samples.ctypes.data, len(samples)
-    s["nodes"], s["nodes_recorded"] = len(recorded) + len(watched), len(recorded)
-    knots = np.array([t for t in person.knots_s if 0.0 < t < scene.duration_s])
-    s["knot_times"], s["knots"] = knots.ctypes.data, len(knots)
-    return Memory(state, rows, samples, drawn, circuit, person, knots, jitter, component)
 
 
 def _put_component(s: np.void, component: ComponentGrid) -> None:

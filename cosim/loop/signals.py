@@ -29,7 +29,7 @@ class Layout:
 
     Attributes
     ----------
-    columns : names, as `cosim.loop.setup.columns` gives them
+    columns : names, as `cosim.loop.columns` gives them
     circuit : driven pins
     constants : design constants of the board
     linkage : one `LINKAGE` record

@@ -18,6 +18,12 @@ CHANNELS = 2 * NMAX + 2 * NMAX * NMAX
 MULTIPLIERS = 2 * NMAX * NMAX
 #: Samples that may be under way between the computer and the DACs (delay of several periods).
 QUEUE = 16
+#: An attempt may take so many times the Newton iterations that are predicted; the shipped scenes at every
+#: level take less than a third of it (a test holds this).
+PATIENCE = 30.0
+#: V that no board has: rails of 100 V times the highest open-loop gains, 140 dB, are three decades below. In
+#: ngspice a division by zero gives some 1e32, with which a loose tolerance can go on.
+NO_VOLTAGE = 1e12
 
 STATE = np.dtype(
     [

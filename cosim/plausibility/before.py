@@ -45,7 +45,7 @@ def _outside_stops(scene: Scene) -> Iterator[Caution]:
     if not stops:
         return
     if q is None:
-        from cosim.loop.setup import mechanism, start  # compiled code, which a plan has no other need of
+        from cosim.scene.mechanism import mechanism, start  # compiled code, which a plan has no other need of
 
         q = tuple(start(scene, mechanism(scene, 1.0))[0].tolist())
     for joint, (angle, (low, high)) in enumerate(zip(q, stops, strict=False), 1):

@@ -1,39 +1,36 @@
 """Scene files: what is simulated, in TOML, checked as a whole before anything runs."""
 
-from cosim.scene.load import load_scene, scene_from_dict
-from cosim.scene.model import Scene
-from cosim.scene.schema import (
-    Chain,
+from cosim.scene.choices import (
     CircuitModelName,
     CommandPath,
-    Computer,
-    Dac,
-    Device,
     Dialect,
     Differentiator,
     Drive,
-    Effects,
-    Encoder,
-    HandOperator,
     Integration,
     Jitter,
     Level,
     Linkage,
-    MassOperator,
-    Measures,
     Method,
     MotorLevel,
-    NoOperator,
     Onset,
-    PartFile,
-    Potentiometer,
     PotLevel,
     PotNoise,
+)
+from cosim.scene.device_tables import Chain, Device, PartFile, Potentiometer, Slider, Start
+from cosim.scene.load import load_scene, scene_from_dict
+from cosim.scene.model import Scene
+from cosim.scene.schema import (
+    Computer,
+    Dac,
+    Effects,
+    Encoder,
+    HandOperator,
+    MassOperator,
+    Measures,
+    NoOperator,
     PythonOperator,
     Record,
-    Slider,
     Solver,
-    Start,
     Velocity,
     Wall,
 )

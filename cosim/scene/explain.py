@@ -12,7 +12,8 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from cosim.errors import Problem, nearest
-from cosim.scene.schema import Effects, SceneTables, Unit
+from cosim.scene.quantities import Unit
+from cosim.scene.schema import Effects, SceneTables
 
 Key = tuple[str | int, ...]
 

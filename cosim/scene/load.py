@@ -9,7 +9,8 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from cosim.errors import InputError, Problem
-from cosim.scene.checks import Skip, cross_problems
+from cosim.scene.checks import cross_problems
+from cosim.scene.device_checks import Skip
 from cosim.scene.explain import clean_key, dotted, explain, field_at, is_real
 from cosim.scene.layers import Key, Layer, absolute_paths, locate, merge, override_layers, read_layers
 from cosim.scene.model import Scene

@@ -10,7 +10,8 @@ from typing import Any
 
 from pydantic import PrivateAttr
 
-from cosim.scene.schema import Linkage, SceneTables
+from cosim.scene.choices import Linkage
+from cosim.scene.schema import SceneTables
 
 
 class Scene(SceneTables):

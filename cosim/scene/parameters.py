@@ -9,7 +9,8 @@ from pydantic import Field, ValidationError
 
 from cosim.errors import Problem
 from cosim.scene.explain import explain, is_real
-from cosim.scene.schema import Table, Unit
+from cosim.scene.quantities import Unit
+from cosim.scene.table import Table
 
 __all__ = ["Field", "Parameters", "Unit", "read_parameters"]
 

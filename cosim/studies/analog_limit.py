@@ -28,9 +28,9 @@ from cosim.checkpoint import Points
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import InputError, fail
-from cosim.loop.setup import mechanism, operator
 from cosim.plan import resolve
 from cosim.scene import Method, PotNoise, Scene
+from cosim.scene.mechanism import mechanism, operator
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.studies.grid import geometric
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict

@@ -23,7 +23,7 @@ from cosim.ngspice.child import Child, start_early
 from cosim.plan import resolve
 from cosim.scene import Method, Scene
 from cosim.scene.parameters import Field, Parameters, Unit
-from cosim.scene.schema import Stiffness
+from cosim.scene.quantities import Stiffness
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 
 __all__ = ["STUDY", "EtaParameters", "active_from", "block_delays", "unstable_from"]
@@ -168,7 +168,7 @@ def _case(spec: StudyFile, case: Case, with_poses: bool, child: Child) -> dict[s
 
 
 def _place(tip: Tip) -> tuple[float, float]:
-    from cosim.loop.setup import mechanism
+    from cosim.scene.mechanism import mechanism
 
     x, y = mechanism(tip.scene, tip.constants.gear).forward(tip.q)
     return float(x), float(y)

@@ -29,7 +29,7 @@ from cosim.ngspice.child import Child, call, start_early
 from cosim.plan import resolve
 from cosim.scene import Method, PotNoise, Scene
 from cosim.scene.parameters import Field, Parameters, Unit
-from cosim.scene.schema import Damping, Frequency, Stiffness
+from cosim.scene.quantities import Damping, Frequency, Stiffness
 from cosim.studies.case_effects import holds_table
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 

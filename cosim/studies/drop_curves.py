@@ -9,7 +9,7 @@ import numpy as np
 
 from cosim.scene import Scene
 from cosim.scene.parameters import Field, Parameters
-from cosim.scene.schema import Period
+from cosim.scene.quantities import Period
 from cosim.studies.study import Verdict
 
 __all__ = ["REFINED", "Family", "Found", "compared", "curve", "slope", "verdicts"]

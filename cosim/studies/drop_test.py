@@ -29,12 +29,13 @@ from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.effects import without_dynamics
 from cosim.errors import CosimError, fail
 from cosim.loop.linear.run_linear import Propagation, prepare
-from cosim.loop.setup import mechanism, shift_samples, start
+from cosim.loop.setup import shift_samples
 from cosim.loop.state import Fault
 from cosim.plan import resolve
 from cosim.scene import Scene
+from cosim.scene.mechanism import mechanism, start
 from cosim.scene.parameters import Field, Parameters, Unit
-from cosim.scene.schema import Period
+from cosim.scene.quantities import Period
 from cosim.studies.drop_curves import REFINED, Family, Found, compared, curve, verdicts
 from cosim.studies.grid import milli
 from cosim.studies.study import Study, StudyFile, StudyResult, Table
@@ -155,7 +156,7 @@ class Falls:
         return sum(rested for rested, _ in self.each(stiffness)) / self._phases
 
     def each(self, stiffness: float) -> Iterator[tuple[int, Array]]:
-        """Drop at every phase; yield whether it came to rest, and its samples (`setup.sample_columns`)."""
+        """Drop at every phase; yield whether it came to rest, and its samples (`sample_columns`)."""
         if self._gain == "k_dp":  # other gains: no map that is kept serves them
             self._packed.exact.made[:], self._packed.exact.on[0] = 0, self._linear
         for phase in range(self._phases):

@@ -21,12 +21,12 @@ from cosim.checkpoint import Points
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import fail
-from cosim.loop.setup import mechanism
 from cosim.measures import time_mean, wall_frame
 from cosim.ngspice.child import start_early
 from cosim.plan import resolve
 from cosim.runner import run
 from cosim.scene import Scene
+from cosim.scene.mechanism import mechanism
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.staging import scratch_folder
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict

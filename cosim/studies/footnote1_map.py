@@ -25,7 +25,7 @@ from cosim.ngspice.deck import Deck
 from cosim.plan import resolve
 from cosim.scene import PotNoise
 from cosim.scene.parameters import Field, Parameters, Unit
-from cosim.scene.schema import Damping, Frequency, Stiffness
+from cosim.scene.quantities import Damping, Frequency, Stiffness
 from cosim.studies.case_effects import holds_table
 from cosim.studies.grid import geometric
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict

@@ -20,11 +20,11 @@ from cosim.analysis.stability import border, held, with_computer
 from cosim.analysis.tip import Case, Tip, row, tip_of
 from cosim.checkpoint import Points
 from cosim.errors import fail
-from cosim.loop.setup import mechanism
 from cosim.ngspice.child import Child, start_early
 from cosim.scene import Method, PotNoise, Scene
+from cosim.scene.mechanism import mechanism
 from cosim.scene.parameters import Field, Parameters, Unit
-from cosim.scene.schema import Damping, Period, Stiffness
+from cosim.scene.quantities import Damping, Period, Stiffness
 from cosim.studies.case_effects import holds_table
 from cosim.studies.grid import milli
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict

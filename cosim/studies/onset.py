@@ -26,11 +26,12 @@ from cosim.checkpoint import Points
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import fail
-from cosim.loop.setup import mechanism, operator, sample_columns, start
+from cosim.loop.columns import sample_columns
 from cosim.plan import resolve
 from cosim.scene import Method, Scene
+from cosim.scene.mechanism import mechanism, operator, start
 from cosim.scene.parameters import Field, Parameters, Unit
-from cosim.scene.schema import Period
+from cosim.scene.quantities import Period
 from cosim.studies.drop_curves import Family
 from cosim.studies.drop_test import Falls, Job, Rest
 from cosim.studies.grid import milli
@@ -131,7 +132,7 @@ def first_contact(samples: Array, reach: float) -> Contact | None:
     Parameters
     ----------
     samples
-        Rows of `setup.sample_columns`; encoders without steps.
+        Rows of `columns.sample_columns`; encoders without steps.
     reach
         Tip motion for a joint motion [m].
     """

@@ -20,8 +20,8 @@ from cosim.checkpoint import Points
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import fail
-from cosim.loop.setup import mechanism
 from cosim.plan import resolve
+from cosim.scene.mechanism import mechanism
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 from mech import Chain

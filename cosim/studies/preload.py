@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from cosim.checkpoint import Points
 from cosim.errors import fail
-from cosim.loop.setup import mechanism
 from cosim.ngspice.child import start_early
 from cosim.plan import resolve
 from cosim.runner import run
 from cosim.scene import Scene
+from cosim.scene.mechanism import mechanism
 from cosim.scene.parameters import Field, Parameters, Unit
-from cosim.scene.schema import Stiffness
+from cosim.scene.quantities import Stiffness
 from cosim.staging import scratch_folder
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 from mech import Chain

@@ -18,7 +18,7 @@ from cosim.checkpoint import Points
 from cosim.ngspice.child import Child, start_early
 from cosim.plan import resolve
 from cosim.scene.parameters import Field, Parameters, Unit
-from cosim.scene.schema import Damping, Frequency, Stiffness
+from cosim.scene.quantities import Damping, Frequency, Stiffness
 from cosim.studies.grid import geometric, percent
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 

@@ -21,11 +21,11 @@ from cosim.analysis.stability import with_computer
 from cosim.analysis.stiffness_limits import limits
 from cosim.checkpoint import Points
 from cosim.errors import fail
-from cosim.loop.setup import encoder_step, mechanism, operator
 from cosim.plan import resolve
 from cosim.scene import Scene
+from cosim.scene.mechanism import encoder_step, mechanism, operator
 from cosim.scene.parameters import Field, Parameters, Unit
-from cosim.scene.schema import Damping, Frequency, Period, Stiffness
+from cosim.scene.quantities import Damping, Frequency, Period, Stiffness
 from cosim.studies.drop_test import Falls, Job, Rest
 from cosim.studies.grid import geometric, milli
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict

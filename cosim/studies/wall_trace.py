@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from cosim.checkpoint import Points
 from cosim.errors import fail
-from cosim.loop.setup import mechanism
 from cosim.measures import wall_frame
 from cosim.ngspice.child import Child, start_early
 from cosim.plan import resolve
 from cosim.results import Run
 from cosim.runner import run
+from cosim.scene.mechanism import mechanism
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.staging import scratch_folder
 from cosim.studies.case_effects import in_words

@@ -14,10 +14,11 @@ from cosim.circuits.cache import folder
 from cosim.circuits.decks import Drive, testbench
 from cosim.circuits.design_constants import DesignConstants, Stated
 from cosim.circuits.element_count import element_count
+from cosim.errors import CosimError
 from cosim.ngspice.deck import Deck, board_pins
 from cosim.ngspice.simulator import Simulator
 
-__all__ = ["kept", "of_deck", "read"]
+__all__ = ["kept", "of_deck", "read", "read_constants"]
 
 Report = Callable[[dict[str, Any]], None]
 
@@ -67,6 +68,17 @@ def read(payload: dict[str, Any], report: Report) -> Stated:
     numbers = simulator.constants()
     _keep(board, numbers)
     return of_deck(board, numbers)
+
+
+def read_constants(simulator: Simulator, file: str) -> DesignConstants:
+    """Design constants of the loaded board."""
+    values: dict[str, float | None] = {}
+    for name in (*DesignConstants.names(), "motor_k"):
+        try:
+            values[name] = simulator.constant(name)
+        except CosimError:
+            values[name] = None
+    return DesignConstants.read(values, file)
 
 
 def kept(board: Deck) -> Stated | None:

@@ -17,8 +17,8 @@ from numba import from_dtype, njit
 from numpy.typing import NDArray
 
 from cosim.circuits.linear_circuit import LinearCircuit
-from cosim.loop.linear.gauss_step import Bench
 from cosim.loop.linear.matrix_phi import phi_functions
+from cosim.loop.linear.step_bench import Bench
 from cosim.loop.linear.step_maps import NODES, WEIGHTS, Ints, Matrix, Plan, Vector
 from cosim.loop.numba_calls import call_plain, kind_of
 from cosim.loop.pin_voltages import grid_noise, volts

@@ -12,12 +12,13 @@ from typing import Any
 
 from numba import carray, njit
 
+from cosim.loop.equations_of_motion import evaluate
+from cosim.loop.events import next_event, process_events
 from cosim.loop.linear.exact_slider import BENCH_KIND, EXACT_KIND, PLAN_KIND, STATE_KIND, land, leap, rests
 from cosim.loop.linear.gauss_step import near, present
 from cosim.loop.linear.recording import check, record
 from cosim.loop.numba_calls import lent, record_at
 from cosim.loop.pin_voltages import gains_ramp, ramp_step
-from cosim.loop.spice.coupling import evaluate, next_event, process_events
 
 Record = Any
 

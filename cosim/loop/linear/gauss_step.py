@@ -10,12 +10,13 @@ from before it is used but as a first guess.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from cosim.loop.linear.step_bench import Bench
 from cosim.loop.linear.step_maps import (
     ANGLE,
     COEFFICIENTS,
@@ -23,16 +24,11 @@ from cosim.loop.linear.step_maps import (
     NODES,
     SPEED,
     WEIGHTS,
-    Ints,
-    Matrix,
-    Plan,
-    Vector,
     currents,
     finish,
 )
 from cosim.loop.pin_voltages import component, grid_noise, position_noise, volts
 from mech.kernels import dynamics, solve, solve_held
-from mech.records import NMAX
 
 Array = NDArray[np.float64]
 Record = Any
@@ -57,63 +53,6 @@ _AT_END = np.ones(3) @ COEFFICIENTS
 _TO_END = WEIGHTS * (1.0 - NODES)
 #: Values at x = 0, the nodes, 1 -> coefficients of the polynomial of degree four.
 _FIVE = np.linalg.inv(np.vander(np.array([0.0, *NODES, 1.0]), 5, increasing=True))
-
-
-class Bench(NamedTuple):
-    """State of the circuit and scratch memory of a step.
-
-    Attributes
-    ----------
-    states : [before + after] states of the circuit at the accepted point
-    features, results : inputs and outputs of the maps for the step on trial
-    gains : [m] multiplier gains over the step
-    nodes : [3 n] motor currents at the nodes, of what does not change between the sweeps
-    matrix : [3 n, moving] motor currents at the nodes per unit of what changes; moved : [moving] that
-    a, new : [3, NMAX] accelerations at the nodes of the step on trial, before and after a sweep
-    a_new : [NMAX] scratch; error : [5] noise at both ends and the nodes
-    last : [3, NMAX] coefficients of the accelerations' parabola of the accepted step
-    work : [6] J by worker, of the step on trial; total : accepted
-    scale : [0] h of the accepted step
-    holds : [4, NMAX] torques that hold joints at rest, at the nodes and the end of the step on trial
-    low : [NMAX] what rounding has left out of the angles [rad]: a stop away from zero is met by far less
-    hit : [NMAX] -1, 0, +1: the joint that hits a stop which does not give
-    clamp : [n] -1, 0, +1: the motor that is at its lowest or highest current
-    current : [n] motor currents at the accepted point, not clamped
-    """
-
-    states: Vector
-    features: Vector
-    results: Vector
-    gains: Vector
-    nodes: Vector
-    matrix: Matrix
-    moved: Vector
-    a: Matrix
-    a_new: Vector
-    new: Matrix
-    error: Vector
-    last: Matrix
-    work: Vector
-    total: Vector
-    scale: Vector
-    holds: Matrix
-    low: Vector
-    hit: Ints
-    clamp: Vector
-    current: Vector
-
-
-def bench(k: Plan, states: Array) -> Bench:
-    """Return scratch memory for a circuit whose states start at `states`."""
-    n = k.n
-    return Bench(
-        states=states, features=np.zeros(k.features), results=np.zeros(k.results),
-        gains=np.zeros(len(k.gain)), nodes=np.zeros(3 * n), matrix=np.zeros((3 * n, k.moving)),
-        moved=np.zeros(k.moving), a=np.zeros((3, NMAX)), new=np.zeros((3, NMAX)), a_new=np.zeros(NMAX),
-        error=np.zeros(5), last=np.zeros((3, NMAX)),
-        work=np.zeros(6), total=np.zeros(6), scale=np.zeros(1), holds=np.zeros((4, NMAX)),
-        low=np.zeros(NMAX), hit=np.zeros(NMAX, np.int64), clamp=np.zeros(n), current=np.zeros(n),
-    )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
@@ -200,82 +139,68 @@ def guess(s: Record, b: Bench, h: float) -> None:
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def attempt(s: Record, k: Any, b: Bench, slot: int, t: float, h: float, tol: float) -> float:
-    """Try a step of length `h` [s] from the accepted point at `t`; return its error [rad].
-
-    The error of the angles within the step is that of the cubic term of the accelerations, found as the
-    difference between the parabola and the equations of motion at the end; infinite when the repetitions do
-    not come together to `tol` [rad]. Angles carry an error of the speed for the rest of the period: so it is
-    weighted. Leaves the accelerations at the nodes in `b.a`, currents and circuit states in `b.results`, work
-    in `b.work`, and the state at the end in `s.q_trial`, `s.v_trial`, `s.a_trial`.
-    """
+def _sweep(s: Record, k: Any, b: Bench, t: float, h: float, weight: float) -> float:
+    """Find the accelerations at the nodes anew; return by how much they have moved the angles [rad]."""
     n, m, motor = s.n, s.coordinates, s.motor
-    _fixed(s, k, b, t, h)
+    _move(s, k, b, t, h)
     for i in range(3 * n):
-        b.nodes[i] = k.offset[i // 3]
+        total = b.nodes[i]
         for column in range(k.moving):
-            b.matrix[i, column] = 0.0
-    currents(k, slot, b.gains, b.features, b.nodes, b.matrix)
-    weight = h * max(h, s.c.period) / 8.0
-    before = 0.0
-    converged = False
-    for sweep in range(_SWEEPS):
-        _move(s, k, b, t, h)
-        for i in range(3 * n):
-            total = b.nodes[i]
-            for column in range(k.moving):
-                total += b.matrix[i, column] * b.moved[column]
-            b.results[i] = total
-        for i in range(6):
-            b.work[i] = 0.0
-        for i in range(3):
-            for j in range(m):
-                once = twice = 0.0
-                for node in range(3):
-                    once += _ONCE[i, node] * b.a[node, j]
-                    twice += _TWICE[i, node] * b.a[node, j]
-                s.q_trial[j] = s.q[j] + h * (NODES[i] * s.v[j] + h * twice)
-                s.v_trial[j] = s.v[j] + h * once
-            for j in range(n):
-                s.tau[j] = s.torque_per_amp * clamped(k, b, j, b.results[3 * j + i])
-            dynamics(s.p, s.op, t + NODES[i] * h, s.q_trial, s.v_trial, s.tau, s.a_trial, s.w)
-            for j in range(m):
-                b.new[i, j] = s.a_trial[j]
-            part = WEIGHTS[i] * h
-            for j in range(n):
-                v = s.v_trial[j]
-                b.work[0] += part * s.tau[j] * s.v_trial[motor + j]
-                b.work[1] += part * (s.w.jac[0, j] * s.w.f_op[0] + s.w.jac[1, j] * s.w.f_op[1]) * v
-                b.work[2] += part * s.w.tau_visc[j] * v
-                b.work[3] += part * s.w.tau_coul[j] * v
-                b.work[4] += part * s.w.tau_stop[j] * v
-                if s.w.holding:
-                    b.holds[i, j] = s.w.hold[j]
-                if motor > 0:
-                    b.work[5] -= part * s.w.tau_loss[j] * (s.v_trial[motor + j] - v)
-        moved = 0.0
-        for i in range(3):
-            for j in range(m):
-                e = abs(b.new[i, j] - b.a[i, j]) * weight
-                if not e <= moved:
-                    moved = e
-                b.a[i, j] = b.new[i, j]
-        ratio = moved / before if sweep > 0 and before > 0.0 else 0.5
-        if moved * ratio < _SHARE * tol * (1.0 - ratio):
-            converged = True
-            break
-        if sweep > 1 and not ratio < 0.5:
-            break
-        before = moved
-    for j in range(m):
+            total += b.matrix[i, column] * b.moved[column]
+        b.results[i] = total
+    for i in range(6):
+        b.work[i] = 0.0
+    for i in range(3):
+        for j in range(m):
+            once = twice = 0.0
+            for node in range(3):
+                once += _ONCE[i, node] * b.a[node, j]
+                twice += _TWICE[i, node] * b.a[node, j]
+            s.q_trial[j] = s.q[j] + h * (NODES[i] * s.v[j] + h * twice)
+            s.v_trial[j] = s.v[j] + h * once
+        for j in range(n):
+            s.tau[j] = s.torque_per_amp * clamped(k, b, j, b.results[3 * j + i])
+        dynamics(s.p, s.op, t + NODES[i] * h, s.q_trial, s.v_trial, s.tau, s.a_trial, s.w)
+        for j in range(m):
+            b.new[i, j] = s.a_trial[j]
+        part = WEIGHTS[i] * h
+        for j in range(n):
+            v = s.v_trial[j]
+            b.work[0] += part * s.tau[j] * s.v_trial[motor + j]
+            b.work[1] += part * (s.w.jac[0, j] * s.w.f_op[0] + s.w.jac[1, j] * s.w.f_op[1]) * v
+            b.work[2] += part * s.w.tau_visc[j] * v
+            b.work[3] += part * s.w.tau_coul[j] * v
+            b.work[4] += part * s.w.tau_stop[j] * v
+            if s.w.holding:
+                b.holds[i, j] = s.w.hold[j]
+            if motor > 0:
+                b.work[5] -= part * s.w.tau_loss[j] * (s.v_trial[motor + j] - v)
+    moved = 0.0
+    for i in range(3):
+        for j in range(m):
+            e = abs(b.new[i, j] - b.a[i, j]) * weight
+            if not e <= moved:
+                moved = e
+            b.a[i, j] = b.new[i, j]
+    return moved
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _state_at_end(s: Record, b: Bench, h: float) -> None:
+    """Fill `s.q_trial` and `s.v_trial` at the end of the step from the accelerations at the nodes."""
+    for j in range(s.coordinates):
         once = twice = 0.0
         for i in range(3):
             once += WEIGHTS[i] * b.a[i, j]
             twice += _TO_END[i] * b.a[i, j]
         s.q_trial[j] = s.q[j] + h * (s.v[j] + h * twice)
         s.v_trial[j] = s.v[j] + h * once
-    if not converged:
-        return math.inf
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _error_at_end(s: Record, k: Any, b: Bench, slot: int, t: float, h: float) -> float:
+    """Finish the step at its end; return the error [rad] of its angles."""
+    n, m, motor = s.n, s.coordinates, s.motor
     _move(s, k, b, t, h)
     for f in range(k.before + k.after, k.features):
         if k.move[f] >= 0:
@@ -314,6 +239,41 @@ def attempt(s: Record, k: Any, b: Bench, slot: int, t: float, h: float, tol: flo
             error = abs(e)
     slow = min(h * h * _CUBIC, k.lag * k.lag)
     return float(max(error * h * max(h, s.c.period) * _CUBIC, jump * slow))
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def attempt(s: Record, k: Any, b: Bench, slot: int, t: float, h: float, tol: float) -> float:
+    """Try a step of length `h` [s] from the accepted point at `t`; return its error [rad].
+
+    The error of the angles within the step is that of the cubic term of the accelerations, found as the
+    difference between the parabola and the equations of motion at the end; infinite when the repetitions do
+    not come together to `tol` [rad]. Angles carry an error of the speed for the rest of the period: so it is
+    weighted. Leaves the accelerations at the nodes in `b.a`, currents and circuit states in `b.results`, work
+    in `b.work`, and the state at the end in `s.q_trial`, `s.v_trial`, `s.a_trial`.
+    """
+    n = s.n
+    _fixed(s, k, b, t, h)
+    for i in range(3 * n):
+        b.nodes[i] = k.offset[i // 3]
+        for column in range(k.moving):
+            b.matrix[i, column] = 0.0
+    currents(k, slot, b.gains, b.features, b.nodes, b.matrix)
+    weight = h * max(h, s.c.period) / 8.0
+    before = 0.0
+    converged = False
+    for sweep in range(_SWEEPS):
+        moved = _sweep(s, k, b, t, h, weight)
+        ratio = moved / before if sweep > 0 and before > 0.0 else 0.5
+        if moved * ratio < _SHARE * tol * (1.0 - ratio):
+            converged = True
+            break
+        if sweep > 1 and not ratio < 0.5:
+            break
+        before = moved
+    _state_at_end(s, b, h)
+    if not converged:
+        return math.inf
+    return float(_error_at_end(s, k, b, slot, t, h))
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)

@@ -7,9 +7,10 @@ from typing import Any
 
 from numba import carray, njit
 
+from cosim.loop.columns import write_row
+from cosim.loop.equations_of_motion import RUNAWAY_RAD_PER_S
 from cosim.loop.numba_calls import call_plain, doubles_at
-from cosim.loop.pin_voltages import volts
-from cosim.loop.spice.coupling import RUNAWAY_RAD_PER_S, noise_at, write_row
+from cosim.loop.pin_voltages import noise_at, volts
 from cosim.loop.state import Fault
 
 Record = Any

@@ -14,22 +14,24 @@ from numpy.typing import NDArray
 
 from cosim.circuits.decks import Tolerances, lockstep_deck
 from cosim.circuits.design_constants import DesignConstants
+from cosim.circuits.extraction.design_numbers import read_constants
 from cosim.circuits.extraction.extract import extract
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import InputError, Problem
+from cosim.loop import events
+from cosim.loop.columns import columns, sample_columns
 from cosim.loop.component_noise import ComponentGrid, component_grid
 from cosim.loop.dac_channels import channels, drive
 from cosim.loop.linear import stepper
 from cosim.loop.linear.exact_slider import Exact, exact
-from cosim.loop.linear.gauss_step import Bench, bench
 from cosim.loop.linear.offset_state import shifted
+from cosim.loop.linear.step_bench import Bench, bench
 from cosim.loop.linear.step_layout import plan
 from cosim.loop.linear.step_maps import Plan
 from cosim.loop.pin_voltages import pins
-from cosim.loop.setup import Memory, columns, pack, sample_columns
+from cosim.loop.recorder import ROWS, Recorder, Report, statistics
+from cosim.loop.setup import Memory, pack
 from cosim.loop.signals import Layout, write_signals
-from cosim.loop.spice import coupling
-from cosim.loop.spice.run_spice import ROWS, Recorder, Report, read_constants, statistics
 from cosim.loop.state import Fault
 from cosim.loop.userclass import Said
 from cosim.loop.userlaw import UserLaw, load_law
@@ -92,7 +94,7 @@ class Propagation:
         The first sample is computed, the circuit put at its operating point, and the start written as a row.
         """
         state = self.memory.state[0]
-        coupling.begin(state)
+        events.begin(state)
         self.bench.states[:] = rest(self.circuit, state, self.memory.component)
         stepper.run(self.tables, self.first_s)
         if self.failures:

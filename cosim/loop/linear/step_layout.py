@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,9 +88,151 @@ def _slowest(poles: Complex) -> float:
     return float(1.0 / np.abs(poles).min(initial=math.inf))
 
 
-_Block = tuple[int, int, list[int], int, list[int], int, list[int], list[int]]
-"""Kind, multiplier or column of b_post, rows (nodes first), node rows, columns (moving last), moving columns,
-modes before and after the multiplier."""
+class _Block(NamedTuple):
+    """Modes and pins that together give some of the results.
+
+    Attributes
+    ----------
+    kind : PRE, POST, CHANNEL or DIRECT
+    channel : multiplier, or column of b_post; -1 without
+    rows : results; the first `nodes` of them are currents at the nodes
+    columns : features; the last `moving` of them change between the sweeps
+    before, after : modes before and after the multiplier
+    """
+
+    kind: int
+    channel: int
+    rows: list[int]
+    nodes: int
+    columns: list[int]
+    moving: int
+    before: list[int]
+    after: list[int]
+
+
+class _Features:
+    """Where the features of a circuit begin, and what each is: states, then coefficients of the pins."""
+
+    def __init__(self, n: int, m: int, before: int, after: int, sources: int) -> None:
+        self.n, self.before, self.after = n, before, after
+        self.pot = before + after
+        self.u, self.cmd = self.pot + ANGLE * n, self.pot + (ANGLE + DAC) * n
+        self.vel = self.pot + (ANGLE + 2 * DAC) * n
+        self.noisy = self.vel + SPEED * n
+        self.count = self.noisy + DAC * sources
+        self.what, self.which, self.power = (np.zeros(self.count, np.int64) for _ in range(3))
+        self.which[:before], self.what[before : self.pot] = range(before), 1
+        self.which[before : self.pot], self.what[self.pot :] = range(after), 2
+        for start, width, first, count in (
+            (self.pot, ANGLE, 0, n),
+            (self.u, DAC, n, n),
+            (self.cmd, DAC, m, n),
+            (self.vel, SPEED, m + n, n),
+            (self.noisy, DAC, 2 * n, sources),
+        ):
+            for j in range(count):
+                coefficients = np.arange(start + width * j, start + width * (j + 1))
+                self.which[coefficients], self.power[coefficients] = first + j, np.arange(width)
+
+    def inputs(self, mask: NDArray[np.bool_], *, bent: bool) -> tuple[list[int], int]:
+        """Return features of the pins [pot; u; noise] chosen by `mask`, moving ones last, and their count."""
+        n, pot = self.n, self.pot
+        fixed = [self.u + DAC * j + k for j in range(n) if mask[n + j] for k in range(DAC)]
+        first = 0 if bent else 2
+        moving = [pot + ANGLE * j + k for j in range(n) if mask[j] for k in range(first, ANGLE)]
+        fixed += [pot + ANGLE * j + k for j in range(n) if mask[j] for k in range(first)]
+        fixed += [
+            self.noisy + DAC * j + k for j in np.flatnonzero(mask[2 * n :]).tolist() for k in range(DAC)
+        ]
+        return fixed + moving, len(moving)
+
+    def moves(self, motor: int, moves: int, *, bent: bool) -> Ints:
+        """Return the column of what moves for each feature, -1 for what does not.
+
+        Accelerations at the nodes of each joint or motor come first, then coefficients.
+        """
+        move = np.full(self.count, -1, np.int64)
+        for j in range(self.n):
+            first = self.vel + SPEED * j
+            move[first + 1 : first + SPEED] = 3 * (motor + j) + np.arange(3)
+            first = self.pot + ANGLE * j
+            if bent:
+                move[first : first + ANGLE] = moves + ANGLE * j + np.arange(ANGLE)
+            else:
+                move[first + 2 : first + ANGLE] = 3 * j + np.arange(3)
+        return move
+
+
+class _Blocks:
+    """The blocks of a circuit, with the modes `one` before and `two` after the multipliers."""
+
+    def __init__(self, circuit: LinearCircuit, one: Modes, two: Modes, f: _Features) -> None:
+        self._circuit, self._one, self._two, self._f = circuit, one, two, f
+        self.all: list[_Block] = []
+
+    def _outputs(self, post: list[int], direct: NDArray[np.bool_]) -> tuple[list[int], int]:
+        n, c_post = self._f.n, self._circuit.c_post
+        touched = [o for o in range(n) if direct[o] or (c_post[o, post] != 0).any()]
+        nodes = [3 * o + i for o in touched for i in range(3)]
+        return nodes + [3 * n + o for o in touched] + [4 * n + s for s in post], len(nodes)
+
+    def _post_of(self, column: int) -> list[int]:
+        return _states(self._two.part, self._circuit.b_post[:, column] != 0)
+
+    def _pre_of(self, channel: int) -> list[int]:
+        return _states(self._one.part, self._circuit.c_pre[channel] != 0)
+
+    def add_states(self, channels: list[int], *, bent: bool) -> None:
+        """Add the parts of the network before the multipliers that `channels` use, and all behind them."""
+        circuit, n, one, two = self._circuit, self._f.n, self._one, self._two
+        used = np.zeros(self._f.before, bool)
+        for c in channels:
+            used[self._pre_of(c)] = True
+        for k in sorted(set(one.part[used].tolist())):
+            at = [int(s) for s in np.flatnonzero(one.part == k)]
+            pins, moving = self._f.inputs((circuit.b_pre[at] != 0).any(axis=0), bent=bent)
+            rows = [4 * n + self._f.after + s for s in at]
+            self.all.append(_Block(PRE, -1, rows, 0, at + pins, moving, at, []))
+        for k in sorted(set(two.part.tolist())):
+            at = [int(s) for s in np.flatnonzero(two.part == k)]
+            rows, nodes = self._outputs(at, np.zeros(n, bool))
+            self.all.append(_Block(POST, -1, rows, nodes, [self._f.before + s for s in at], 0, [], at))
+
+    def add_channels(self, channels: list[int], in_series: Array, *, bent: bool) -> None:
+        """Add the multipliers, each with what leads to it and from it."""
+        circuit, n = self._circuit, self._f.n
+        for c in channels:
+            pre, post = self._pre_of(c), self._post_of(c)
+            touched = (circuit.d_pre[c] != 0) | (circuit.b_pre[pre] != 0).any(axis=0)
+            touched[:n] |= circuit.e_pre[c] != 0
+            pins, moving = self._f.inputs(np.concatenate([touched, in_series[c] != 0]), bent=bent)
+            rows, nodes = self._outputs(post, circuit.d_post[:, c] != 0)
+            self.all.append(_Block(CHANNEL, c, rows, nodes, pre + pins, moving, pre, post))
+
+    def add_pins(self, start: int, width: int, first: int, moving: int) -> None:
+        """Add pins that no multiplier stands behind; `first` is the column of the first in b_post."""
+        for j in range(self._f.n):
+            post = self._post_of(first + j)
+            rows, nodes = self._outputs(post, self._circuit.d_post[:, first + j] != 0)
+            pins = list(range(start + width * j, start + width * (j + 1)))
+            self.all.append(_Block(DIRECT, first + j, rows, nodes, pins, moving, [], post))
+
+
+def _states(part: Ints, chosen: NDArray[np.bool_]) -> list[int]:
+    """Return the states of every part that a chosen one belongs to."""
+    return [int(k) for k in np.flatnonzero(np.isin(part, part[chosen]))]
+
+
+def _ints(values: Iterable[int]) -> Ints:
+    return np.array(list(values), np.int64)
+
+
+def _bounds(lists: list[list[int]]) -> Ints:
+    return _ints(np.concatenate([[0], np.cumsum([len(each) for each in lists])]))
+
+
+def _joined(lists: list[list[int]]) -> Ints:
+    return _ints(k for each in lists for k in each)
 
 
 def plan(
@@ -125,108 +268,33 @@ def plan(
     motor = n if shafts else 0
     moves = 3 * (n + motor)
     one, two = modes(circuit.a_pre, "a_pre"), modes(circuit.a_post, "a_post")
-    before, after = len(one.poles), len(two.poles)
-    pot = before + after
-    u, cmd, vel = pot + ANGLE * n, pot + (ANGLE + DAC) * n, pot + (ANGLE + 2 * DAC) * n
-    noisy = vel + SPEED * n
     sources = int(noise.max()) + 1 if noise is not None else 0
-    features = noisy + DAC * sources
+    f = _Features(n, m, len(one.poles), len(two.poles), sources)
     in_series = np.zeros((m, sources))
     if noise is not None:
         in_series[np.arange(m), noise] = 1.0
-    what, which, power = (np.zeros(features, np.int64) for _ in range(3))
-    which[:before], what[before:pot], which[before:pot] = range(before), 1, range(after)
-    what[pot:] = 2
-    for start, width, first, count in (
-        (pot, ANGLE, 0, n),
-        (u, DAC, n, n),
-        (cmd, DAC, m, n),
-        (vel, SPEED, m + n, n),
-        (noisy, DAC, 2 * n, sources),
-    ):
-        for j in range(count):
-            coefficients = np.arange(start + width * j, start + width * (j + 1))
-            which[coefficients], power[coefficients] = first + j, np.arange(width)
-    blocks: list[_Block] = []
-
-    def states(part: Ints, chosen: NDArray[np.bool_]) -> list[int]:
-        return [int(k) for k in np.flatnonzero(np.isin(part, part[chosen]))]
-
-    def inputs(mask: NDArray[np.bool_]) -> tuple[list[int], int]:
-        """Features of the pins [pot; u] chosen by `mask`: those that vary last."""
-        fixed = [u + DAC * j + k for j in range(n) if mask[n + j] for k in range(DAC)]
-        first = 0 if bent else 2
-        moving = [pot + ANGLE * j + k for j in range(n) if mask[j] for k in range(first, ANGLE)]
-        fixed += [pot + ANGLE * j + k for j in range(n) if mask[j] for k in range(first)]
-        fixed += [noisy + DAC * j + k for j in np.flatnonzero(mask[2 * n :]).tolist() for k in range(DAC)]
-        return fixed + moving, len(moving)
-
-    def outputs(post: list[int], direct: NDArray[np.bool_]) -> tuple[list[int], int]:
-        touched = [o for o in range(n) if direct[o] or (circuit.c_post[o, post] != 0).any()]
-        found = [3 * o + i for o in touched for i in range(3)]
-        return found + [3 * n + o for o in touched] + [4 * n + s for s in post], len(found)
-
-    def post_of(column: int) -> list[int]:
-        return states(two.part, circuit.b_post[:, column] != 0)
-
     channels = [c for c in sorted({*driven, *np.flatnonzero(circuit.y_offset)}) if circuit.gain[c] != 0]
-    used = np.zeros(before, bool)
-    for c in channels:
-        used[states(one.part, circuit.c_pre[c] != 0)] = True
-    for k in sorted(set(one.part[used].tolist())):
-        at = [int(s) for s in np.flatnonzero(one.part == k)]
-        found, moving = inputs((circuit.b_pre[at] != 0).any(axis=0))
-        blocks.append((PRE, -1, [4 * n + after + s for s in at], 0, at + found, moving, at, []))
-    for k in sorted(set(two.part.tolist())):
-        at = [int(s) for s in np.flatnonzero(two.part == k)]
-        rows, nodes = outputs(at, np.zeros(n, bool))
-        blocks.append((POST, -1, rows, nodes, [before + s for s in at], 0, [], at))
-    for c in channels:
-        pre, post = states(one.part, circuit.c_pre[c] != 0), post_of(c)
-        touched = (circuit.d_pre[c] != 0) | (circuit.b_pre[pre] != 0).any(axis=0)
-        touched[:n] |= circuit.e_pre[c] != 0
-        found, moving = inputs(np.concatenate([touched, in_series[c] != 0]))
-        rows, nodes = outputs(post, circuit.d_post[:, c] != 0)
-        blocks.append((CHANNEL, c, rows, nodes, pre + found, moving, pre, post))
-    for on, start, width, first, moving in (
-        (commands, cmd, DAC, m, 0),
-        (speeds, vel, SPEED, m + n, SPEED - 1),
-    ):
-        for j in range(n if on else 0):
-            post = post_of(first + j)
-            rows, nodes = outputs(post, circuit.d_post[:, first + j] != 0)
-            pins = list(range(start + width * j, start + width * (j + 1)))
-            blocks.append((DIRECT, first + j, rows, nodes, pins, moving, [], post))
-    blocks = [b for b in blocks if b[2]]
-    # columns of what moves: accelerations at the nodes of each joint or motor, then coefficients
-    move = np.full(features, -1, np.int64)
-    for j in range(n):
-        move[vel + SPEED * j + 1 : vel + SPEED * (j + 1)] = 3 * (motor + j) + np.arange(3)
-        if bent:
-            move[pot + ANGLE * j : pot + ANGLE * (j + 1)] = moves + ANGLE * j + np.arange(ANGLE)
-        else:
-            move[pot + ANGLE * j + 2 : pot + ANGLE * (j + 1)] = 3 * j + np.arange(3)
-
-    def ints(values: Iterable[int]) -> Ints:
-        return np.array(list(values), np.int64)
-
-    def bounds(item: int) -> Ints:
-        return ints(np.concatenate([[0], np.cumsum([len(b[item]) for b in blocks])]))  # type: ignore[arg-type]
-
-    def joined(item: int) -> Ints:
-        return ints(k for b in blocks for k in b[item])  # type: ignore[union-attr]
-
-    size = [len(b[2]) * len(b[4]) for b in blocks]
+    found = _Blocks(circuit, one, two, f)
+    found.add_states(channels, bent=bent)
+    found.add_channels(channels, in_series, bent=bent)
+    if commands:
+        found.add_pins(f.cmd, DAC, m, 0)
+    if speeds:
+        found.add_pins(f.vel, SPEED, m + n, SPEED - 1)
+    blocks = [b for b in found.all if b.rows]
+    size = [len(b.rows) * len(b.columns) for b in blocks]
     return Plan(
-        n=n, before=before, after=after, features=features, results=4 * n + after + before,
+        n=n, before=f.before, after=f.after, features=f.count, results=4 * n + f.after + f.before,
         moving=moves + ANGLE * n if bent else moves, bent=int(bent), gear=gear,
         lag=_slowest(one.poles) + _slowest(two.poles),
-        kind=ints(b[0] for b in blocks), channel=ints(b[1] for b in blocks),
-        row_at=bounds(2), node_rows=ints(b[3] for b in blocks),
-        column_at=bounds(4), varying=ints(b[5] for b in blocks),
-        pre_at=bounds(6), post_at=bounds(7), data_at=ints(np.concatenate([[0], np.cumsum(size)])),
-        rows=joined(2), columns=joined(4), pre_modes=joined(6), post_modes=joined(7),
-        what=what, which=which, power=power, move=move,
+        kind=_ints(b.kind for b in blocks), channel=_ints(b.channel for b in blocks),
+        row_at=_bounds([b.rows for b in blocks]), node_rows=_ints(b.nodes for b in blocks),
+        column_at=_bounds([b.columns for b in blocks]), varying=_ints(b.moving for b in blocks),
+        pre_at=_bounds([b.before for b in blocks]), post_at=_bounds([b.after for b in blocks]),
+        data_at=_ints(np.concatenate([[0], np.cumsum(size)])),
+        rows=_joined([b.rows for b in blocks]), columns=_joined([b.columns for b in blocks]),
+        pre_modes=_joined([b.before for b in blocks]), post_modes=_joined([b.after for b in blocks]),
+        what=f.what, which=f.which, power=f.power, move=f.moves(motor, moves, bent=bent),
         poles1=one.poles, v1=one.v, w1=one.w, cv=circuit.c_pre @ one.v,
         wb=one.w @ np.pad(circuit.b_pre, ((0, 0), (0, sources))),
         poles2=two.poles, v2=two.v, w2=two.w, wb2=two.w @ circuit.b_post, cv2=circuit.c_post @ two.v,

@@ -13,15 +13,17 @@ from typing import Any
 
 from numba import carray, njit
 
+from cosim.loop.equations_of_motion import evaluate
+from cosim.loop.events import process_events
 from cosim.loop.linear.contact_events import find, first_crossing, meet, strike
 from cosim.loop.linear.exact_slider import BENCH_KIND, EXACT_KIND, PLAN_KIND, STATE_KIND, Exact, rests
 from cosim.loop.linear.exact_steps import leaps
-from cosim.loop.linear.gauss_step import Bench, accept, attempt, guess, near, present
+from cosim.loop.linear.gauss_step import accept, attempt, guess, near, present
 from cosim.loop.linear.recording import check, record
+from cosim.loop.linear.step_bench import Bench
 from cosim.loop.linear.step_maps import Plan, slot_of
 from cosim.loop.numba_calls import call_plain, lent, record_at, table
 from cosim.loop.pin_voltages import gains_ramp, ramp_step
-from cosim.loop.spice.coupling import evaluate, process_events
 from cosim.loop.state import Fault
 
 Record = Any
@@ -126,6 +128,73 @@ def _finest(length: float) -> int:
     return level
 
 
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _longest(s: Record, wish: float, jump: float, first: float, watch: bool) -> float:
+    """Return the longest step [s] that is allowed: behind a jump, near a limit, over a ramp of the gains."""
+    longest = min(wish, s.h_max)
+    if s.t - jump < s.fresh:
+        longest = min(longest, max(first, s.t - jump))
+    if watch:
+        longest = min(longest, s.c.period / _WATCH_STEPS)
+    if gains_ramp(s):
+        longest = min(longest, ramp_step(s))
+    return float(longest)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _take(
+    s: Record, k: Any, b: Any, level: int, length: float, finest: int, watch: bool, wish: float, until: float
+) -> tuple[int, float, float, bool, float, float]:
+    """Try steps until one is good: shorter ones for its error, for a motor's limit, for friction and stops.
+
+    Return its level, length [s] and error [rad], and what `_steps` goes on with: `watch`, `wish`, `until`.
+    """
+    while True:
+        if level > _LEVELS - 2:
+            s.fault = _COLLAPSED
+            return level, 0.0, 0.0, watch, wish, until
+        h = math.ldexp(length, -level)
+        error = attempt(s, k, b, slot_of(k, h), s.t, h, s.tol)
+        if not error <= s.tol:
+            s.rejected += 1
+            level += 2 if error > 1e3 * s.tol else 1
+            wish = math.ldexp(length, -level)
+            guess(s, b, wish)
+            continue
+        if not watch and _watched(s, k, b):
+            watch = True
+            _right_hand(s, k, b)
+            while math.ldexp(length, -level) > s.c.period / _WATCH_STEPS:
+                level += 1
+            s.history = 0
+            guess(s, b, math.ldexp(length, -level))
+            continue
+        if watch and level < _LOCATED and _crosses(s, k, b):
+            level += 1
+            guess(s, b, math.ldexp(length, -level))
+            continue
+        if s.w.located and level < finest:
+            share = first_crossing(s, b, h)
+            if share <= 1.0:
+                s.rejected += 1
+                until = s.t + share * h
+                level += 1
+                while level < finest and math.ldexp(length, -level) > share * h:
+                    level += 1
+                guess(s, b, math.ldexp(length, -level))
+                continue
+        return level, h, error, watch, wish, until
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _wish(s: Record, error: float, h: float, wish: float) -> float:
+    """Return the step [s] that the error of the last one, of length `h`, lets one hope for."""
+    share = error / (_SAFETY * s.tol)
+    grow = _GROWTH if share * _GROWTH**_ORDER < 1.0 else share ** (-1.0 / _ORDER)
+    # a step that an event cut short says nothing against the longer ones before it
+    return float(h * grow if grow < 1.0 else max(wish, h * grow))
+
+
 @njit(cache=True, error_model="numpy")
 def _steps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
     """Go on by collocation; whether the run is over. Otherwise all is linear from the event now due on."""
@@ -159,13 +228,7 @@ def _steps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
             t0, length, position = s.t, s.t_event - s.t, 0
             finest, until = _finest(length), _NEVER
             behind = True
-        longest = min(wish, s.h_max)
-        if s.t - jump < s.fresh:
-            longest = min(longest, max(first, s.t - jump))
-        if watch:
-            longest = min(longest, s.c.period / _WATCH_STEPS)
-        if gains_ramp(s):
-            longest = min(longest, ramp_step(s))
+        longest = _longest(s, wish, jump, first, watch)
         if until - s.t > math.ldexp(length, -finest):
             longest = min(longest, until - s.t)
         else:
@@ -175,41 +238,7 @@ def _steps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
             level += 1
         h = math.ldexp(length, -level)
         guess(s, b, h)
-        while True:
-            if level > _LEVELS - 2:
-                s.fault = _COLLAPSED
-                break
-            h = math.ldexp(length, -level)
-            error = attempt(s, k, b, slot_of(k, h), s.t, h, s.tol)
-            if not error <= s.tol:
-                s.rejected += 1
-                level += 2 if error > 1e3 * s.tol else 1
-                wish = math.ldexp(length, -level)
-                guess(s, b, wish)
-                continue
-            if not watch and _watched(s, k, b):
-                watch = True
-                _right_hand(s, k, b)
-                while math.ldexp(length, -level) > s.c.period / _WATCH_STEPS:
-                    level += 1
-                s.history = 0
-                guess(s, b, math.ldexp(length, -level))
-                continue
-            if watch and level < _LOCATED and _crosses(s, k, b):
-                level += 1
-                guess(s, b, math.ldexp(length, -level))
-                continue
-            if s.w.located and level < finest:
-                share = first_crossing(s, b, h)
-                if share <= 1.0:
-                    s.rejected += 1
-                    until = s.t + share * h
-                    level += 1
-                    while level < finest and math.ldexp(length, -level) > share * h:
-                        level += 1
-                    guess(s, b, math.ldexp(length, -level))
-                    continue
-            break
+        level, h, error, watch, wish, until = _take(s, k, b, level, length, finest, watch, wish, until)
         if s.fault != 0:
             break
         position += whole >> level
@@ -217,10 +246,7 @@ def _steps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
         s.defect = error
         s.defect_max = max(s.defect_max, error)
         s.defect_sum += error
-        share = error / (_SAFETY * s.tol)
-        grow = _GROWTH if share * _GROWTH**_ORDER < 1.0 else share ** (-1.0 / _ORDER)
-        # a step that an event cut short says nothing against the longer ones before it
-        wish = h * grow if grow < 1.0 else max(wish, h * grow)
+        wish = _wish(s, error, h, wish)
         check(s)
         if watch:
             watch = _watched(s, k, b)

@@ -13,27 +13,17 @@ from typing import Any
 import numba
 from numba import carray, cfunc, njit, types
 
-from cosim.loop.numba_calls import call_plain, doubles_at, vector_value
+from cosim.loop.columns import write_row
+from cosim.loop.equations_of_motion import evaluate
+from cosim.loop.events import announce, process_events
+from cosim.loop.numba_calls import call_plain, doubles_at, name_hash, vector_value
 from cosim.loop.spice import runge_kutta, stop_surfaces
-from cosim.loop.spice.coupling import (
-    advance,
-    announce,
-    bound_by_pole,
-    evaluate,
-    fill,
-    name_hash,
-    process_events,
-    shortened,
-    write_row,
-)
+from cosim.loop.spice.coupling import advance, bound_by_pole, fill, shortened
 from cosim.loop.spice.watch import watch
-from cosim.loop.state import STATE, Fault
+from cosim.loop.state import NO_VOLTAGE, STATE, Fault
 
 _NOT_FINITE, _COLLAPSED, _CRAWLS = Fault.NOT_FINITE, Fault.STEP_COLLAPSED, Fault.CRAWLS
 _NEVER = 1e300
-#: V that no board has: rails of 100 V times the highest open-loop gains, 140 dB, are three decades below. In
-#: ngspice a division by zero gives some 1e32, with which a loose tolerance can go on.
-NO_VOLTAGE = 1e12
 #: A source's name in ngspice has a dot behind its letter where it stands inside a subcircuit; its length.
 _DOT, _LONGEST = 46, 512
 

@@ -23,17 +23,15 @@ from cosim.circuits.rest import STEPPING
 from cosim.effects.prediction import EVENT_POINTS
 from cosim.errors import Crawl, InputError, NoOperatingPoint, Problem, SimulationError, StepTooSmall
 from cosim.loop.setup import Memory
+from cosim.loop.state import PATIENCE
 from cosim.ngspice.deck import Deck
 from cosim.ngspice.simulator import Simulator
 
-__all__ = ["PATIENCE", "Aid", "aided", "bound_work", "plain_start"]
+__all__ = ["Aid", "aided", "bound_work", "plain_start"]
 
 #: Relative tolerance at which SPICE's own programs run, and with it the vendors' models.
 LOOSE_RTOL = 1e-3
 
-#: An attempt may take so many times the Newton iterations that are predicted; the shipped scenes at every
-#: level take less than a third of it (a test holds this).
-PATIENCE = 30.0
 #: Newton iterations a point: two where nothing bends, the second of which confirms the first.
 ITERATIONS = 2.0
 #: Points allowed at once: a share of the whole, for scenes with much to do at their start, and this at least.

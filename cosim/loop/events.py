@@ -1,0 +1,200 @@
+"""Samples, DACs and other events of both loops - compiled."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import carray, njit
+
+from cosim.loop.computer import law, read_encoders, to_volts
+from cosim.loop.numba_calls import call_plain, call_with_time, doubles_at
+from cosim.loop.pin_voltages import is_gain
+from cosim.loop.state import QUEUE, Fault
+
+_SAMPLE_LOST = Fault.SAMPLE_LOST
+
+Record = Any
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def instant(s: Record, tick: int) -> float:
+    """Return when the computer samples [s]: an integer tick of its clock, early or late by its jitter."""
+    at = tick * s.c.period
+    if s.jitter != 0:
+        at += carray(doubles_at(s.jitter), (s.last_tick + 1,))[tick]
+    return float(at)
+
+
+@njit(cache=True, error_model="numpy")
+def _release(s: Record, group: int) -> bool:
+    """Let the oldest waiting sample reach the DACs of a group; True if a driven voltage changes."""
+    slot = s.queue_out[group] % QUEUE
+    start = s.queue_time[slot] + (s.skew if group == 1 else 0.0)
+    s.queue_out[group] += 1
+    part = 1.0  # of the ramp before, which a settling time longer than the period leaves unfinished
+    if s.ramping:
+        part = min(max((start - s.dac_start[group]) / s.settle, 0.0), 1.0)
+    s.dac_start[group] = start
+    changed = False
+    for i in range(s.dacs):
+        k = s.dac_channel[i]
+        if is_gain(s, k) != (group == 0):
+            continue
+        reached = s.dac_to[k] if part == 1.0 else s.dac_from[k] + part * (s.dac_to[k] - s.dac_from[k])
+        s.dac_from[k] = reached
+        s.dac_to[k] = s.queue[slot, k]
+        changed = changed or s.dac_to[k] != s.dac_from[k]
+        if s.settle == 0.0:
+            s.out[s.dac_first + i] = s.dac_to[k]
+    if s.settle > 0.0 and changed:
+        s.ramping = 1
+    return changed
+
+
+@njit(cache=True, error_model="numpy")
+def compute_sample(s: Record) -> None:
+    """Compute one sample at the present state; its voltages wait in the queue for the DACs."""
+    read_encoders(s.c, s.x, s.tick, s.q[s.motor :])
+    if s.law_address != 0:
+        call_plain(s.law_address)
+    else:
+        law(s.c, s.p, s.x)
+    slot = s.queue_in % QUEUE
+    to_volts(s.c, s.x, s.queue[slot])
+    s.queue_time[slot] = (s.tick + s.delay_ticks) * s.c.period + s.delay_s
+    if s.jitter != 0:
+        s.queue_time[slot] += instant(s, s.tick) - s.tick * s.c.period
+    s.queue_in += 1
+    if s.queue_in - min(s.queue_out[0], s.queue_out[1]) > QUEUE:
+        s.fault = _SAMPLE_LOST
+    s.tick += 1
+    s.points_before = s.points
+    _write_sample(s)
+
+
+@njit(cache=True, error_model="numpy")
+def _write_sample(s: Record) -> None:
+    n = s.n
+    width = 8 + 4 * n + 2 * n * n
+    row = carray(doubles_at(s.samples + 8 * width * s.samples_used), (width,))
+    x = s.x
+    row[0], row[1], row[2], row[3] = x.tick, instant(s, x.tick), x.contact, x.pen
+    row[4], row[5], row[6], row[7] = x.saturated, x.unsolved, x.r[0], x.r[1]
+    at = 8
+    for j in range(n):
+        row[at], row[at + n], row[at + 2 * n], row[at + 3 * n] = x.q[j], x.v[j], x.u[j], x.cmd[j]
+        at += 1
+    at += 3 * n
+    for i in range(n):
+        for j in range(n):
+            row[at], row[at + n * n] = x.ksp[i, j], x.ksd[i, j]
+            at += 1
+    s.samples_used += 1
+    if s.samples_used == s.samples_capacity:
+        call_plain(s.drain_address)
+
+
+@njit(cache=True, error_model="numpy")
+def next_event(s: Record) -> float:
+    """Return the time of the next instant that the step must land on."""
+    at = s.t_end
+    if s.tick <= s.last_tick:
+        at = min(at, instant(s, s.tick))
+    for group in range(2):
+        if s.queue_out[group] < s.queue_in:
+            slot = s.queue_out[group] % QUEUE
+            at = min(at, s.queue_time[slot] + (s.skew if group == 1 else 0.0))
+    if s.ramping:
+        for group in range(2):
+            end = s.dac_start[group] + s.settle
+            if end > s.t + s.delta_min:
+                at = min(at, end)
+    if s.noise != 0:
+        at = min(at, (s.noise_tick + 1) * s.noise_dt)
+    if s.component != 0:
+        at = min(at, (s.component_tick + 1) * s.component_dt)
+    if s.knot < s.knots:
+        at = min(at, carray(doubles_at(s.knot_times), (s.knots,))[s.knot])
+    return float(at)
+
+
+@njit(cache=True, error_model="numpy")
+def announce(s: Record, now: float) -> None:
+    """Tell ngspice where the DACs will jump next, so that it starts afresh there (order one)."""
+    if s.breakpoint_address == 0:  # our own loop knows
+        return
+    if s.tick <= s.last_tick:
+        call_with_time(s.breakpoint_address, instant(s, s.tick))
+    change = s.queue_time[(s.queue_in - 1) % QUEUE]
+    if change > now:
+        call_with_time(s.breakpoint_address, change)
+    if s.skew > 0.0:
+        call_with_time(s.breakpoint_address, change + s.skew)
+
+
+@njit(cache=True, error_model="numpy")
+def begin(s: Record) -> None:
+    """Compute sample 0, before ngspice finds the operating point: without delay it is there at power-up.
+
+    A delayed one finds the DACs out of contact: gains and commands zero, equilibria at the pose.
+    """
+    for j in range(s.n):
+        s.dac_to[j] = s.c.v_rad * s.q[s.motor + j]
+    compute_sample(s)
+    for group in range(2):
+        if s.queue_time[0] + (s.skew if group == 1 else 0.0) <= s.delta_min:
+            _release(s, group)
+    s.ramping = 0
+    for i in range(s.dacs):
+        k = s.dac_channel[i]
+        s.dac_from[k] = s.dac_to[k]
+        s.out[s.dac_first + i] = s.dac_to[k]
+    s.t_event = next_event(s)
+
+
+@njit(cache=True, error_model="numpy")
+def _watch_rest(s: Record, t: float) -> None:
+    """End the run when the joints have been at rest for long enough."""
+    for j in range(s.n):
+        if not abs(s.v[j]) < s.rest_speed:
+            s.moved = t
+    if t - s.moved >= s.rest_time:
+        s.rested = 1
+        s.t_end = t
+
+
+@njit(cache=True, error_model="numpy")
+def process_events(s: Record, t: float) -> bool:
+    """Do everything due at the accepted time `t`: noise grid, ramp ends, samples, DACs."""
+    now = t + s.delta_min
+    if s.noise != 0 and (s.noise_tick + 1) * s.noise_dt <= now:
+        s.noise_tick += 1
+        s.history = min(s.history, 1)
+    if s.component != 0 and (s.component_tick + 1) * s.component_dt <= now:
+        s.component_tick += 1
+        s.history = min(s.history, 1)
+    if s.knot < s.knots and carray(doubles_at(s.knot_times), (s.knots,))[s.knot] <= now:
+        s.knot += 1
+        s.history = min(s.history, 1)
+    if s.ramping and max(s.dac_start[0], s.dac_start[1]) + s.settle <= now:
+        for i in range(s.dacs):
+            s.out[s.dac_first + i] = s.dac_to[s.dac_channel[i]]
+        s.ramping = 0
+        s.history = min(s.history, 1)
+    if s.tick <= s.last_tick and instant(s, s.tick) <= now:
+        compute_sample(s)
+        announce(s, now)
+        if s.rest_time > 0.0:
+            _watch_rest(s, t)
+    jumped = False
+    for group in range(2):
+        while s.queue_out[group] < s.queue_in:
+            slot = s.queue_out[group] % QUEUE
+            if s.queue_time[slot] + (s.skew if group == 1 else 0.0) > now:
+                break
+            jumped = _release(s, group) or jumped
+    if jumped:
+        s.discontinuities += 1
+        s.history = 0 if s.settle == 0.0 else min(s.history, 1)
+    s.t_event = next_event(s)
+    return jumped
