@@ -11,19 +11,17 @@ from numpy.typing import NDArray
 
 from cosim import effects
 from cosim.caution import Caution
-from cosim.circuits.decks import SUPPLY_V
-from cosim.circuits.design_constants import DesignConstants
+from cosim.circuits.decks import AT_LIMIT, AT_SUPPLY, REST_RAD_PER_S, SUPPLY_V
 from cosim.circuits.extraction import motor_response
 from cosim.circuits.instability.stability_verdict import Question, Verdict, keep, known
 from cosim.coupled import growing, hidden
-from cosim.loop.spice.watch import AT_LIMIT, AT_SUPPLY, REST_RAD_PER_S
 from cosim.ngspice.child import TIME_LIMIT_S, Child, call
 from cosim.ngspice.deck import Deck, load_deck
 from cosim.plan import Plan, swaps
-from cosim.scene import Level, Method, PartFile, PythonOperator, Scene
-from cosim.scene.mechanism import mechanism, operator, start
+from cosim.pose import at_poses, at_start
+from cosim.scene import Level, PartFile
 
-__all__ = ["FINITE", "commanded", "coupled", "latched", "left", "question", "reached", "verdict"]
+__all__ = ["FINITE", "coupled", "latched", "left", "question", "reached", "verdict"]
 
 Array = NDArray[np.float64]
 
@@ -55,7 +53,7 @@ def question(plan: Plan) -> Question:
     if Level.FULL in levels:
         boards.append(plan.board)
     plain = _finite(plan, vendors=False) if vendors else None
-    return Question(tuple(boards), plain, commanded(scene, plan.stated()))
+    return Question(tuple(boards), plain, _gain_volts(plan))
 
 
 def _finite(plan: Plan, *, vendors: bool) -> Deck:
@@ -76,30 +74,10 @@ def _finite(plan: Plan, *, vendors: bool) -> Deck:
     return _decks[name]
 
 
-def commanded(scene: Scene, constants: DesignConstants, pose: Array | None = None) -> dict[str, float]:
-    """Return the voltages [V] at the gain pins in contact, about a pose [n] rad (that of the start)."""
-    c = scene.computer
-    if c.method is Method.DISCRETE or c.law is not None:
-        return {}
-    n = scene.joints
-    square = np.zeros((n, n))
-    if scene.wall is not None:
-        linkage = mechanism(scene, constants.gear)
-        q = start(scene, linkage)[0] if pose is None else pose
-        w = linkage.jacobian(q).T @ np.array(scene.wall.normal)
-        square = np.outer(w, w)
-    spring, damper = c.analog_stiffness_n_per_m * square, c.analog_damping_n_s_per_m * square
-    if c.method is Method.JOINT_PD:
-        spring, damper = spring * np.eye(n), damper * np.eye(n)
-        if c.joint_stiffness_n_m_per_rad:
-            spring = np.diag(c.joint_stiffness_n_m_per_rad)
-    found = {}
-    for kind, gain, scale in (("ksp", spring, constants.k_fs), ("ksd", damper, constants.c_fs)):
-        for i in range(n):
-            for j in range(n):
-                volts = float(gain[i, j]) * constants.v_fs / scale
-                found[f"{kind}{i + 1}{j + 1}"] = float(np.clip(volts, -constants.v_fs, constants.v_fs))
-    return found
+def _gain_volts(plan: Plan) -> dict[str, float]:
+    """Return the voltages [V] at the gain pins in contact, about the start."""
+    constants = plan.stated()
+    return at_start(plan.scene, constants.gear).gain_volts(plan.scene, constants)
 
 
 def verdict(
@@ -133,16 +111,14 @@ def coupled(plan: Plan, child: Child | None = None, poses: Sequence[Array] = ())
             time_limit_s=scene.solver.time_limit_s, deck=str(plan.board.path), child=child,
         )  # fmt: skip
         motor_response.keep(board, response)
-    linkage = mechanism(scene, constants.gear)
-    # a user's operator is loaded where it runs; without its mass the device is lighter, and faster to grow
-    person = None if isinstance(scene.operator, PythonOperator) else operator(scene)
-    viscosity = np.diag(linkage.pack()[0]["viscous"][: scene.joints])
+    told = at_poses(scene, constants.gear, poses, child) if poses else [at_start(scene, constants.gear)]
     found: dict[Caution, None] = {}
-    for pose in poses or (start(scene, linkage)[0],):
-        mass = linkage.mass_matrix(pose, person)
-        where = f" at the angles {', '.join(f'{q:.3g}' for q in pose)} rad" if len(poses) else ""
-        for volts in ({}, commanded(scene, constants, pose)):
-            poles = growing(response, volts, mass, viscosity, constants.torque_per_amp, constants.gear)
+    for pose in told:
+        where = f" at the angles {', '.join(f'{q:.3g}' for q in pose.q)} rad" if poses else ""
+        for volts in ({}, pose.gain_volts(scene, constants)):
+            poles = growing(
+                response, volts, pose.mass, pose.viscosity, constants.torque_per_amp, constants.gear
+            )
             found |= dict.fromkeys(hidden(poles, scene.solver.max_step_s, where))
         if found:
             break
@@ -155,7 +131,7 @@ def reached(plan: Plan, q: Array) -> list[Array]:
     Without those that are nearly the start's (`_SAME_RAD`), which was judged before the run.
     """
     rows = [*np.argmin(q, axis=0), *np.argmax(q, axis=0), len(q) - 1]
-    poses: list[Array] = [np.asarray(start(plan.scene, mechanism(plan.scene, plan.stated().gear))[0])]
+    poses: list[Array] = [at_start(plan.scene, plan.stated().gear).q]
     for row in rows:
         if min(float(np.abs(q[row] - pose).max()) for pose in poses) > _SAME_RAD:
             poses.append(q[row])

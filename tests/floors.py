@@ -25,6 +25,7 @@ FLOORS = {
     "cosim.effects": 2,
     "cosim.plan": 2,
     "cosim.judgement": 2,
+    "cosim.pose": 2,
     "cosim.coupled": 2,
     "cosim.plausibility": 2,
     "cosim.measures": 2,

@@ -26,7 +26,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
+import scipy  # loads its parts when they are used
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 

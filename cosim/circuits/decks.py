@@ -18,6 +18,10 @@ MOST_SOURCES = 100
 MOST_NODES = 256
 #: Supplies of every board [V]: vcc and vee are driven by the deck.
 SUPPLY_V = 15.0
+#: A device that moves slower [rad/s] is at rest: its differentiators are then at their operating point.
+REST_RAD_PER_S = 0.05
+#: An output may hang from this share of its limit on; of the supply, where its part states none.
+AT_LIMIT, AT_SUPPLY = 0.97, 0.6
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,8 @@ def settle(net: Netlist) -> None:
     known = flags(net)
     for block in net.blocks.values():
         if any(line.keyword in (".if", ".elseif", ".else", ".endif") for line in block.body):
-            block.body = _settled(block.body, {k: v for k, v in known.items() if k not in _own(block)})
+            own = _own(block)
+            block.body = _settled(block.body, {k: v for k, v in known.items() if k not in own})
 
 
 def _own(block: Block) -> set[str]:

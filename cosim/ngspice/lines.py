@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 from cosim.errors import fail
@@ -178,6 +179,7 @@ def _split_comment(row: str, dialect: Dialect) -> tuple[str, str]:
     return row, ""
 
 
+@lru_cache(maxsize=10_000)  # rows are asked for it again and again
 def _first(text: str) -> str:
     return text.split(None, 1)[0].lower() if text.strip() else ""
 

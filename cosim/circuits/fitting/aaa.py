@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import scipy.linalg
+import scipy  # loads its parts when they are used
 from numpy.typing import NDArray
 
 __all__ = ["poles_of"]

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg
+import scipy  # loads its parts when they are used
 from numpy.typing import NDArray
 
 from cosim.circuits.fitting.rational_fit import WORST, FitError, Modes, fit

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import scipy.linalg
+import scipy  # loads its parts when they are used
 from numpy.typing import NDArray
 
 from cosim.circuits.fitting.aaa import poles_of

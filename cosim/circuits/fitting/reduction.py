@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-import scipy.linalg
+import scipy  # loads its parts when they are used
 from numpy.typing import NDArray
 
 from cosim.circuits.fitting.rational_fit import Modes

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.circuits.decks import Drive, lockstep_deck, saved
+from cosim.circuits.decks import REST_RAD_PER_S, Drive, lockstep_deck, saved
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.extraction.design_numbers import read_constants
 from cosim.circuits.extraction.probes import external_probes
@@ -204,7 +204,7 @@ def _at_nodes(simulator: Simulator, circuit: Drive, nodes: tuple[str, ...], stat
         "speed_rad_per_s": float(np.abs(state["v"][: circuit.joints]).max()),
         "hung": watch.hung(state, nodes, circuit),
     }
-    if end["speed_rad_per_s"] <= watch.REST_RAD_PER_S:
+    if end["speed_rad_per_s"] <= REST_RAD_PER_S:
         end["operating_point"] = watch.operating_point(simulator, list(end["pins"].values()), nodes)
     return {
         "peaks": dict(zip(nodes, state["node_peak"].tolist(), strict=False)),

@@ -14,16 +14,12 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from cosim.circuits.decks import MOST_NODES, SUPPLY_V, Drive
+from cosim.circuits.decks import AT_LIMIT, AT_SUPPLY, MOST_NODES, REST_RAD_PER_S, SUPPLY_V, Drive
 from cosim.errors import CosimError
 from cosim.ngspice.simulator import Simulator
 
-__all__ = ["AT_LIMIT", "AT_SUPPLY", "REST_RAD_PER_S", "begin", "hung", "operating_point", "watch"]
+__all__ = ["begin", "hung", "operating_point", "watch"]
 
-#: A device that moves slower [rad/s] is at rest: its differentiators are then at their operating point.
-REST_RAD_PER_S = 0.05
-#: An output may hang from this share of its limit on; of the supply, where its part states none.
-AT_LIMIT, AT_SUPPLY = 0.97, 0.6
 #: Shortest time at the limit [s] that is no transient, and how long after the last jump of the DACs, as a
 #: share of the period, the pins count as quiet.
 _WAIT_S, _QUIET = 0.02, 0.4
