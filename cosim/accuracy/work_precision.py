@@ -260,7 +260,7 @@ class _Runner:
             raise
         except CosimError:
             self.close()
-            self._child = start_early("cosim.loop.spice.run_spice")  # the other one has ended
+            self._child = start_early("cosim.loop.early_imports")  # the other one has ended
             self._own = True
             raise
 

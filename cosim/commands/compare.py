@@ -49,7 +49,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
     with start_early(
-        "cosim.loop.spice.run_spice", "cosim.checking.measured", reads=[Path(args.scene).parent]
+        "cosim.loop.early_imports", "cosim.checking.measured", reads=[Path(args.scene).parent]
     ) as child:
         from cosim.belongings import refuse_foreign
         from cosim.commands.progress import progress

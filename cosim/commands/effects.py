@@ -30,7 +30,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
-    with start_early("cosim.loop.spice.run_spice", reads=[Path(args.scene).parent]) as child:
+    with start_early("cosim.loop.early_imports", reads=[Path(args.scene).parent]) as child:
         from cosim.catalogue import OF_A_RUN
         from cosim.comparisons.effects_ledger import effects_ledger
         from cosim.comparisons.measuring import check_measures

@@ -45,7 +45,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
     with start_early(
-        "cosim.loop.spice.run_spice", reads=[Path(args.scene).parent]
+        "cosim.loop.early_imports", reads=[Path(args.scene).parent]
     ) as child:  # it imports while the scene is read
         from cosim.commands.choice import plan_of
         from cosim.comparisons.measuring import check_measures, needs_a_run, run_with_measures

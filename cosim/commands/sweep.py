@@ -36,7 +36,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
-    with start_early("cosim.loop.spice.run_spice", reads=[Path(args.scene).parent]) as child:
+    with start_early("cosim.loop.early_imports", reads=[Path(args.scene).parent]) as child:
         from cosim.belongings import refuse_foreign
         from cosim.commands.progress import progress
         from cosim.comparisons.sweep import TABLE, parse_range, sweep

@@ -265,7 +265,7 @@ class _Runner:
                 self._known[key] = str(error).splitlines()[0]
                 self.close()
                 self._child, self._own = (
-                    start_early("cosim.loop.spice.run_spice"),
+                    start_early("cosim.loop.early_imports"),
                     True,
                 )  # the other one has ended
         return self._known[key]

@@ -166,7 +166,7 @@ def _pressed(scene: Scene) -> tuple[float, float]:
     """Run a push; return depth [m] and the motors' force [N] at its end."""
     with (
         scratch_folder("press") as folder,
-        start_early("cosim.loop.spice.run_spice") as child,
+        start_early("cosim.loop.early_imports") as child,
     ):
         result = run(resolve(scene), folder / "run", formats=(), child=child)
         frame, t = wall_frame(scene, result.signals), np.asarray(result.signals["time"])

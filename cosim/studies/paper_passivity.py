@@ -207,7 +207,7 @@ def _taken(scene: Scene, every_s: float) -> dict[str, Any]:
     """Run a scene; return what its display took up over time, JSON-ready."""
     with (
         scratch_folder("energy") as folder,
-        start_early("cosim.loop.spice.run_spice") as child,
+        start_early("cosim.loop.early_imports") as child,
     ):
         result = run(resolve(scene), folder / "run", formats=(), child=child)
         signals, t = result.signals, np.asarray(result.signals["time"])

@@ -143,7 +143,7 @@ def _ends(scene: Scene, half: float) -> list[float]:
     """Run it; return by how much place [m] and force of the motors [N] differ at the ends of both halves."""
     with (
         scratch_folder("preload") as folder,
-        start_early("cosim.loop.spice.run_spice") as child,
+        start_early("cosim.loop.early_imports") as child,
     ):
         signals = run(resolve(scene), folder / "run", formats=(), child=child).signals
         t = np.asarray(signals["time"])

@@ -138,7 +138,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
             if other is not None and other not in names:
                 fail("no such run", file=str(spec.file), key=f"parameters.runs.{key}", value=other)
     points.expect(len(names))
-    with start_early("cosim.loop.spice.run_spice") as child:
+    with start_early("cosim.loop.early_imports") as child:
         found = {
             one.name: points.get(one.name, lambda one=one: traced(spec, one, given.every_s, child))  # type: ignore[misc]
             for one in given.runs
