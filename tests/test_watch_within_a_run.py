@@ -10,6 +10,7 @@ from support import ROOT, SCENES, Arm, scene_of, shared_child, simulate, slider
 
 from cosim import judgement
 from cosim.plan import resolve
+from cosim.pose import at_start
 from cosim.results import Run
 from cosim.scene import load_scene
 
@@ -65,7 +66,7 @@ def test_a_healthy_board_says_nothing(tmp_path: Path) -> None:
 def test_the_poses_that_a_run_reached_are_judged_too(monkeypatch: pytest.MonkeyPatch) -> None:
     """With the inertia of each pose, by the textbook's arm."""
     plan = resolve(load_scene(SCENES / "press.toml", ["effects.rotor_inertia=false"]))
-    start = judgement.start(plan.scene, judgement.mechanism(plan.scene, 8.0))[0]
+    start = at_start(plan.scene, 8.0).q
     q = start + np.array([[0.0, 0.0], [0.05, 0.0], [0.5, 0.3], [0.2, -0.4]])
     poses = judgement.reached(plan, q)
     assert {tuple(pose) for pose in poses} == {tuple(q[2]), tuple(q[3])}
