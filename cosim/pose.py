@@ -19,6 +19,7 @@ from cosim.circuits.design_constants import DesignConstants
 from cosim.ngspice.child import Child, call
 from cosim.numba_cache import code_folder
 from cosim.scene import Method, PythonOperator, Scene
+from cosim.scene.mechanism import mechanism, operator, start
 
 __all__ = ["Pose", "at_poses", "at_start"]
 
@@ -80,8 +81,6 @@ def at_start(scene: Scene, gear: float) -> Pose:
         key in stored[1] and stored[1][key].shape == shape for key, shape in shapes.items()
     ):
         return Pose(*(stored[1][key] for key in shapes))
-    from cosim.loop.setup import mechanism, start  # compiled code
-
     pose = _about(scene, gear, np.asarray(start(scene, mechanism(scene, gear))[0]))
     store_arrays(name, {}, vars(pose))
     return pose
@@ -108,8 +107,6 @@ def _name(scene: Scene, gear: float) -> str:
 
 
 def _about(scene: Scene, gear: float, q: Array) -> Pose:
-    from cosim.loop.setup import mechanism, operator  # compiled code
-
     linkage = mechanism(scene, gear)
     # a user's operator is loaded where it runs; without its mass the device is lighter, and faster to grow
     person = None if isinstance(scene.operator, PythonOperator) else operator(scene)

@@ -29,7 +29,7 @@ def test_a_start_is_computed_once(empty_cache: Path, monkeypatch: pytest.MonkeyP
 
 @pytest.mark.parametrize(
     "change",
-    ["device.start.elbow=-1", "operator.mass_kg=0.5", "effects.rotor_inertia=false", "wall.normal=[0.0, 1.0]",
+    ["device.start.elbow=-1", "operator.mass_kg=0.5", "effects.rotor_inertia=false", "wall.normal=[1.0, 0.0]",
      "effects.operator_dynamics=false"],
 )  # fmt: skip
 def test_a_change_of_the_scene_is_another_start(empty_cache: Path, change: str) -> None:
