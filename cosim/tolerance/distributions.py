@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 #: Standard deviations within a tolerance, where nothing else is said.
 SIGMAS = 3.0
 
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(400)
+
 Kind = Literal["truncated", "gauss", "uniform", "sorted", "limit", "histogram"]
 
 
@@ -113,6 +115,16 @@ class Shape:
         """The support, or +-tolerance where it has none."""
         low, high = self.support
         return (low if math.isfinite(low) else self.low), (high if math.isfinite(high) else self.high)
+
+    def moments(self) -> tuple[float, float]:
+        """Return mean and standard deviation, by Gauss and Legendre over the inverse."""
+        if self.kind == "gauss":
+            low, high = -self.low / self.sigmas, self.high / self.sigmas
+            mean = (high - low) / math.sqrt(2.0 * math.pi)
+            return mean, math.sqrt(0.5 * (low**2 + high**2) - mean**2)
+        x = self.inverse((_NODES + 1.0) / 2.0)
+        mean = float(_WEIGHTS @ x) / 2.0
+        return mean, math.sqrt(float(_WEIGHTS @ (x - mean) ** 2) / 2.0)
 
     def below(self, deviation: float) -> float:
         """Return the probability of a smaller deviation."""

@@ -83,7 +83,7 @@ def parse(text: str, folder: Path | None = None) -> Stated:
     for place, word in enumerate(_WORD.findall(_tight(bare))):
         name, equals, value = (part.strip() for part in word.partition("="))
         lower = word.lower().rstrip(",")
-        if equals and name.lower() in _KEYS:
+        if equals and name.lower() in _KEYS and "=" not in value:
             if name.lower() in said:
                 raise Wrong(f"{name} is stated twice")
             said[name.lower()] = value.rstrip(",")

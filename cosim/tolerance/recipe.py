@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -48,18 +48,18 @@ class Recipe:
     terms: tuple[Term, ...] = ()
     centre: float | None = None
 
-    def values(self, uniforms: Array) -> Array:
-        """Return its values (n,) for random numbers (n, variables)."""
-        base: Array = np.full(len(uniforms), self.nominal)
+    def values(self, n: int, deviation: Callable[[Term], Array]) -> Array:
+        """Return `n` of its values, where `deviation` tells those of a term."""
+        base: Array = np.full(n, self.nominal)
         if self.words:
-            known = {name: recipe.values(uniforms) for name, recipe in self.names.items()}
-            base = np.asarray(reduce(list(self.words), known), dtype=float) + np.zeros(len(uniforms))
+            known = {name: recipe.values(n, deviation) for name, recipe in self.names.items()}
+            base = np.asarray(reduce(list(self.words), known), dtype=float) + np.zeros(n)
         if not self.terms:
             return base
-        start = base if self.centre is None else np.full(len(uniforms), self.centre)
-        share, amount = np.zeros(len(uniforms)), np.zeros(len(uniforms))
+        start = base if self.centre is None else np.full(n, self.centre)
+        share, amount = np.zeros(n), np.zeros(n)
         for term in self.terms:
-            drawn = term.shape.inverse(uniforms[:, term.variable])
+            drawn = deviation(term)
             if term.shape.relative:
                 share += drawn
             else:

@@ -18,7 +18,7 @@ from cosim.scene.tolerance_table import Tolerance
 from cosim.tolerance.distributions import Shape
 from cosim.tolerance.eseries import preferred
 from cosim.tolerance.grammar import Stated, Wrong, merged, parse
-from cosim.tolerance.placed import Board, Found, Param, Place, value_of
+from cosim.tolerance.netlist_tolerances import Board, Found, Param, Place, value_of
 from cosim.tolerance.recipe import MOST_NEGATIVE, Recipe, Term
 from cosim.tolerance.scene_numbers import Mechanical, numbers
 from cosim.tolerance.varying import Component, Tolerances
@@ -118,7 +118,7 @@ class _Reader:
             where = self._scene_place(f"components.{named[0]}") if named else where
             unit = _UNITS.get(found.kind, "") or _unit(param.comment)
             signed = kind in _ABOUT_ZERO or found.kind in "viegfh"
-            self._take(found.key, recipe, unit, where, not signed)
+            self._take(found.key, recipe, unit, where, not signed, tuple(each.name for each in origin))
         return kind
 
     def _about_percent(self, stated: Stated, kind: str) -> Stated:
@@ -131,7 +131,15 @@ class _Reader:
 
         return Stated(per_cent(stated.own), per_cent(stated.shared), stated.match)
 
-    def _take(self, key: str, recipe: Recipe, unit: str, where: tuple[str, int], positive: bool) -> None:
+    def _take(
+        self,
+        key: str,
+        recipe: Recipe,
+        unit: str,
+        where: tuple[str, int],
+        positive: bool,
+        names: tuple[str, ...],
+    ) -> None:
         if positive and recipe.nominal <= 0.0:
             self._problem(
                 f"{key} = {recipe.nominal:g} {unit} cannot have a tolerance: it is not positive", where
@@ -145,12 +153,11 @@ class _Reader:
                 where,
             )
             return
-        names = list(self._variables)
-        shared = tuple(
-            names[term.variable] for term in recipe.used() if names[term.variable].startswith(_SHARED)
-        )
+        variables = list(self._variables)
+        used = dict.fromkeys(variables[term.variable] for term in recipe.used())
+        shared = tuple(name for name in used if name.startswith(_SHARED))
         self._found[key] = Component(
-            key, recipe.nominal, unit, recipe.text(unit), tuple(dict.fromkeys(shared)), *where, recipe
+            key, recipe.nominal, unit, recipe.text(unit), shared, *where, recipe, names
         )
 
     def _recipe(self, found: Found, param: Param, kind: str) -> Recipe | None:
@@ -229,7 +236,7 @@ class _Reader:
             param = Param(each.path.partition("[")[0], repr(each.value), {}, Place(), stated)
             terms = self._terms(param, Found(key, param, ":", "", ""), key)
             where = self._scene_place(f"components.{name}" if name else each.kind)
-            self._take(key, Recipe(each.value, terms=terms), each.unit, where, True)
+            self._take(key, Recipe(each.value, terms=terms), each.unit, where, True, (each.path,))
         return each.kind
 
     def _of_scene(self, table: Mapping[str, float | str], prefix: str) -> dict[str, Stated]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.tolerance.recipe import Recipe
+from cosim.tolerance.distributions import Shape
+from cosim.tolerance.recipe import Recipe, Term
 
 __all__ = ["Component", "Tolerances"]
 
@@ -33,6 +35,8 @@ class Component:
         Where its tolerance stands.
     recipe
         How its values come about.
+    names
+        Parameters or elements whose tolerance it is.
     """
 
     key: str
@@ -43,6 +47,7 @@ class Component:
     file: str = ""
     line: int = 0
     recipe: Recipe = field(default=Recipe(0.0), repr=False, compare=False)
+    names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -86,10 +91,36 @@ class Tolerances:
         ndarray
             (n, components)
         """
-        found = np.empty((len(uniforms), len(self.components)))
+        return self._values(len(uniforms), lambda term: term.shape.inverse(uniforms[:, term.variable]))
+
+    def in_box(self, points: Array) -> Array:
+        """Return the components' values at points of the box of all deviations.
+
+        Parameters
+        ----------
+        points
+            (n, variables), -1 to 1: from the least to the largest deviation of each variable, 0: none.
+        """
+
+        def deviation(term: Term) -> Array:
+            x, (low, high) = points[:, term.variable], term.shape.box
+            return np.where(x < 0.0, -x * low, x * high)
+
+        return self._values(len(points), deviation)
+
+    def _values(self, n: int, deviation: Callable[[Term], Array]) -> Array:
+        found = np.empty((n, len(self.components)))
         for column, component in enumerate(self.components):
-            found[:, column] = component.recipe.values(uniforms)
+            found[:, column] = component.recipe.values(n, deviation)
         return found
+
+    def shape(self, variable: int) -> Shape:
+        """Return the deviation that a random variable stands for: of the first component that it moves."""
+        for component in self.components:
+            for term in component.recipe.used():
+                if term.variable == variable:
+                    return term.shape
+        raise KeyError(variable)
 
     def members(self, variable: int) -> list[int]:
         """Return the places of the components that a random variable moves."""

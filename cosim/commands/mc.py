@@ -1,0 +1,214 @@
+"""``cosim mc``: measures of many devices built from one design, their yield, and which component to blame."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.commands.command import Command, trust_arguments
+
+if TYPE_CHECKING:
+    from cosim.tolerance.findings import Findings
+    from cosim.tolerance.intervals import Estimate
+    from cosim.tolerance.scene_study import Asked, Prepared
+    from cosim.tolerance.varying import Tolerances
+
+#: Lines of the bill that are printed; the file has all.
+_MOST_LINES = 12
+
+
+def _arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("scene", help="scene file (TOML)")
+    parser.add_argument("-n", "--samples", type=int, default=200, metavar="N", help="devices (default: 200)")
+    parser.add_argument(
+        "--measure", action="append", default=[], metavar="NAME", help="measure of the devices; repeatable"
+    )
+    parser.add_argument(
+        "--spec", action="append", default=[], metavar="TEXT",
+        help='what a device must do to pass: "rendered_stiffness in 95..105", "k_max > 500"; repeatable',
+    )  # fmt: skip
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="change a value for all; repeatable"
+    )
+    parser.add_argument("--model", metavar="NAME", help="circuit model instead of the effects' choice")
+    parser.add_argument("--seed", type=int, metavar="S", help="of the draws (default: the scene's)")
+    parser.add_argument(
+        "--sampling", choices=("plain", "lhs", "sobol"), default="plain",
+        help="plain (default), Latin hypercubes or scrambled Sobol points, 16 randomisations of either",
+    )  # fmt: skip
+    parser.add_argument(
+        "--until", default="", metavar="TEXT",
+        help='instead of -n: "yield +- 0.5%%" or "k_max +- 5 N/m"; the number follows from a discarded pilot',
+    )  # fmt: skip
+    parser.add_argument(
+        "--yield", dest="wanted", metavar="P", help="yield that the bill's loosest tolerances must keep: 99%%"
+    )
+    parser.add_argument("--worst-case", action="store_true", help="search the worst device within all limits")
+    parser.add_argument("--list", action="store_true", help="print what varies, and draw nothing")
+    parser.add_argument("--sample", type=int, metavar="I", help="measure sample I of the study alone")
+    trust_arguments(parser)
+    parser.add_argument(
+        "-o", "--out", metavar="FOLDER", help="folder for tables, record and page (default: out/mc)"
+    )
+
+
+def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    from cosim.caution import collected
+    from cosim.commands.progress import progress
+    from cosim.tolerance.scene_study import check_folder, monte_carlo, prepare
+    from cosim.tolerance.spec import parse_specs
+
+    prepared = prepare(_asked(args, parse_specs(args.spec)))
+    if args.list:
+        return _listed(prepared.tolerances)
+    if args.sample is not None:
+        return _one(prepared, args.sample)
+    out = Path(args.out) if args.out else Path("out/mc")
+    digest = prepared.digest()
+    check_folder(out, digest)
+    with collected() as cautions, progress("mc") as show:
+        found = monte_carlo(prepared, show)
+    from reports.monte_carlo import write_monte_carlo
+
+    page = write_monte_carlo(found, out, replay(args), digest, cautions)
+    result = found.as_dict() | {"page": str(page)}
+    return result, "\n".join([*_text(found), f"wrote {page}"])
+
+
+def _asked(args: argparse.Namespace, specs: tuple[Any, ...]) -> "Asked":
+    from cosim.errors import fail
+    from cosim.ngspice.lines import number
+    from cosim.tolerance.scene_study import Asked
+    from cosim.variants import overrides
+
+    wanted = None
+    if args.wanted is not None:
+        share = number(args.wanted.strip().removesuffix("%"))
+        if share is None or not args.wanted.strip().endswith("%"):
+            fail("is no yield", key="--yield", value=args.wanted, allowed="per cent, such as 99%")
+        wanted = share / 100.0
+    forced = (f"solver.model={args.model}",) if args.model else ()
+    return Asked(
+        args.scene, (*forced, *overrides(args.set)), tuple(args.measure), specs, args.samples, args.sampling,
+        args.seed, args.until, wanted, args.worst_case, args.trust,
+    )  # fmt: skip
+
+
+def replay(args: argparse.Namespace) -> str:
+    """Return the command that measures one sample again, without its number."""
+    import shlex
+
+    words = ["cosim", "mc", args.scene]
+    words += [word for text in args.set for word in ("--set", text)]
+    words += [word for name in args.measure for word in ("--measure", name)]
+    words += [word for text in args.spec for word in ("--spec", text)]
+    words += ["--model", args.model] if args.model else []
+    words += ["--seed", str(args.seed)] if args.seed is not None else []
+    words += ["--sampling", args.sampling, "-n", str(args.samples)] if args.sampling != "plain" else []
+    return f"{shlex.join(words)} --sample"
+
+
+def _listed(found: "Tolerances") -> tuple[dict[str, Any], str]:
+    from cosim.tolerance.findings import CONVENTION, component_rows
+
+    rows = component_rows(found)
+    table = _aligned([["component", "nominal", "distribution", "shared draws", "stated in"], *_cells(found)])
+    count = f"{len(found.components)} components, {len(found.variables)} independent random variables"
+    return {"components": rows, "variables": list(found.variables)}, "\n".join([*table, count, CONVENTION])
+
+
+def _cells(found: "Tolerances") -> list[list[str]]:
+    from cosim.units import quantity
+
+    return [
+        [
+            each.key,
+            quantity(each.nominal, each.unit, 4),
+            each.distribution,
+            " ".join(each.lots),
+            f"{each.file}:{each.line}" if each.line else each.file,
+        ]
+        for each in found.components
+    ]
+
+
+def _one(prepared: "Prepared", number: int) -> tuple[dict[str, Any], str]:
+    from cosim.catalogue import UNITS
+    from cosim.errors import SimulationError
+    from cosim.tolerance.scene_study import one_sample
+    from cosim.units import quantity
+
+    study, values = one_sample(prepared, number)
+    if study.failures:
+        raise SimulationError(f"sample {number}: {study.failures[number]}")
+    components = prepared.tolerances.components
+    rows = [
+        [each.key, quantity(value, each.unit, 6), f"nominal {quantity(each.nominal, each.unit, 6)}"]
+        for each, value in zip(components, values, strict=True)
+    ]
+    measures = dict(zip(study.names, map(float, study.nominal), strict=True))
+    lines = [f"{name}: {quantity(value, UNITS.get(name, ''), 6)}" for name, value in measures.items()]
+    keyed = dict(zip(prepared.tolerances.keys, map(float, values), strict=True))
+    return {"sample": number, "values": keyed, "measures": measures}, "\n".join([*_aligned(rows), *lines])
+
+
+def _text(found: "Findings") -> list[str]:
+    from cosim.catalogue import UNITS
+    from cosim.tolerance.bill import grade_text
+    from cosim.units import quantity
+
+    study = found.study
+    how = study.sampling
+    lines = [f"{how.n} devices, {how.method} sampling, seed {how.seed}, model {study.model}"]
+    rows = [["measure", "nominal", "mean", "standard deviation", "1 % below", "1 % above"]]
+    for name, each in found.summaries.items():
+        unit = UNITS.get(name, "")
+        told = (each.mean, each.spread, each.quantiles[0.01], each.quantiles[0.99])
+        rows.append([name, quantity(each.nominal, unit, 5), *(_with_interval(one, unit) for one in told)])
+    lines += _aligned(rows)
+    lines += [f"yield, {text}: {_percent(share)}" for text, share in found.yields.items()]
+    for name, corner in found.corners.items():
+        unit = UNITS.get(name, "")
+        low, high = quantity(corner.low, unit, 5), quantity(corner.high, unit, 5)
+        outside = f"; {corner.outside} samples lie outside the limits" if corner.outside else ""
+        lines.append(f"worst case, {name}: {low} to {high} ({corner.evaluations} devices looked at{outside})")
+    if found.bill and found.surfaces:
+        names = list(found.surfaces)
+        table = [["component", "tolerance", *(f"share of {n}" for n in names), "loosest", "better", "adds"]]
+        for line in found.bill[:_MOST_LINES]:
+            table.append(
+                [
+                    line.name, line.tolerance, *(_percent(line.share[n]) for n in names),
+                    grade_text(line.loosest), grade_text(line.better),
+                    "-" if line.gain is None else _percent(line.gain),
+                ]
+            )  # fmt: skip
+        lines += ["", *_aligned(table)]
+        lines += [
+            f"R^2 of samples that were not fitted, {n}: {s.held_out:.5g}" for n, s in found.surfaces.items()
+        ]
+    return [*lines, *found.notes]
+
+
+def _with_interval(of: "Estimate", unit: str) -> str:
+    from cosim.units import quantity
+
+    low, high = (quantity(end, unit, 4) for end in (of.low, of.high))
+    return f"{quantity(of.value, unit, 5)} ({low} to {high})"
+
+
+def _percent(of: "Estimate") -> str:
+    return f"{100 * of.value:.4g} % ({100 * of.low:.4g} to {100 * of.high:.4g})"
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+
+
+COMMAND = Command(
+    "mc",
+    "Monte Carlo over the tolerances: distributions, yield, worst case, and which component to blame",
+    _arguments,
+    _run,
+)

@@ -1,0 +1,235 @@
+"""What a Monte Carlo study tells, ready for table, file and page."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.catalogue import UNITS
+from cosim.tolerance.bill import Line, bill, grade_text
+from cosim.tolerance.corner_search import Corner
+from cosim.tolerance.distributions import SIGMAS
+from cosim.tolerance.intervals import CONFIDENCE, Estimate
+from cosim.tolerance.monte_carlo import Study, Summary, passed, summary, worst, yields
+from cosim.tolerance.sensitivity import GOOD, Surface, fit_surface
+from cosim.tolerance.spec import Spec
+from cosim.tolerance.varying import Tolerances
+from cosim.units import heading
+
+__all__ = ["CONVENTION", "Findings", "component_rows", "components_csv", "find"]
+
+#: Conventions disagree between tools: ours is told wherever tolerances are shown.
+CONVENTION = (
+    f"A tolerance is a Gaussian with sigma = tol/{SIGMAS:g}, cut off at +-tol, where nothing else is said; "
+    "agauss and gauss are not cut, as in ngspice. Each placed component draws its own value. Intervals hold "
+    f"with {100 * CONFIDENCE:g} %."
+)
+
+
+@dataclass(frozen=True)
+class Findings:
+    """A study with all that is said about it.
+
+    Attributes
+    ----------
+    study, specs
+        What was measured, and what devices must be.
+    summaries, surfaces, corners
+        By measure; a surface only where there are samples enough.
+    yields
+        By specification.
+    bill
+        What each random variable costs.
+    wanted
+        Yield that the bill's loosest tolerances keep; the present one where it is None.
+    """
+
+    study: Study
+    specs: tuple[Spec, ...]
+    summaries: Mapping[str, Summary]
+    yields: Mapping[str, Estimate]
+    surfaces: Mapping[str, Surface]
+    bill: tuple[Line, ...]
+    wanted: float | None = None
+    corners: Mapping[str, Corner] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def correlation(self) -> NDArray[np.float64]:
+        """Return the correlation of the measures (measures, measures)."""
+        known = np.isfinite(self.study.results).all(axis=1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.atleast_2d(np.corrcoef(self.study.results[known], rowvar=False))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all numbers, JSON-ready; infinite ends of intervals are None."""
+        study = self.study
+        return {
+            "model": study.model,
+            "sampling": study.sampling.as_dict(),
+            "seconds": study.seconds,
+            "convention": CONVENTION,
+            "components": component_rows(study.tolerances),
+            "variables": list(study.tolerances.variables),
+            "measures": {name: _summary(each) for name, each in self.summaries.items()},
+            "specs": [
+                {"measure": s.measure, "low": _finite(s.low), "high": _finite(s.high)} for s in self.specs
+            ],
+            "yields": {text: _estimate(each) for text, each in self.yields.items()},
+            "failures": {str(k): why for k, why in study.failures.items()},
+            "surfaces": {name: _surface(each) for name, each in self.surfaces.items()},
+            "bill": [_line(line) for line in self.bill],
+            "worst_case": {name: asdict(corner) for name, corner in self.corners.items()},
+            "worst": {name: worst(study, name) for name in study.names},
+            "notes": list(self.notes),
+        }
+
+    def samples_csv(self) -> str:
+        """Return all samples: measures, and whether they pass."""
+        columns = ["sample", *(heading(name, UNITS.get(name, "")) for name in self.study.names), "pass"]
+        verdict = passed(self.study, self.specs)
+        rows = [
+            [k, *("" if math.isnan(v) else repr(float(v)) for v in row), int(verdict[k])]
+            for k, row in enumerate(self.study.results)
+        ]
+        return _csv(columns, rows)
+
+    def bill_csv(self) -> str:
+        """Return the tolerance bill, one row a random variable."""
+        names = list(self.surfaces)
+        columns = [
+            "component", "tolerance", *(f"share of variance of {n}" for n in names),
+            *(f"interval of it, {n}" for n in names), *(f"change of {n} by 1 %" for n in names),
+            "loosest tolerance", "next better", "yield it adds", "interval of it",
+        ]  # fmt: skip
+        rows = [
+            [
+                line.name, line.tolerance, *(line.share[n].value for n in names),
+                *(f"{line.share[n].low:.6g} to {line.share[n].high:.6g}" for n in names),
+                *(line.slope[n] for n in names), grade_text(line.loosest), grade_text(line.better),
+                "" if line.gain is None else line.gain.value,
+                "" if line.gain is None else f"{line.gain.low:.6g} to {line.gain.high:.6g}",
+            ]
+            for line in self.bill
+        ]  # fmt: skip
+        return _csv(columns, rows)
+
+
+def find(
+    study: Study,
+    specs: Sequence[Spec],
+    *,
+    wanted: float | None = None,
+    corners: Mapping[str, Corner] | None = None,
+    notes: Sequence[str] = (),
+) -> Findings:
+    """Work a study out.
+
+    Raises
+    ------
+    InputError
+        Where fewer than two samples have a measure.
+    """
+    summaries = {name: summary(study, name) for name in study.names}
+    fitted = {name: fit_surface(study, name) for name in study.names}
+    surfaces = {name: surface for name, surface in fitted.items() if surface is not None}
+    said = [*notes]
+    for name, surface in fitted.items():
+        if surface is None:
+            count = len(study.tolerances.variables)
+            said.append(
+                f"{name}: no sensitivities; {count} random variables need at least {count + 12} samples, and "
+                "a measure that changes"
+            )
+        elif surface.held_out < GOOD:
+            said.append(
+                f"{name}: the fitted surface explains R^2 = {surface.held_out:.4g} of samples that it was "
+                f"not fitted to, less than {GOOD:g}: shares and bill are rough; more samples help"
+            )
+    return Findings(
+        study, tuple(specs), summaries, yields(study, specs), surfaces,
+        tuple(bill(study, surfaces, specs, wanted)), wanted, dict(corners or {}), tuple(said),
+    )  # fmt: skip
+
+
+def components_csv(tolerances: Tolerances) -> str:
+    """Return what varies, one row a component."""
+    return _csv(list(_COLUMNS), [list(row.values()) for row in component_rows(tolerances)])
+
+
+def component_rows(tolerances: Tolerances) -> list[dict[str, Any]]:
+    """Return what varies, JSON-ready."""
+    return [_component(each) for each in tolerances.components]
+
+
+_COLUMNS = ("key", "nominal", "unit", "distribution", "lots", "file", "line")
+
+
+def _component(component: Any) -> dict[str, Any]:
+    return {
+        "key": component.key,
+        "nominal": component.nominal,
+        "unit": component.unit,
+        "distribution": component.distribution,
+        "lots": " ".join(component.lots),
+        "file": component.file,
+        "line": component.line,
+    }
+
+
+def _summary(of: Summary) -> dict[str, Any]:
+    return {
+        "nominal": of.nominal,
+        "unit": UNITS.get(of.name, ""),
+        "mean": _estimate(of.mean),
+        "standard_deviation": _estimate(of.spread),
+        "quantiles": {f"{share:g}": _estimate(each) for share, each in of.quantiles.items()},
+        "least": of.least,
+        "largest": of.largest,
+        "lacking": of.lacking,
+    }
+
+
+def _estimate(of: Estimate) -> dict[str, Any]:
+    return {"value": _finite(of.value), "low": _finite(of.low), "high": _finite(of.high), "how": of.how}
+
+
+def _surface(of: Surface) -> dict[str, Any]:
+    return {
+        "held_out_r2": _finite(of.held_out),
+        "mean": of.mean,
+        "linear": dict(zip(of.names, map(float, of.linear), strict=True)),
+        "second": [
+            [of.names[a], of.names[b], float(c)] for (a, b), c in zip(of.terms, of.second, strict=True)
+        ],
+    }
+
+
+def _line(line: Line) -> dict[str, Any]:
+    return {
+        "name": line.name,
+        "tolerance": line.tolerance,
+        "share": {name: _estimate(each) for name, each in line.share.items()},
+        "slope": dict(line.slope),
+        "loosest": line.loosest,
+        "better": line.better,
+        "gain": None if line.gain is None else _estimate(line.gain),
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _csv(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(head)
+    writer.writerows(rows)
+    return stream.getvalue()

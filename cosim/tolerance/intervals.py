@@ -1,0 +1,135 @@
+"""Estimates with the interval that the way of sampling allows.
+
+Plain samples of a fixed number: Student's t for the mean, the delta method for the standard deviation, order
+statistics for quantiles, Clopper and Pearson for a yield. Latin hypercubes and Sobol sequences: Student's t
+over their independent randomisations.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from cosim.tolerance.sampling import Sampling
+
+__all__ = ["CONFIDENCE", "Estimate", "clopper_pearson", "mean", "quantile", "share", "spread"]
+
+Array = NDArray[np.float64]
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number and its interval of `CONFIDENCE`; `how` it was made."""
+
+    value: float
+    low: float
+    high: float
+    how: str
+
+    @property
+    def half(self) -> float:
+        """Half the interval's width."""
+        return 0.5 * (self.high - self.low)
+
+
+def clopper_pearson(hits: int, n: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """Return the exact interval of a share."""
+    alpha = 0.5 * (1.0 - confidence)
+    low = float(stats.beta.ppf(alpha, hits, n - hits + 1)) if hits > 0 else 0.0
+    high = float(stats.beta.ppf(1.0 - alpha, hits + 1, n - hits)) if hits < n else 1.0
+    return low, high
+
+
+def mean(values: Array, how: Sampling) -> Estimate:
+    """Return the mean of a measure; `values` (n,) without NaN."""
+    if how.replicates > 1:
+        return _replicated(values, how, np.mean)
+    error = (
+        _t(len(values) - 1) * float(np.std(values, ddof=1)) / math.sqrt(len(values))
+        if len(values) > 1
+        else math.inf
+    )
+    middle = float(np.mean(values))
+    return Estimate(middle, middle - error, middle + error, "Student t")
+
+
+def spread(values: Array, how: Sampling) -> Estimate:
+    """Return the standard deviation.
+
+    Its variance follows from the fourth moment, whatever the distribution; for few samples or long tails
+    the interval is too narrow.
+    """
+
+    def deviation(of: Array) -> float:
+        return float(np.std(of, ddof=1))
+
+    if how.replicates > 1:
+        return _replicated(values, how, deviation, at_least=0.0)
+    n, sigma = len(values), deviation(values) if len(values) > 1 else math.nan
+    if n < 4 or sigma == 0.0:
+        return Estimate(sigma, 0.0 if n < 4 else sigma, math.inf if n < 4 else sigma, "delta method")
+    kurtosis = float(np.mean((values - np.mean(values)) ** 4)) / sigma**4
+    relative = 0.5 * math.sqrt(max(kurtosis - (n - 3) / (n - 1), 0.0) / n)
+    factor = math.exp(_t(n - 1) * relative)
+    return Estimate(sigma, sigma / factor, sigma * factor, "delta method")
+
+
+def quantile(values: Array, share_below: float, how: Sampling) -> Estimate:
+    """Return the value below which a share lies.
+
+    Of plain samples the interval is between order statistics, valid for any distribution: infinite on a side
+    where there are too few samples.
+    """
+
+    def at(of: Array) -> float:
+        return float(np.quantile(of, share_below, method="median_unbiased"))
+
+    if how.replicates > 1:
+        return _replicated(values, how, at)
+    ordered, n = np.sort(values), len(values)
+    alpha = 0.5 * (1.0 - CONFIDENCE)
+    # P(x_(k) <= quantile) = P(binomial(n, share) >= k): the largest k below, the least k above
+    low = int(stats.binom.ppf(alpha, n, share_below))
+    high = int(stats.binom.ppf(1.0 - alpha, n, share_below)) + 1
+    return Estimate(
+        at(values),
+        float(ordered[low - 1]) if low >= 1 else -math.inf,
+        float(ordered[high - 1]) if high <= n else math.inf,
+        "order statistics",
+    )
+
+
+def share(passed: NDArray[np.bool_], how: Sampling) -> Estimate:
+    """Return the share of samples that pass."""
+    hits, n = int(np.sum(passed)), len(passed)
+    exact = clopper_pearson(hits, n)
+    if how.replicates == 1:
+        return Estimate(hits / n, *exact, "Clopper-Pearson")
+    found = _replicated(passed.astype(float), how, np.mean)
+    if found.half == 0.0:  # all randomisations agree: their scatter tells nothing of what none has met
+        return Estimate(found.value, *exact, "Clopper-Pearson, the randomisations being equal")
+    return Estimate(found.value, max(found.low, 0.0), min(found.high, 1.0), found.how)
+
+
+def _replicated(
+    values: Array, how: Sampling, of: Callable[[Array], float], at_least: float = -math.inf
+) -> Estimate:
+    """Return an estimate from all samples, and its error by leaving one randomisation out after the other."""
+    r = how.replicates
+    whole = float(of(values))
+    groups = np.array_split(np.arange(len(values)), r)
+    without = [float(of(np.delete(values, group))) for group in groups]
+    pseudo = r * whole - (r - 1) * np.array(without)
+    middle = float(np.mean(pseudo))
+    error = _t(r - 1) * float(np.std(pseudo, ddof=1)) / math.sqrt(r)
+    return Estimate(middle, max(middle - error, at_least), middle + error, f"Student t, {r} randomisations")
+
+
+def _t(freedom: int) -> float:
+    return float(stats.t.ppf(0.5 * (1.0 + CONFIDENCE), freedom))

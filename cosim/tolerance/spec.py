@@ -1,0 +1,100 @@
+"""Specifications: what a measure must be for a device to pass."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.catalogue import NAMES, UNITS
+from cosim.errors import InputError, Problem, nearest
+from cosim.ngspice.lines import number
+
+__all__ = ["Spec", "parse_specs"]
+
+_FORM = re.compile(r"\s*(\w+)\s*(in|<=|>=|<|>)\s*(.+?)\s*")
+_ALLOWED = '"NAME in 95..105", "NAME > 500", "NAME <= 0.05 N"'
+
+
+@dataclass(frozen=True)
+class Spec:
+    """Limits of a measure in its unit; infinite where it has none."""
+
+    measure: str
+    low: float = -math.inf
+    high: float = math.inf
+
+    def passed(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return which values pass; what could not be measured does not."""
+        return np.asarray((values >= self.low) & (values <= self.high))
+
+    @property
+    def text(self) -> str:
+        """As it is written."""
+        unit = f" {UNITS[self.measure]}".rstrip()
+        if math.isinf(self.low):
+            return f"{self.measure} <= {self.high:g}{unit}"
+        if math.isinf(self.high):
+            return f"{self.measure} >= {self.low:g}{unit}"
+        return f"{self.measure} in {self.low:g}..{self.high:g}{unit}"
+
+
+def parse_specs(texts: Iterable[str]) -> tuple[Spec, ...]:
+    """Read ``--spec``: ``rendered_stiffness in 95..105``, ``k_max > 500``; several of a measure meet.
+
+    Raises
+    ------
+    InputError
+        With all that is wrong: form, measure, unit, an empty range.
+    """
+    found: dict[str, Spec] = {}
+    problems = []
+    for text in texts:
+        made = _parsed(text)
+        if isinstance(made, Problem):
+            problems.append(made)
+            continue
+        old = found.get(made.measure, Spec(made.measure))
+        both = Spec(made.measure, max(old.low, made.low), min(old.high, made.high))
+        if both.low >= both.high:
+            problems.append(Problem("is an empty range: nothing can pass", key="--spec", value=text))
+        found[made.measure] = both
+    if problems:
+        raise InputError(problems)
+    return tuple(found.values())
+
+
+def _parsed(text: str) -> Spec | Problem:
+    match = _FORM.fullmatch(text)
+    if match is None:
+        return Problem("is no specification", key="--spec", value=text, allowed=_ALLOWED)
+    name, sign, written = match[1], match[2], match[3]
+    if name not in NAMES:
+        near = nearest(name, NAMES)
+        said = "no such measure" + (f"; nearest is {near}" if near else "")
+        return Problem(said, key="--spec", value=text, allowed=", ".join(NAMES))
+    unit = UNITS[name]
+    if unit and written.endswith(unit):
+        written = written.removesuffix(unit).strip()
+    ends = [_number(part) for part in (written.split("..") if sign == "in" else [written])]
+    if len(ends) != (2 if sign == "in" else 1) or any(end is None for end in ends):
+        return Problem("is no specification", key="--spec", value=text, unit=unit or None, allowed=_ALLOWED)
+    low, high = ends[0], ends[-1]
+    assert low is not None
+    assert high is not None
+    if sign == "in":
+        return Spec(name, low, high)
+    return Spec(name, low=low) if sign.startswith(">") else Spec(name, high=high)
+
+
+def _number(text: str) -> float | None:
+    """Return a number, with SPICE's scale (0.5k) but no unit: 5m is 5 milli, not metres."""
+    return (
+        number(text)
+        if re.fullmatch(r"[-+]?[\d.]+(e[-+]?\d+)?(meg|[tgkmunpf])?", text.strip(), re.I)
+        else None
+    )

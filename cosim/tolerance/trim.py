@@ -1,0 +1,121 @@
+"""Trimming: a resistor of each device is set until a measure is what it should be, as production would."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.catalogue import NAMES, UNITS
+from cosim.errors import InputError, Problem, nearest
+from cosim.ngspice.lines import number
+from cosim.scene import Scene
+from cosim.tolerance.monte_carlo import Measurer
+
+__all__ = ["Trim", "Trimmed", "trims"]
+
+Array = NDArray[np.float64]
+_FORM = re.compile(r"(\w+)\s+to\s+(\S+)\s*(.*)")
+#: Settings are looked for within this ratio of the nominal value.
+_RANGE = 3.0
+#: A device is trimmed when its measure is within this share of the target.
+_CLOSE = 1e-4
+_ROUNDS = 8
+
+
+@dataclass(frozen=True)
+class Trim:
+    """A resistor, and what is set with it: `measure` to `target`, in its unit."""
+
+    resistor: str
+    measure: str
+    target: float
+
+
+def trims(scene: Scene) -> tuple[Trim, ...]:
+    """Return what ``[tolerance] trim`` asks for.
+
+    Raises
+    ------
+    InputError
+        For what is not ``"NAME to VALUE UNIT"``, an unknown measure, a wrong unit.
+    """
+    found, problems = [], []
+    for name, text in scene.tolerance.trim.items():
+        match = _FORM.fullmatch(text.strip())
+        value = number(match[2]) if match else None
+        said, allowed = "", '"rendered_stiffness to 100 N/m"'
+        if match is None or value is None or value == 0.0:
+            said = "is no trim"
+        elif match[1] not in NAMES:
+            near = nearest(match[1], NAMES)
+            said, allowed = "no such measure" + (f"; nearest is {near}" if near else ""), ", ".join(NAMES)
+        elif match[3] and match[3] != UNITS[match[1]]:
+            said, allowed = "is not the measure's unit", UNITS[match[1]] or "no unit"
+        if said:
+            file = str(scene.file) if scene.file else None
+            problems.append(Problem(said, file, f"tolerance.trim.{name}", text, allowed=allowed))
+        elif match is not None and value is not None:
+            found.append(Trim(name.lower(), match[1], value))
+    if problems:
+        raise InputError(problems)
+    return tuple(found)
+
+
+class Trimmed:
+    """Measures devices after each of them was trimmed.
+
+    Parameters
+    ----------
+    batch
+        Measures devices; its keys are those of `columns` and others.
+    names
+        Its measures.
+    trim
+        What is set.
+    columns
+        Places of the resistor's keys among the columns of the values: they are set together, by one ratio.
+    """
+
+    def __init__(self, batch: Measurer, names: tuple[str, ...], trim: Trim, columns: tuple[int, ...]) -> None:
+        self._batch, self._trim, self._columns = batch, trim, columns
+        self._place = names.index(trim.measure)
+        self.failures: Mapping[int, str] = {}
+
+    def measures(self, values: Array) -> Array:
+        """Return the measures after trimming; a device that cannot be trimmed has failed.
+
+        The logarithm of the ratio is found by the secant method, all devices together.
+        """
+        n = len(values)
+        old, new = np.zeros(n), np.full(n, 0.02)
+        found = self._at(values, old)
+        failures = dict(self._batch.failures)
+        left_old = found[:, self._place] / self._trim.target - 1.0
+        best, best_left, best_rows = old.copy(), left_old.copy(), found.copy()
+        for _ in range(_ROUNDS):
+            found = self._at(values, new)
+            left = found[:, self._place] / self._trim.target - 1.0
+            better = ~(np.abs(left) >= np.abs(best_left))
+            best[better], best_left[better], best_rows[better] = new[better], left[better], found[better]
+            if not np.any(np.abs(best_left) > 0.01 * _CLOSE):
+                break
+            slope = (left - left_old) / np.where(new == old, 1.0, new - old)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                step = np.where(slope != 0.0, -left / slope, 0.0)
+            old, left_old = new, left
+            new = np.clip(new + np.nan_to_num(step), -np.log(_RANGE), np.log(_RANGE))
+        for k in np.flatnonzero(~(np.abs(best_left) <= _CLOSE)):
+            said = f"{self._trim.resistor} does not bring {self._trim.measure} to {self._trim.target:g}"
+            failures.setdefault(int(k), said)
+            best_rows[k] = np.nan
+        self.failures = failures
+        return best_rows
+
+    def _at(self, values: Array, ratio: Array) -> Array:
+        moved = values.copy()
+        moved[:, list(self._columns)] *= np.exp(ratio)[:, None]
+        return self._batch.measures(moved)

@@ -1,0 +1,310 @@
+"""A Monte Carlo study as a page: distributions, who is to blame, the worst devices, and what to buy."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from cosim.catalogue import UNITS
+from cosim.caution import Caution, grouped
+from cosim.results import json_text
+from cosim.tolerance.bill import grade_text
+from cosim.tolerance.findings import CONVENTION, components_csv
+from cosim.tolerance.monte_carlo import worst
+from cosim.tolerance.scene_study import RECORD
+from cosim.tolerance.sensitivity import deviations
+from cosim.units import heading, quantity
+from reports.page import Picture, picture, render, write_page
+from reports.style import FAINT, FORCE, INK, JOINTS, LIMIT, Drawn, figure, legend, look
+
+if TYPE_CHECKING:
+    from cosim.tolerance.findings import Findings
+    from cosim.tolerance.intervals import Estimate
+
+Array = NDArray[np.float64]
+#: Bars of the tornado, points of a scatter, rows of tables.
+_BARS, _POINTS, _ROWS, _WORST = 15, 4000, 40, 5
+
+
+@dataclass(frozen=True)
+class _Table:
+    title: str
+    head: list[str]
+    rows: list[list[str]]
+    note: str = ""
+    file: str = ""
+    numbers: set[int] = field(default_factory=set)
+
+
+@dataclass(frozen=True)
+class _Section:
+    name: str
+    title: str
+    notes: tuple[str, ...]
+    pictures: list[Picture]
+    tables: list[_Table]
+    price: str = ""
+    judges: tuple[()] = ()
+
+
+def write_monte_carlo(
+    found: "Findings", out: Path, replay: str, digest: str, cautions: Sequence[Caution] = ()
+) -> Path:
+    """Write ``report.html`` with its figures, ``mc.json``, and tables of samples, components and bill.
+
+    Parameters
+    ----------
+    found
+        What the study tells.
+    out
+        Folder; made when it is absent.
+    replay
+        Command that measures one sample, without its number.
+    digest
+        What the samples depend on, kept in the record.
+    cautions
+        For the head of the page.
+
+    Raises
+    ------
+    InputError
+        The folder cannot be written.
+    """
+    with look():
+        sections = [_overview(found), *(_measure(found, name, replay) for name in found.study.names)]
+        sections += [_bill(found)] if found.bill else []
+    html = render(
+        "study.html.j2", title="Tolerances: what the built devices do",
+        command=replay.removesuffix(" --sample"),
+        summary=[*_sentences(found), CONVENTION], sections=sections, claims=[], warnings=grouped(cautions),
+    )  # fmt: skip
+    files = {
+        "samples.csv": found.samples_csv(),
+        "components.csv": components_csv(found.study.tolerances),
+        "bill.csv": found.bill_csv(),
+        RECORD: json_text({"digest": digest, "replay": replay, **found.as_dict()}) + "\n",
+    }
+    return write_page(out, html, [each for section in sections for each in section.pictures], files)
+
+
+def _sentences(found: "Findings") -> list[str]:
+    study = found.study
+    how = study.sampling
+    kind = {"plain": "plain samples", "lhs": "Latin hypercubes", "sobol": "scrambled Sobol points"}
+    said = [
+        f"{how.n} devices ({kind[how.method]}, seed {how.seed}) with {len(study.tolerances.components)} "
+        f"varying components, measured on the model {study.model} in {study.seconds:.3g} s."
+    ]
+    for text, each in found.yields.items():
+        what = "All specifications are met" if text == "all" else f"{text} holds"
+        said.append(f"{what} for {_percent(each)} of the devices ({each.how}).")
+    return [*said, *found.notes]
+
+
+def _overview(found: "Findings") -> _Section:
+    study = found.study
+    rows = []
+    for name, each in found.summaries.items():
+        unit = UNITS.get(name, "")
+        ends = [_value(each.quantiles[share], unit) for share in (0.01, 0.5, 0.99)]
+        rows.append(
+            [name, quantity(each.nominal, unit, 5), _value(each.mean, unit), _value(each.spread, unit), *ends]
+        )
+    how = next(iter(found.summaries.values())).mean.how
+    tables = [
+        _Table(
+            "What the devices do",
+            ["measure", "nominal", "mean", "standard deviation", "1 % are below", "median", "1 % are above"],
+            rows,
+            f"In parentheses the interval that holds with 95 %: mean by {how}, quantiles by "
+            f"{next(iter(found.summaries.values())).quantiles[0.5].how}.",
+            "samples.csv",
+        )
+    ]
+    if found.corners:
+        rows = []
+        for name, corner in found.corners.items():
+            unit = UNITS.get(name, "")
+            rows.append([name, quantity(corner.low, unit, 5), quantity(corner.high, unit, 5),
+                         str(corner.evaluations), str(corner.outside)])  # fmt: skip
+        note = "No sample inside the limits lies beyond; those outside them are counted in the last column."
+        head = ["measure", "least", "largest", "devices looked at", "samples outside the limits"]
+        tables.append(_Table("Worst case within all limits", head, rows, note))
+    pictures = []
+    if len(study.names) > 1:
+        pictures.append(picture("correlation", "Correlation of the measures", _correlation(found)))
+    return _Section("overview", "What the batch does", (), pictures, tables)
+
+
+def _measure(found: "Findings", name: str, replay: str) -> _Section:
+    study, unit = found.study, UNITS.get(name, "")
+    column = study.column(name)
+    column = column[np.isfinite(column)]
+    title = name.replace("_", " ").capitalize()
+    pictures = [picture(f"{name}_distribution", "Distribution", _distribution(found, name, column))]
+    pictures.append(picture(f"{name}_estimate", "Estimate against samples", _estimates(found, name, column)))
+    if name in found.surfaces:
+        pictures.append(picture(f"{name}_tornado", "Who is to blame", _tornado(found, name)))
+        pictures.append(picture(f"{name}_scatter", "Leading components", _scatter(found, name)))
+    rows = [[str(k), quantity(value, unit, 5), f"{replay} {k}"] for k, value in worst(study, name, _WORST)]
+    note = "Farthest from the nominal device; the command measures the same device again, alone."
+    table = _Table("Worst samples", ["sample", name, "replay"], rows, note, "samples.csv")
+    return _Section(name, title, (), pictures, [table])
+
+
+def _distribution(found: "Findings", name: str, column: Array) -> Drawn:
+    drawing, grid = figure(3.4, columns=2)
+    bars, normal = grid[0]
+    summary = found.summaries[name]
+    axis = heading(name.replace("_", " "), UNITS.get(name, ""))
+    bars.hist(column, bins=min(60, max(10, int(2 * len(column) ** (1 / 3)))), color=FORCE, alpha=0.55)
+    bars.axvline(summary.nominal, color=INK, linestyle="--", label="nominal")
+    bars.axvline(summary.mean.value, color=JOINTS[1], label="mean")
+    _limits(found, name, bars.axvline)
+    bars.set_xlabel(axis)
+    bars.set_ylabel("devices")
+    legend(bars, columns=3)
+    ordered = np.sort(column)
+    at = stats.norm.ppf((np.arange(1, len(ordered) + 1) - 0.375) / (len(ordered) + 0.25))
+    normal.plot(at, ordered, ".", color=FORCE, markersize=3.0, label="samples")
+    ends = np.array([at[0], at[-1]])
+    normal.plot(
+        ends,
+        summary.mean.value + summary.spread.value * ends,
+        color=FAINT,
+        label="Gaussian of that mean and sd",
+    )
+    _limits(found, name, normal.axhline)
+    normal.set_xlabel("standard deviations of a Gaussian")
+    normal.set_ylabel(axis)
+    caption = (
+        "Left: how often; right: the same against a Gaussian, where points on the line are one and bent "
+        "ends are heavier or cut tails."
+    )
+    return Drawn(drawing, caption)
+
+
+def _limits(found: "Findings", name: str, line: object) -> None:
+    label = "specification"
+    for spec in found.specs:
+        for end in (spec.low, spec.high):
+            if spec.measure == name and math.isfinite(end):
+                line(end, color=LIMIT, linewidth=1.0, label=label)  # type: ignore[operator]
+                label = "_"
+
+
+def _estimates(found: "Findings", name: str, column: Array) -> Drawn:
+    drawing, grid = figure(2.6)
+    axes = grid[0, 0]
+    n = np.arange(1, len(column) + 1)
+    mean = np.cumsum(column) / n
+    square = np.cumsum((column - column[0]) ** 2) / n - (mean - column[0]) ** 2
+    half = 1.96 * np.sqrt(np.maximum(square, 0.0) / n)
+    shown = n >= min(10, len(column))
+    axes.plot(n[shown], mean[shown], color=FORCE, label="running mean")
+    axes.fill_between(
+        n[shown], (mean - half)[shown], (mean + half)[shown], color=FORCE, alpha=0.2, linewidth=0
+    )
+    axes.set_xlabel("samples")
+    axes.set_ylabel(heading(name.replace("_", " "), UNITS.get(name, "")))
+    each = found.study.seconds / max(found.study.sampling.n, 1)
+    seconds = axes.secondary_xaxis("top", functions=(lambda x: x * each, lambda x: x / max(each, 1e-12)))
+    seconds.set_xlabel("seconds")
+    plain = found.study.sampling.method == "plain"
+    band = "The band holds with 95 % at each number alone" if plain else "The band is that of plain sampling"
+    return Drawn(drawing, f"Mean of the first samples. {band}: to stop when it looks right would bias it.")
+
+
+def _tornado(found: "Findings", name: str) -> Drawn:
+    surface = found.surfaces[name]
+    order = np.argsort(-np.abs(surface.linear))[:_BARS]
+    drawing, grid = figure(1.2 + 0.26 * len(order))
+    axes = grid[0, 0]
+    place = np.arange(len(order))[::-1]
+    axes.barh(place, surface.linear[order], xerr=1.96 * surface.errors[order], color=FORCE, height=0.66,
+              error_kw={"ecolor": INK, "elinewidth": 0.8})  # fmt: skip
+    axes.set_yticks(place, [surface.names[j] for j in order])
+    axes.axvline(0.0, color=INK, linewidth=0.8)
+    axes.set_xlabel(
+        f"change of {heading(name.replace('_', ' '), UNITS.get(name, ''))} by one standard deviation"
+    )
+    axes.grid(axis="y", visible=False)
+    kind = "linear" if not surface.terms else f"linear with {len(surface.terms)} squares and products"
+    return Drawn(
+        drawing,
+        f"The largest {len(order)} of {len(surface.names)}, with 95 % intervals, from a {kind} surface; of "
+        f"samples that it was not fitted to it explains R^2 = {surface.held_out:.5g}.",
+    )
+
+
+def _scatter(found: "Findings", name: str) -> Drawn:
+    study, surface = found.study, found.surfaces[name]
+    z = deviations(study.tolerances, study.uniforms())
+    order = np.argsort(-np.abs(surface.linear))[:3]
+    drawing, grid = figure(2.9, columns=len(order), sharey=True)
+    column = study.column(name)
+    for axes, j in zip(grid[0], order, strict=True):
+        axes.plot(z[:_POINTS, j], column[:_POINTS], ".", color=FORCE, markersize=2.5, alpha=0.6)
+        ends = np.array([z[:, j].min(), z[:, j].max()])
+        axes.plot(ends, surface.mean + surface.linear[j] * ends, color=JOINTS[1])
+        axes.set_xlabel(f"{surface.names[j]} [sd]")
+    grid[0, 0].set_ylabel(heading(name.replace("_", " "), UNITS.get(name, "")))
+    return Drawn(
+        drawing, "The measure over the deviation of its three leading components, and the fitted slope."
+    )
+
+
+def _correlation(found: "Findings") -> Drawn:
+    names, table = found.study.names, found.correlation()
+    drawing, grid = figure(1.4 + 0.5 * len(names))
+    axes = grid[0, 0]
+    axes.imshow(table, vmin=-1.0, vmax=1.0, cmap="RdBu_r", aspect="auto")
+    for i in range(len(names)):
+        for j in range(len(names)):
+            shade = "white" if abs(table[i, j]) > 0.6 else INK
+            axes.text(j, i, f"{table[i, j]:.2f}", ha="center", va="center", color=shade)
+    ticks = [name.replace("_", " ") for name in names]
+    axes.set_xticks(range(len(names)), ticks, rotation=20, ha="right")
+    axes.set_yticks(range(len(names)), ticks)
+    axes.grid(visible=False)
+    return Drawn(drawing, "Pearson's correlation over the samples that have all measures.")
+
+
+def _bill(found: "Findings") -> _Section:
+    names = list(found.surfaces)
+    rows = [
+        [
+            line.name, line.tolerance, *(_percent(line.share[n]) for n in names),
+            *(f"{line.slope[n]:.4g}" for n in names), grade_text(line.loosest), grade_text(line.better),
+            "-" if line.gain is None else _percent(line.gain),
+        ]
+        for line in found.bill[:_ROWS]
+    ]  # fmt: skip
+    head = [
+        "component", "tolerance", *(f"share of variance, {n}" for n in names),
+        *(f"change by 1 %, {heading(n, UNITS.get(n, ''))}" for n in names),
+        "loosest", "next better", "adds to yield",
+    ]  # fmt: skip
+    wanted = "the present yield" if found.wanted is None else f"a yield of {100 * found.wanted:g} %"
+    note = (
+        f"Loosest: the largest sold tolerance with which {wanted} is kept, all others as they are. Both "
+        "columns at the right go through the fitted surface, on the same samples."
+    )
+    if len(found.bill) > _ROWS:
+        note += f" {len(found.bill)} rows, all of them in the file."
+    table = _Table("Tolerance bill", head, rows, note, "bill.csv")
+    return _Section("bill", "What to buy better", (), [], [table])
+
+
+def _value(of: "Estimate", unit: str) -> str:
+    low, high = (quantity(end, unit, 4) if math.isfinite(end) else "?" for end in (of.low, of.high))
+    return f"{quantity(of.value, unit, 5)} ({low} to {high})"
+
+
+def _percent(of: "Estimate") -> str:
+    return f"{100 * of.value:.4g} % ({100 * of.low:.4g} to {100 * of.high:.4g})"
