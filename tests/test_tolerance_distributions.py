@@ -36,7 +36,9 @@ def test_a_tolerance_is_a_gaussian_of_three_sigma_that_is_cut() -> None:
 
 def test_the_inverse_of_a_cut_gaussian_is_scipys() -> None:
     shape = Shape("truncated", -0.02, 0.02, 2.0)
-    assert shape.inverse(U) == pytest.approx(stats.truncnorm.ppf(U, -2.0, 2.0, scale=0.01), rel=1e-9, abs=1e-12)
+    assert shape.inverse(U) == pytest.approx(
+        stats.truncnorm.ppf(U, -2.0, 2.0, scale=0.01), rel=1e-9, abs=1e-12
+    )
 
 
 def test_uniform_and_uncut_have_the_moments_of_the_books() -> None:
@@ -75,9 +77,9 @@ def test_a_histogram_is_drawn_by_its_inverse(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["tol=", "tol=foo%", "tol=0%", "tol=-1%", "lot=-5% dev=1%", "tol=1% dev=1%", "tol=1% lot=1%", "tol=1% film",
-     "tol=1% sigmas=0", "tol=1% sorted(inner=2%)", "match= dev=1%", "match=a:b tol=1%", "tol=1% uniform gauss",
-     "tol=+1%/+2%", "tol=1% tol=2%", "histogram=none.csv"],
+    ["tol=", "tol=foo%", "tol=0%", "tol=-1%", "lot=-5% dev=1%", "tol=1% dev=1%", "tol=1% lot=1%",
+     "tol=1% film", "tol=1% sigmas=0", "tol=1% sorted(inner=2%)", "match= dev=1%", "match=a:b tol=1%",
+     "tol=1% uniform gauss", "tol=+1%/+2%", "tol=1% tol=2%", "histogram=none.csv"],
 )  # fmt: skip
 def test_what_cannot_be_is_refused(text: str, tmp_path: Path) -> None:
     with pytest.raises(Wrong):
@@ -107,7 +109,9 @@ def test_words_for_people_stand_behind_a_semicolon() -> None:
         ("gauss(2)", 0.0, "gauss", 2.0),
     ],
 )
-def test_functions_as_ngspice_and_ltspice_define_them(text: str, nominal: float, kind: str, sigma: float) -> None:
+def test_functions_as_ngspice_and_ltspice_define_them(
+    text: str, nominal: float, kind: str, sigma: float
+) -> None:
     rest, calls, wrong = extracted_calls(text)
     assert (rest, wrong) == ("drawn__1", "")
     middle, shape = calls["drawn__1"]

@@ -163,16 +163,13 @@ class _Reader:
     def _recipe(self, found: Found, param: Param, kind: str) -> Recipe | None:
         """Return how a component's value comes about."""
         several = len(_outermost(param)) > 1
-        nominal = value_of(param)
-        if nominal is None:
+        if value_of(param) is None:
             self._problem(
                 f"the tolerance of {found.key} cannot be drawn: its value {param.text} is more than "
                 "arithmetic; give the tolerance to a plain number",
                 (param.place.file, param.place.line),
             )
             return None
-        if self._series and found.kind == "r" and number(param.text) is not None:
-            nominal = preferred(nominal, self._series)
 
         def own(name: str) -> str:
             return f"{found.key}/{name}" if several else found.key
@@ -180,8 +177,8 @@ class _Reader:
         def made(each: Param) -> Recipe:
             value = value_of(each)
             assert value is not None
-            if each is param:
-                value = nominal  # rounded to a preferred one
+            if self._series and found.kind == "r" and number(each.text) is not None:
+                value = preferred(value, self._series)
             terms = self._terms(each, found, own(each.name)) if each.stated is not None else ()
             names: dict[str, Recipe] = {}
             for call, (middle, shape) in each.calls.items() if each.stated is None else ():

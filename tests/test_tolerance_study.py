@@ -1,0 +1,282 @@
+"""Sampling, intervals, surfaces, bill and worst case against closed forms."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from cosim.errors import InputError
+from cosim.tolerance import intervals
+from cosim.tolerance.bill import bill, bought
+from cosim.tolerance.corner_search import corner
+from cosim.tolerance.distributions import Shape
+from cosim.tolerance.findings import find
+from cosim.tolerance.monte_carlo import Study, draw, pilot_size, yields
+from cosim.tolerance.recipe import Recipe, Term
+from cosim.tolerance.sampling import Method, sampling
+from cosim.tolerance.sensitivity import fit_surface
+from cosim.tolerance.spec import Spec, parse_specs
+from cosim.tolerance.varying import Component, Tolerances
+from cosim.tolerance.worst_case import extremes
+
+Array = np.ndarray
+NAME = "k_max"
+
+
+class Formula:
+    """A batch whose measure is a formula of the values."""
+
+    def __init__(self, formula: Callable[[Array], Array]) -> None:
+        self._formula = formula
+        self.failures: dict[int, str] = {}
+
+    def measures(self, values: Array) -> Array:
+        return self._formula(values)[:, None]
+
+
+def parts(nominal: list[float], *shapes: Shape, lot: Shape | None = None) -> Tolerances:
+    """Components with own deviations, and a lot that all share."""
+    variables = [f"r{k}" for k in range(len(nominal))] + (["lot"] if lot else [])
+    found = []
+    for k, value in enumerate(nominal):
+        terms = [Term(k, shapes[k % len(shapes)])] + ([Term(len(nominal), lot)] if lot else [])
+        found.append(Component(f"r{k}", value, "Ohm", "", recipe=Recipe(value, terms=tuple(terms))))
+    return Tolerances(tuple(found), tuple(variables))
+
+
+def study(
+    tolerances: Tolerances, formula: Callable[[Array], Array], n: int, method: Method = "plain", seed: int = 1
+) -> Study:
+    how = sampling(method, n, len(tolerances.variables), seed)
+    return draw(tolerances, how, [NAME], Formula(formula), "ideal")
+
+
+def divider(values: Array) -> Array:
+    return values[:, 1] / (values[:, 0] + values[:, 1])
+
+
+GAUSS = Shape("gauss", -0.01, 0.01)
+UNIFORM = Shape("uniform", -0.01, 0.01)
+
+
+@pytest.mark.parametrize("shape", [GAUSS, UNIFORM, Shape("truncated", -0.01, 0.01)])
+def test_divider(shape: Shape) -> None:
+    """v = 1/2 + (d2 - d1)/4 to first order, so sd = sigma sqrt(2)/4; the next order is 1e-4 of it."""
+    sigma = shape.moments()[1]
+    found = study(parts([1e3, 1e3], shape), divider, 20_000)
+    mean, spread = (of(found.column(NAME), found.sampling) for of in (intervals.mean, intervals.spread))
+    assert mean.low <= 0.5 <= mean.high
+    assert spread.low <= sigma * math.sqrt(2.0) / 4.0 * (1 + 1e-4)
+    assert spread.high >= sigma * math.sqrt(2.0) / 4.0 * (1 - 1e-4)
+
+
+def test_of_a_divider_the_lot_cancels() -> None:
+    """Both resistors move together by the lot: what is left is their own deviation."""
+    with_lot = study(parts([1e3, 1e3], GAUSS, lot=Shape("gauss", -0.05, 0.05)), divider, 4000)
+    spread = intervals.spread(with_lot.column(NAME), with_lot.sampling)
+    assert spread.low <= 0.01 / 3 * math.sqrt(2.0) / 4.0 * 1.01
+    assert spread.high >= 0.01 / 3 * math.sqrt(2.0) / 4.0 * 0.99
+
+
+def test_one_parameter_on_two_resistors_with_and_without_match() -> None:
+    matched = parts([1e3, 1e3], Shape("gauss", -1e-9, 1e-9), lot=GAUSS)
+    assert float(np.std(study(matched, divider, 500).column(NAME))) < 1e-9
+    assert float(np.std(study(parts([1e3, 1e3], GAUSS), divider, 500).column(NAME))) > 1e-3
+
+
+def test_rc_corner() -> None:
+    """f = 1/(2 pi R C): ln f is the sum of two uniforms' logarithms; mean and variance by quadrature."""
+    r, c = Shape("uniform", -0.05, 0.05), Shape("uniform", -0.2, 0.2)
+    tolerances = parts([1.58e3, 1e-6], r, c)
+    found = study(tolerances, lambda v: 1.0 / (2.0 * np.pi * v[:, 0] * v[:, 1]), 16_384, "sobol")
+
+    def inverse_mean(a: float, power: int) -> float:
+        """Mean of (1 + d)^-power of d uniform within +-a."""
+        return math.log((1 + a) / (1 - a)) / (2 * a) if power == 1 else 1.0 / (1.0 - a**2)
+
+    f = 1.0 / (2.0 * math.pi * 1.58e-3)
+    mean = f * inverse_mean(0.05, 1) * inverse_mean(0.2, 1)
+    second = f**2 * inverse_mean(0.05, 2) * inverse_mean(0.2, 2)
+    told = intervals.mean(found.column(NAME), found.sampling)
+    assert told.low <= mean <= told.high
+    assert told.half < 1e-4 * mean  # plain samples leave 1.5e-3
+    spread = intervals.spread(found.column(NAME), found.sampling)
+    assert spread.low <= math.sqrt(second - mean**2) <= spread.high
+
+
+@pytest.mark.parametrize("method", ["plain", "lhs", "sobol"])
+def test_a_sample_depends_on_its_number_alone(method: Method) -> None:
+    how = sampling(method, 200, 7, 3)
+    whole = how.uniforms(0, how.n)
+    pieces = [how.uniforms(at, min(13, how.n - at)) for at in range(0, how.n, 13)]
+    assert np.array_equal(whole, np.vstack(pieces))
+    assert np.array_equal(how.uniforms(150, 1)[0], whole[150])
+    assert 0.0 < whole.min() < whole.max() < 1.0
+    assert not np.array_equal(whole, sampling(method, 200, 7, 4).uniforms(0, how.n))
+    assert abs(whole.mean() - 0.5) < 5 / math.sqrt(12 * whole.size)
+
+
+def test_intervals_hold_as_often_as_they_say() -> None:
+    """95 % of 400 repeats, to 4 standard deviations of the count."""
+    truth = {"mean": 0.0, "spread": 1.0, "quantile": stats.norm.ppf(0.9), "share": 0.9}
+    hit = dict.fromkeys(truth, 0)
+    rng = np.random.default_rng(5)
+    how = sampling("plain", 100, 1, 0)
+    for _ in range(400):
+        x = rng.standard_normal(100)
+        told = {
+            "mean": intervals.mean(x, how),
+            "spread": intervals.spread(x, how),
+            "quantile": intervals.quantile(x, 0.9, how),
+            "share": intervals.share(x < stats.norm.ppf(0.9), how),
+        }
+        for name, of in told.items():
+            hit[name] += of.low <= truth[name] <= of.high
+    for name, count in hit.items():
+        slack = 0.02 if name == "spread" else 0.0  # the delta method falls a little short at 100 samples
+        assert count / 400 >= 0.95 - slack - 4 * math.sqrt(0.95 * 0.05 / 400), name
+
+
+def test_of_randomisations_the_interval_is_students_and_narrow() -> None:
+    """A smooth mean by Sobol points: covered in 95 % of 100 seeds, far narrower than by plain samples."""
+    tolerances = parts([1e3, 1e3], UNIFORM)
+    covered, halves = 0, []
+    for seed in range(100):
+        how = sampling("sobol", 256, 2, seed)
+        told = intervals.mean(divider(tolerances.values(how.uniforms(0, how.n))), how)
+        # E v = 1/2 by symmetry of the two resistors
+        covered += told.low <= 0.5 <= told.high
+        halves.append(told.half)
+    assert covered >= 95 - 4 * math.sqrt(100 * 0.95 * 0.05)
+    assert float(np.median(halves)) < 0.2 * 1.96 * 0.01 / math.sqrt(3) * math.sqrt(2) / 4 / 16
+
+
+def test_where_all_pass_the_bound_is_not_zero() -> None:
+    how = sampling("lhs", 160, 2, 1)
+    told = intervals.share(np.ones(160, dtype=bool), how)
+    assert told.low == pytest.approx(0.025 ** (1 / 160), rel=1e-9)
+    exact = stats.binomtest(7, 90).proportion_ci(method="exact")
+    assert intervals.clopper_pearson(7, 90) == pytest.approx((exact.low, exact.high), rel=1e-9)
+
+
+def plane(values: Array) -> Array:
+    """100 + 100 (d1 + 2 d2 + 0.5 d3), deviations as shares."""
+    d = values / 1e3 - 1.0
+    return 100.0 + 100.0 * (d @ np.array([1.0, 2.0, 0.5]))
+
+
+def test_yield_of_a_hyperplane() -> None:
+    """Distance to the border in standard deviations is all that counts."""
+    tolerances = parts([1e3] * 3, GAUSS)
+    sigma = 100 * 0.01 / 3 * math.sqrt(1 + 4 + 0.25)
+    found = study(tolerances, plane, 20_000)
+    told = yields(found, parse_specs([f"k_max <= {100 + 1.2 * sigma}"]))
+    estimate = next(iter(told.values()))
+    assert estimate.low <= stats.norm.cdf(1.2) <= estimate.high
+
+
+def test_shares_of_variance_of_a_hyperplane() -> None:
+    found = study(parts([1e3] * 3, UNIFORM), plane, 200)
+    surface = fit_surface(found, NAME)
+    assert surface is not None
+    assert surface.held_out == pytest.approx(1.0, abs=1e-9)
+    for told, weight in zip(surface.shares(), (1.0, 4.0, 0.25), strict=True):
+        # the variance is the samples' own, which 200 of them know to 10 %
+        assert told.value == pytest.approx(weight / 5.25, rel=0.25)
+
+
+def test_squares_and_products_are_found_where_a_plane_does_not_do() -> None:
+    def bent(values: Array) -> Array:
+        d = (values / 1e3 - 1.0) / 0.01
+        return 5.0 + d[:, 0] + 0.5 * d[:, 0] * d[:, 1] + 0.7 * d[:, 2] ** 2
+
+    found = study(parts([1e3] * 8, UNIFORM), bent, 256)
+    surface = fit_surface(found, NAME)
+    assert surface is not None
+    assert surface.held_out > 0.9999
+    assert {frozenset(pair) for pair in surface.terms} >= {frozenset((0, 1)), frozenset((2,))}
+
+
+def test_the_bill_names_what_to_buy() -> None:
+    """With the dear component perfect the rest has sd s sqrt(1.25): the yield follows from the normal law."""
+    tolerances = parts([1e3] * 3, GAUSS)
+    found = study(tolerances, plane, 20_000)
+    specs = (Spec(NAME, 99.0, 101.0),)
+    surface = fit_surface(found, NAME)
+    assert surface is not None
+    lines = bill(found, {NAME: surface}, specs)
+    assert [line.name for line in lines] == ["r1", "r0", "r2"]
+    assert lines[0].slope[NAME] == pytest.approx(2.0, rel=1e-6)  # 200 times 1 %
+    s = 100 * 0.01 / 3
+
+    def within(variance: float) -> float:
+        return 2.0 * float(stats.norm.cdf(1.0 / (s * math.sqrt(variance)))) - 1.0
+
+    gain = lines[0].gain
+    assert gain is not None
+    assert lines[0].better == 0.005
+    assert gain.low <= within(1.25 + 1.0) - within(5.25) <= gain.high
+    both = bought(found, {NAME: surface}, specs, {"r1": 0.001, "r0": 0.001})
+    assert both.low <= within(0.25 + 0.05) <= both.high
+    assert lines[0].loosest == 0.01  # what it is: any looser one costs yield
+
+
+def test_a_pilot_tells_how_many_samples_an_interval_takes() -> None:
+    tolerances = parts([1e3] * 3, GAUSS)
+    sigma = 100 * 0.01 / 3 * math.sqrt(5.25)
+    specs = parse_specs([f"k_max <= {100 + 1.2816 * sigma}"])  # yield 90 %
+    pilot = study(tolerances, plane, 64, seed=9)
+    n = pilot_size(("yield", 0.02), pilot, specs)
+    assert 0.3 * 864 < n < 3 * 864  # 0.9 * 0.1 (1.96 / 0.02)^2, of a share that 64 samples know
+    told = next(iter(yields(study(tolerances, plane, n), specs).values()))
+    assert told.half < 0.03
+
+
+def test_a_lot_that_pulls_both_ways() -> None:
+    """10 V behind 1 kOhm, two 100 Ohm resistors with a common lot of 10 % and 5 % of their own in series: the
+    largest voltage across the lower one has 115 below and 105 above, 0.9426 V, not 115 and 115 (0.9350 V)."""
+    tolerances = parts([100.0, 100.0], Shape("uniform", -0.05, 0.05), lot=Shape("uniform", -0.1, 0.1))
+
+    def lower(values: Array) -> Array:
+        return 10.0 * values[:, 0] / (1e3 + values[:, 0] + values[:, 1])
+
+    found = study(tolerances, lower, 500)
+    told = corner(found, NAME, Formula(lower))
+    assert told.high == pytest.approx(10.0 * 115.0 / 1220.0, rel=1e-9)
+    assert told.high == pytest.approx(0.9426, abs=5e-5)
+    assert (told.high_at["r0"], told.high_at["r1"]) == pytest.approx((115.0, 105.0))
+    assert told.high >= np.max(found.column(NAME))
+    assert told.low <= np.min(found.column(NAME))
+
+
+def test_an_extreme_within_the_box_and_one_that_takes_two_together() -> None:
+    def hill(x: Array) -> Array:
+        return -((x[:, 0] - 0.3) ** 2) - (x[:, 1] + 0.2) ** 2 + x[:, 2]
+
+    _, most = extremes(hill, 3)
+    assert most.value == pytest.approx(1.0, abs=1e-5)
+
+    def saddle(x: Array) -> Array:
+        """At the middle every slope is zero, and one alone changes nothing."""
+        return x[:, 0] * x[:, 1]
+
+    least, most = extremes(saddle, 2)
+    assert (least.value, most.value) == (-1.0, 1.0)
+
+
+def test_bad_specifications_are_told_together() -> None:
+    with pytest.raises(InputError) as caught:
+        parse_specs(["k_maxx > 3", "k_max in 5..5", "k_max about 3", "rest_force < 5 mm", "headroom > 9 V"])
+    assert len(caught.value.problems) == 5
+    assert parse_specs(["k_max in 0.1k..200 N/m"]) == (Spec("k_max", 100.0, 200.0),)
+
+
+def test_nothing_varies_is_an_error_and_findings_are_whole() -> None:
+    with pytest.raises(InputError, match="nothing varies"):
+        draw(Tolerances(), sampling("plain", 3, 0, 1), [NAME], Formula(plane), "ideal")
+    found = find(study(parts([1e3] * 3, GAUSS), plane, 64), (Spec(NAME, 99.0, 101.0),))
+    told = found.as_dict()
+    assert told["bill"][0]["name"] == "r1"
+    assert len(found.samples_csv().splitlines()) == 65

@@ -1,0 +1,204 @@
+"""Which component draws what: each placed one its own, lots and networks together, defaults of the scene."""
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import ROOT, SCENES
+
+from cosim import cli
+from cosim.errors import InputError
+from cosim.ngspice.deck import load_deck
+from cosim.scene import load_scene
+from cosim.tolerance.sampling import sampling
+from cosim.tolerance.variables import tolerances
+from cosim.tolerance.varying import Tolerances
+
+PRESS = SCENES / "press.toml"
+DIFFAMP, SUMMER = "blocks/diffamp.cir", "blocks/summer.cir"
+
+
+def board(folder: Path, *edits: tuple[str, str, str]) -> Path:
+    """The shipped netlists with some lines written otherwise."""
+    there = folder / "netlists"
+    shutil.copytree(ROOT / "netlists", there)
+    for name, old, new in edits:
+        file = there / name
+        text = file.read_text()
+        assert old in text
+        file.write_text(text.replace(old, new))
+    return there / "board2.cir"
+
+
+def read(folder: Path, *edits: tuple[str, str, str], overrides: tuple[str, ...] = ()) -> Tolerances:
+    scene = load_scene(PRESS, [f"device.board={board(folder, *edits)}", *overrides])
+    return tolerances(scene, board=load_deck(scene.device.board, overrides=scene.device.values))
+
+
+def values(found: Tolerances, n: int = 4000) -> dict[str, np.ndarray]:
+    drawn = found.values(sampling("plain", n, len(found.variables), 1).uniforms(0, n))
+    return dict(zip(found.keys, drawn.T, strict=True))
+
+
+def deviation(found: Tolerances, key: str) -> np.ndarray:
+    place = found.keys.index(key)
+    return values(found)[key] / found.components[place].nominal - 1.0
+
+
+def spring(found: Tolerances) -> list[np.ndarray]:
+    return [deviation(found, f"rsp{pair}") for pair in ("11", "12", "21", "22")]
+
+
+SPRING = ".param r_sum_spring=24.3k $ tol=1%"
+
+
+def test_four_parts_from_a_bag_are_four_draws(tmp_path: Path) -> None:
+    found = read(tmp_path)
+    drawn = np.array(spring(found))
+    assert np.abs(drawn).max() <= 0.01
+    assert np.abs(np.corrcoef(drawn) - np.eye(4)).max() < 5 / np.sqrt(4000)
+    assert "lot" not in " ".join(found.variables)
+    of = found.components[found.keys.index("rsp12")]
+    assert (Path(of.file).name, of.line, of.nominal, of.unit) == ("summer.cir", 3, 24300.0, "Ohm")
+    # the tolerance is that of the element although its subcircuit hands the value on
+    assert found.components[found.keys.index("xdiff1.r11")].nominal == 10e3
+
+
+def test_lot_is_shared_and_dev_is_not(tmp_path: Path) -> None:
+    """Deviations are lot + dev: their covariance is the lot's variance."""
+    found = read(tmp_path, (SUMMER, "24.3k $ tol=1%", "24.3k $ lot=5% dev=1%"))
+    drawn = np.array(spring(found))
+    lot, dev = (0.98659 * tol / 3 for tol in (0.05, 0.01))
+    together = np.cov(drawn)
+    assert together[0, 1] == pytest.approx(lot**2, rel=0.1)
+    assert together[0, 0] - together[0, 1] == pytest.approx(dev**2, rel=0.1)
+    assert found.components[found.keys.index("rsp11")].lots == ("lot:r_sum_spring",)
+
+
+def test_match_is_shared_within_an_instance_or_on_the_board(tmp_path: Path) -> None:
+    net = (DIFFAMP, "r_diff_in=10.0k $ tol=1%", "r_diff_in=10.0k $ tol=1% match=net1 dev=0.1%")
+    found = read(tmp_path / "a", net)
+    a, b, other = (deviation(found, key) for key in ("xdiff1.r11", "xdiff1.r13", "xdiff2.r11"))
+    assert np.abs(a - b).max() <= 0.002 * (1 + 1e-9)
+    assert np.abs(np.corrcoef(a, other)[0, 1]) < 5 / np.sqrt(4000)
+    whole = (net[0], net[1], net[2].replace("net1", "board:net1"))
+    found = read(tmp_path / "b", whole)
+    assert np.abs(deviation(found, "xdiff1.r11") - deviation(found, "xdiff2.r13")).max() <= 0.002 * (1 + 1e-9)
+    exact = (net[0], net[1], "r_diff_in=10.0k $ tol=1% match=net1")
+    found = read(tmp_path / "c", exact)
+    assert np.array_equal(deviation(found, "xdiff1.r11"), deviation(found, "xdiff1.r13"))
+
+
+def test_parts_vary_one_by_one(tmp_path: Path) -> None:
+    found = read(tmp_path)
+    keys = [key for key in found.keys if key.endswith(":motor_r")]
+    assert keys == ["xdrv1.xmotor:motor_r", "xdrv2.xmotor:motor_r"]
+    assert not np.array_equal(*(values(found)[key] for key in keys))
+
+
+def test_functions_draw_as_the_netlist_says(tmp_path: Path) -> None:
+    """A function in a .param is drawn by each part that uses it; one in a value by that element."""
+    found = read(
+        tmp_path,
+        (SUMMER, "r_sum_fb=10.0k $ tol=1%", "r_sum_fb=agauss(10k,100,3) $"),
+        ("board2.cir", "Rcmd1 cmd1 sum1 {r_sum_cmd}", "Rcmd1 cmd1 sum1 {2*unif(10k,0.05)}"),
+    )
+    a, b = (values(found)[f"xsum{j}.r31"] for j in (1, 2))
+    assert np.std(a) == pytest.approx(100 / 3, rel=0.05)
+    assert abs(np.corrcoef(a, b)[0, 1]) < 5 / np.sqrt(4000)
+    drawn = values(found)["rcmd1"]
+    assert (19e3 <= drawn.min() < 19.05e3, 20.95e3 < drawn.max() <= 21e3) == (True, True)
+
+
+def test_an_edited_value_keeps_its_grade(tmp_path: Path) -> None:
+    found = read(tmp_path, overrides=("device.values.xdiff1.r12=165k", "device.values.r_sum_fb=9.09k"))
+    for key, nominal in (("xdiff1.r12", 165e3), ("xsum1.r31", 9090.0), ("xdiff2.r12", 169e3)):
+        of = found.components[found.keys.index(key)]
+        assert (of.nominal, of.distribution) == (nominal, "Gaussian +-1% = 3 sigma, cut")
+
+
+def test_the_scene_gives_defaults_and_exceptions() -> None:
+    scene = load_scene(
+        PRESS,
+        ['tolerance.mass="lot=2% dev=1%"', "tolerance.k_t=10%", "tolerance.gbw=30%", "tolerance.resistors=5%",
+         "tolerance.components.rsp12=0.1%", "tolerance.components.device.chain.lengths_m=0.2%",
+         "tolerance.offset=100%"],
+    )  # fmt: skip
+    found = tolerances(scene)
+    said = {each.key: each for each in found.components}
+    assert said["rsp12"].distribution == "Gaussian +-0.1% = 3 sigma, cut"
+    assert said["rsp11"].distribution == "Gaussian +-1% = 3 sigma, cut"  # the netlist knows better
+    assert said["scene:device.chain.lengths_m[1]"].nominal == 0.1
+    assert said["xdrv2.xmotor:motor_k"].nominal == 0.04
+    assert said["xangle1.xop:tl072_gbw"].unit == "Hz"
+    assert said["scene:device.chain.masses_kg[0]"].lots == said["scene:device.chain.masses_kg[1]"].lots
+    assert found.idle == ("offset",)  # no offset is in force
+
+
+def test_values_that_may_be_changed_become_preferred_ones(tmp_path: Path) -> None:
+    found = read(tmp_path, overrides=("tolerance.series=E96", "device.values.r_diff_fb=168.1k"))
+    assert found.components[found.keys.index("xdiff1.r12")].nominal == 169e3
+
+
+def test_all_that_is_wrong_is_told_with_file_and_line(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        read(
+            tmp_path,
+            (SUMMER, "24.3k $ tol=1%", "24.3k $ tol=120%"),
+            (SUMMER, "r_sum_damper=6.19k $ tol=1%", "r_sum_damper=6.19k $ lot=-5% dev=1%"),
+            (DIFFAMP, "r_diff_fb=169k $ tol=1%", "r_diff_fb=169k $ tol=1% match=net7 dev=1% metal"),
+            ("board2.cir", "Rcmd1 cmd1 sum1 {r_sum_cmd}", "Rcmd1 cmd1 sum1 {r_sum_cmd} $ match=lone dev=1%"),
+            overrides=("tolerance.components.rsp13=1%",),
+        )
+    told = {(Path(p.file or "").name, p.line) for p in caught.value.problems}
+    assert {("summer.cir", 3), ("summer.cir", 4), ("diffamp.cir", 3), ("press.toml", None)} <= told
+    text = str(caught.value)
+    for said in (
+        "more tolerance than value",
+        "negative",
+        "'metal' is no part",
+        "alone in the network",
+        "rsp21",
+    ):
+        assert said in text
+
+
+def test_five_per_cent_of_a_millihenry_is_a_share(tmp_path: Path) -> None:
+    """Taken as an absolute sigma it once made 47 % of all inductors negative."""
+    found = read(
+        tmp_path,
+        (
+            "board2.cir",
+            "Rcmd1 cmd1 sum1 {r_sum_cmd}",
+            "Rcmd1 cmd1 sum0 {r_sum_cmd}\nLcmd1 sum0 sum1 1m $ tol=5%",
+        ),
+    )
+    drawn = values(found, 20_000)["lcmd1"]
+    assert (drawn.min() >= 0.95e-3, drawn.max() <= 1.05e-3) == (True, True)
+
+
+def test_plain_ngspice_reads_what_has_tolerances(tmp_path: Path) -> None:
+    """A tolerance stands behind a comment sign: ngspice sees the nominal value."""
+    deck = tmp_path / "divider.cir"
+    deck.write_text(
+        "divider\n.param r=10k $ lot=5% dev=1% uniform\nV1 in 0 1\nR1 in out {r}\nR2 out 0 {r} $ tol=1%\n"
+        ".op\n.print op v(out)\n.end\n"
+    )
+    said = subprocess.run(
+        ["ngspice", "-b", deck], capture_output=True, text=True, check=True, timeout=60
+    ).stdout
+    assert "5.000000e-01" in said
+
+
+def test_list_prints_every_variable(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["mc", str(PRESS), "--list", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert len(told["components"]) == 36
+    assert {"key", "nominal", "unit", "distribution", "lots", "file", "line"} == set(told["components"][0])
+    assert cli.main(["mc", str(PRESS), "--list"]) == 0
+    text = capsys.readouterr().out
+    assert "rsp12" in text
+    assert "summer.cir:3" in text
