@@ -11,11 +11,11 @@ from cosim.errors import InputError
 from cosim.tolerance import intervals
 from cosim.tolerance.bill import bill, bought
 from cosim.tolerance.corner_search import corner
+from cosim.tolerance.cube_points import Method, sampling
 from cosim.tolerance.distributions import Shape
 from cosim.tolerance.findings import find
 from cosim.tolerance.monte_carlo import Study, draw, pilot_size, yields
 from cosim.tolerance.recipe import Recipe, Term
-from cosim.tolerance.sampling import Method, sampling
 from cosim.tolerance.sensitivity import fit_surface
 from cosim.tolerance.spec import Spec, parse_specs
 from cosim.tolerance.varying import Component, Tolerances

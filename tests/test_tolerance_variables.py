@@ -13,7 +13,7 @@ from cosim import cli
 from cosim.errors import InputError
 from cosim.ngspice.deck import load_deck
 from cosim.scene import load_scene
-from cosim.tolerance.sampling import sampling
+from cosim.tolerance.cube_points import sampling
 from cosim.tolerance.variables import tolerances
 from cosim.tolerance.varying import Tolerances
 

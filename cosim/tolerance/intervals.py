@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from cosim.tolerance.sampling import Sampling
+from cosim.tolerance.cube_points import Sampling
 
 __all__ = ["CONFIDENCE", "Estimate", "clopper_pearson", "mean", "quantile", "share", "spread"]
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from cosim.caution import Caution, warn
 from cosim.errors import InputError, Problem
 from cosim.tolerance import intervals
+from cosim.tolerance.cube_points import Sampling
 from cosim.tolerance.intervals import Estimate
-from cosim.tolerance.sampling import Sampling
 from cosim.tolerance.spec import Spec
 from cosim.tolerance.varying import Tolerances
 

@@ -23,10 +23,10 @@ from cosim.errors import InputError, fail
 from cosim.plan import Plan, resolve
 from cosim.scene import load_scene
 from cosim.tolerance.corner_search import Corner, corner
+from cosim.tolerance.cube_points import Method, sampling
 from cosim.tolerance.findings import Findings, find
 from cosim.tolerance.monte_carlo import Measurer, Study, draw, pilot_size
 from cosim.tolerance.recipe import Recipe
-from cosim.tolerance.sampling import Method, sampling
 from cosim.tolerance.slow_batch import Batch
 from cosim.tolerance.spec import Spec
 from cosim.tolerance.trim import Trimmed, trims
