@@ -12,6 +12,8 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
@@ -134,8 +136,12 @@ def figure(height_in: float, rows: int = 1, columns: int = 1, **grid: Any) -> tu
 def pictures(drawing: Figure) -> dict[str, bytes]:
     """Return a figure as files: ``svg`` and ``png``."""
     svg, png = io.BytesIO(), io.BytesIO()
-    drawing.savefig(svg, format="svg", metadata={"Date": None})
-    drawing.savefig(png, format="png", dpi=150)
+    # `savefig` lays a figure out and walks through it once more for every file: once is enough for both
+    drawing.draw_without_rendering()
+    drawing.set_layout_engine("none")
+    FigureCanvasSVG(drawing).print_svg(svg, metadata={"Date": None})
+    drawing.set_dpi(150)
+    FigureCanvasAgg(drawing).print_png(png)
     return {"svg": svg.getvalue(), "png": png.getvalue()}
 
 

@@ -3,6 +3,9 @@
 import os
 import signal
 
+import kept_processes
+import pytest
+
 from cosim.numba_cache import cache_folder
 
 os.environ["NUMBA_CACHE_DIR"] = cache_folder()
@@ -12,3 +15,11 @@ os.environ.setdefault("SOURCE_DATE_EPOCH", "0")
 # a shell's `&` and nohup leave Ctrl-C ignored, which child processes inherit: some tests interrupt theirs
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(autouse=True)
+def _processes(request):
+    """Keep processes for simulations from one test to the next, but for tests of processes."""
+    kept_processes.keep(request.node.get_closest_marker("own_process") is None)
+    yield
+    kept_processes.keep(False)

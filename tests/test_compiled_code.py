@@ -103,6 +103,7 @@ def test_imports_are_found_in_every_form(monkeypatch):
         numba_cache._imports.cache_clear()
 
 
+@pytest.mark.own_process
 def test_warm_compiles_ahead_and_says_where(capsys: pytest.CaptureFixture[str]) -> None:
     from cosim import cli
     from cosim.numba_cache import cache_folder, is_warm

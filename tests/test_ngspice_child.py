@@ -16,6 +16,7 @@ import pytest
 from cosim.errors import InputError, SimulationError
 from cosim.ngspice.child import Child, call, start_early
 
+pytestmark = pytest.mark.own_process
 HERE = Path(__file__).parent
 PROJECT = Path(__file__).parent / "data" / "ngspice" / "project"
 

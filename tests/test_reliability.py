@@ -286,6 +286,7 @@ def test_trust_lifts_the_refusals_and_not_the_sandbox(project: Project, tmp_path
     assert mark.exists() is not applied_here()
 
 
+@pytest.mark.own_process
 def test_spiceinit_of_the_user_is_not_read(
     project: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -16,7 +16,10 @@ from cosim.ngspice import sandbox
 from cosim.ngspice.child import call
 
 HERE = Path(__file__).parent
-pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the sandbox is Linux's")
+pytestmark = [
+    pytest.mark.own_process,
+    pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the sandbox is Linux's"),
+]
 
 NEEDS_LANDLOCK = {
     "a secret file", "a secret by a link", "a secret by /proc", "the parent's environment", "names of users",
