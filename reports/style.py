@@ -139,9 +139,11 @@ def pictures(drawing: Figure) -> dict[str, bytes]:
     # `savefig` lays a figure out and walks through it once more for every file: once is enough for both
     drawing.draw_without_rendering()
     drawing.set_layout_engine("none")
-    FigureCanvasSVG(drawing).print_svg(svg, metadata={"Date": None})
+    as_svg: Any = FigureCanvasSVG(drawing)  # matplotlib types neither method
+    as_svg.print_svg(svg, metadata={"Date": None})
     drawing.set_dpi(150)
-    FigureCanvasAgg(drawing).print_png(png)
+    as_png: Any = FigureCanvasAgg(drawing)
+    as_png.print_png(png)
     return {"svg": svg.getvalue(), "png": png.getvalue()}
 
 

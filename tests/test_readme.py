@@ -2,6 +2,7 @@
 
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -9,26 +10,24 @@ from pathlib import Path
 
 import pytest
 
+from cosim.cli import main
 from cosim.newproject import new_project
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-def commands():
-    """Commands of the README's shell blocks, in order."""
-    for block in re.findall(r"```sh\n(.*?)```", README, re.DOTALL):
-        yield from (line for line in block.splitlines() if line.strip())
+#: The tour: one block of commands a test, each in a project as the first block makes it.
+FIRST, *BLOCKS = (block.splitlines() for block in re.findall(r"```sh\n(.*?)```", README, re.DOTALL))
+STIFFNESS = re.compile(r"^rendered_stiffness\s+([\d.]+) N/m\s+([\d.]+) N/m.*?([\d.]+) N/m \(", re.M)
 
 
-def test_the_tour(tmp_path):
-    if shutil.which("ngspice") is None:
-        pytest.skip("the ngspice program is not installed")
+def shell(lines, folder):
+    """Run lines as they would be typed; what they print."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    script = "set -e\n" + "\n".join(commands())
     done = subprocess.run(
-        ["sh", "-c", script],
-        cwd=tmp_path,
+        ["sh", "-c", "set -e\n" + "\n".join(lines)],
+        cwd=folder,
         env={**os.environ, "PATH": path},
         capture_output=True,
         text=True,
@@ -36,13 +35,34 @@ def test_the_tour(tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_the_tour_begins_as_typed(tmp_path):
+    assert FIRST[0].startswith("cosim new ")
+    shell([*FIRST, *BLOCKS[0]], tmp_path)
     assert (tmp_path / "mydevice/out/slope/report/report.html").is_file()
-    stiffness = re.search(
-        r"^rendered_stiffness\s+([\d.]+) N/m\s+([\d.]+) N/m.*?([\d.]+) N/m \(", done.stdout, re.M
-    )
-    assert stiffness is not None, done.stdout
-    small, larger, smallest = (float(value) for value in stiffness.groups())
-    assert larger < small < smallest  # 24.5k, 24.3k, 20k: the tour says that it falls as the resistor grows
+
+
+@pytest.mark.parametrize("lines", BLOCKS[1:], ids=lambda lines: lines[-1][:40])
+def test_the_tour_goes_on(lines, tmp_path, monkeypatch, capsys):
+    """Each line in turn; its own commands without a new process for each."""
+    if shutil.which("ngspice") is None and any(line.startswith("ngspice") for line in lines):
+        pytest.skip("the ngspice program is not installed")
+    new_project(tmp_path / "mydevice", 2)
+    monkeypatch.chdir(tmp_path / "mydevice")
+    for line in lines:
+        program, *words = shlex.split(line)
+        if program == "cosim":
+            assert main(words) == 0, line
+        else:
+            shell([line], tmp_path / "mydevice")
+    tried = STIFFNESS.search(capsys.readouterr().out)
+    if "cosim run scenes/press.toml" in lines[0]:
+        assert tried is not None
+        small, larger, smallest = (float(value) for value in tried.groups())
+        # 24.5k, 24.3k, 20k: the tour says that it falls as the resistor grows
+        assert larger < small < smallest
 
 
 def test_what_the_readme_names_exists():
