@@ -214,8 +214,8 @@ def tolerances(scene: Scene) -> dict[str, Tolerance]:
         if name not in UNITS:
             problems.append(_unknown(scene, key, name))
             continue
-        amount = Tolerance(stated, True) if isinstance(stated, float | int) else _amount(stated, UNITS[name])
-        if amount is None:
+        size = Tolerance(stated, True) if isinstance(stated, float | int) else amount(stated, UNITS[name])
+        if size is None:
             unit = UNITS[name] or "number"
             problems.append(
                 Problem(
@@ -229,13 +229,14 @@ def tolerances(scene: Scene) -> dict[str, Tolerance]:
                 )
             )
         else:
-            found[name] = amount
+            found[name] = size
     if problems:
         raise InputError(problems)
     return found
 
 
-def _amount(text: str, unit: str) -> Tolerance | None:
+def amount(text: str, unit: str) -> Tolerance | None:
+    """Return an amount such as ``1 %``, ``0.05 N`` or ``20 mN`` of a measure in `unit`; None for others."""
     match = _AMOUNT.match(text.strip())
     try:
         size = float(match[1]) if match else 0.0

@@ -7,6 +7,7 @@ import tempfile
 import time
 import uuid
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +26,13 @@ from cosim.plan import Plan, resolve
 from cosim.rawfile import Signals, read_raw, stamp
 from cosim.results import RAW, Run, provenance, run_date, written_files
 from cosim.scene import PythonOperator, Scene
-from cosim.staging import Staging, disk_errors, require_ours
+from cosim.staging import Staging, disk_errors, require_ours, scratch_folder
 
-__all__ = ["resolve", "run"]
+__all__ = ["measures_of", "resolve", "run"]
+
+Measures = Mapping[str, Mapping[str, Any]]
+#: What adds errors to measures; see `run`.
+Errors = Callable[[Measures, Any], Mapping[str, dict[str, Any]]]
 
 #: Who simulates a circuit model, in the child process.
 _TARGETS = {
@@ -49,7 +54,8 @@ def run(
     on_progress: Callable[[Mapping[str, Any]], None] | None = None,
     child: Child | None = None,
     command: list[str] | None = None,
-    more: Mapping[str, Mapping[str, Any]] | None = None,
+    more: Measures | None = None,
+    errors: Errors | None = None,
 ) -> Run:
     """Simulate a plan and save the result whole, or not at all.
 
@@ -69,6 +75,9 @@ def run(
         Command line for the provenance.
     more
         Measures that no run is needed for, to be kept with its own (`cosim.comparisons.measuring`).
+    errors
+        Called with the run's own measures and the `LinearCircuit` that was simulated, if any; returns the
+        measures with their errors (`cosim.accuracy.estimate`).
 
     Raises
     ------
@@ -79,7 +88,7 @@ def run(
     """
     with collected() as cautions:
         warn(*plan.cautions)
-        return _run(plan, out, formats, on_progress, child, command, more or {}, cautions)
+        return _run(plan, out, formats, on_progress, child, command, more or {}, errors, cautions)
 
 
 def _run(
@@ -89,7 +98,8 @@ def _run(
     on_progress: Callable[[Mapping[str, Any]], None] | None,
     child: Child | None,
     command: list[str] | None,
-    more: Mapping[str, Mapping[str, Any]],
+    more: Measures,
+    errors: Errors | None,
     cautions: Sequence[Caution],
 ) -> Run:
     """Simulate and save, with the `cautions` that were heard until the result was complete."""
@@ -106,14 +116,13 @@ def _run(
     if not judged.unjudged:
         warn(*coupled(plan, child))
     with Staging(target, written_files) as stage:
-        got = _simulated(plan, stage.path, child, on_progress)
-        constants: DesignConstants = got["constants"]
+        done = _simulated(plan, stage.path, child, on_progress)
+        got, constants, samples, signals = done.got, done.constants, done.samples, done.signals
+        ledger, amplifiers = got["ledger"], done.amplifiers
         stamp(stage.path / RAW, run_date())
-        samples = _read_samples(stage.path / "samples.f64", got["sample_columns"])
-        ledger = got["ledger"]
-        signals = read_raw(stage.path / RAW)
-        amplifiers = _amplifiers(plan, got)
-        measures = standard(scene, constants, signals, samples, amplifiers, ledger) | dict(more)
+        measures = done.measures | dict(more)
+        if errors is not None:
+            measures |= errors(done.measures, got.get("circuit"))
         own = _own(plan, constants, stage.path / RAW, samples, child)
         measures |= own["rows"]
         warn(*plausibility.of_run(scene, constants, signals, samples, measures, amplifiers, ledger))
@@ -158,15 +167,27 @@ def _run(
     return Run.load(target)
 
 
+@dataclass(frozen=True)
+class _Simulated:
+    """What a simulation handed over: its answer, and what was read and measured of it."""
+
+    got: dict[str, Any]
+    constants: DesignConstants
+    samples: dict[str, NDArray[np.float64]]
+    signals: Signals
+    amplifiers: list[dict[str, Any]]
+    measures: dict[str, dict[str, Any]]
+
+
 def _simulated(
     plan: Plan,
     folder: Path,
     child: Child | None,
-    on_progress: Callable[[Mapping[str, Any]], None] | None,
-) -> dict[str, Any]:
-    """Let the child process simulate; its answer. It leaves signals.raw and samples.f64 in `folder`."""
+    on_progress: Callable[[Mapping[str, Any]], None] | None = None,
+) -> _Simulated:
+    """Simulate in the child process; the signals land in the folder."""
     scene = plan.scene
-    got: dict[str, Any] = call(
+    got = call(
         f"{_TARGETS[plan.model]}:simulate",
         {
             "model": plan.model,
@@ -188,7 +209,24 @@ def _simulated(
         reads=_python_folders(scene),
         collect=folder,
     )
-    return got
+    constants: DesignConstants = got["constants"]
+    samples = _read_samples(folder / "samples.f64", got["sample_columns"])
+    signals = read_raw(folder / RAW)
+    amplifiers = _amplifiers(plan, got)
+    measures = standard(scene, constants, signals, samples, amplifiers, got["ledger"])
+    return _Simulated(got, constants, samples, signals, amplifiers, measures)
+
+
+def measures_of(plan: Plan, child: Child | None) -> dict[str, dict[str, Any]]:
+    """Simulate a plan whose board was judged before, and return its measures; nothing is kept.
+
+    Raises
+    ------
+    InputError, SimulationError
+        As `run`.
+    """
+    with scratch_folder("measures") as folder:
+        return _simulated(plan, folder, child).measures
 
 
 def _python_folders(scene: Scene) -> list[Path]:

@@ -2,7 +2,8 @@
 
 import math
 
-__all__ = ["figures", "heading", "name_of", "quantity", "sample_unit", "scale", "signal_unit", "signed"]
+__all__ = ["figures", "heading", "measured", "name_of", "quantity", "sample_unit", "scale", "signal_unit",
+           "signed"]  # fmt: skip
 
 _SIGNALS = {
     "time": "s", "x": "m", "y": "m", "fx": "N", "fy": "N", "fmx": "N", "fmy": "N",
@@ -63,12 +64,50 @@ def quantity(value: float, unit: str = "", digits: int = 3) -> str:
         return "not known"
     if unit not in _PREFIXED or value == 0.0:
         return f"{figures(value, digits)} {unit}".rstrip()
+    power = _power(value, unit, digits)
+    rounded = float(f"{value:.{digits - 1}e}")
+    return f"{figures(rounded / 10.0**power, digits)} {_PREFIXES[power]}{unit}"
+
+
+def _power(value: float, unit: str, digits: int) -> int:
+    """Return the power of ten of the prefix that suits a value; 0 for units that take none."""
+    if unit not in _PREFIXED or value == 0.0:
+        return 0
     # Rounded first, so that 0.99996 becomes 1.00 and not 1000 m.
     rounded = float(f"{value:.{digits - 1}e}")
     power = min(max(3 * math.floor(math.log10(abs(rounded)) / 3 + 1e-12), -12), 6)
-    if (unit == "s" and power > 0) or (unit in _BARE and 0.1 <= abs(rounded) < 1.0):
-        power = 0
-    return f"{figures(rounded / 10.0**power, digits)} {_PREFIXES[power]}{unit}"
+    bare = (unit == "s" and power > 0) or (unit in _BARE and 0.1 <= abs(rounded) < 1.0)
+    return 0 if bare else power
+
+
+#: An error is written with this many digits of its value at most, however small it is.
+_MOST_DIGITS = 6
+
+
+def measured(value: float, error: float, unit: str = "") -> str:
+    """Return ``104.47 ± 0.02 N/m``: a value to the digit of its error, which is rounded up to one figure.
+
+    Parameters
+    ----------
+    value, error
+        Numbers in SI units, the error >= 0.
+    unit
+        As `quantity` takes it; value and error have one prefix.
+    """
+    if not (math.isfinite(value) and math.isfinite(error)):
+        return quantity(value, unit, 4)
+    power = _power(max(abs(value), error), unit, 4)
+    value, error = value / 10.0**power, error / 10.0**power
+    least = 10.0 ** (math.floor(math.log10(abs(value))) - _MOST_DIGITS + 1) if value else 0.0
+    size = max(error, least)
+    if size == 0.0:
+        return f"0 {unit}".rstrip()
+    place = math.floor(math.log10(size))
+    up = math.ceil(size / 10.0**place - 1e-9)
+    if up == 10:
+        place, up = place + 1, 1
+    decimals = max(-place, 0)
+    return f"{value:.{decimals}f} ± {up * 10.0**place:.{decimals}f} {_PREFIXES[power]}{unit}".rstrip()
 
 
 def signed(value: float, unit: str = "", digits: int = 3) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cosim.units import quantity
+from cosim.units import measured, quantity
 from reports.formatting import cell, plain_name
 from reports.view import RunLike, View, plain
 
@@ -52,13 +52,16 @@ def _measures(view: View) -> Table:
         (plain_name(name), _with_unit(row), str(row.get("text") or ""))
         for name, row in view.run.measures.items()
     )
-    return Table("measures", "Measures", ("measure", "value", "what it is"), rows, numbers=frozenset({1}))
+    note = "Errors are 95 % bounds on what the solver makes, not on what the scene leaves out."
+    estimated = any(row.get("error") is not None for row in view.run.measures.values())
+    head = ("measure", "value", "what it is")
+    return Table("measures", "Measures", head, rows, note if estimated else "", frozenset({1}))
 
 
 def _with_unit(row: Mapping[str, Any]) -> str:
-    value, unit = row.get("value"), str(row.get("unit") or "")
+    value, unit, error = row.get("value"), str(row.get("unit") or ""), row.get("error")
     if isinstance(value, float | int) and not isinstance(value, bool):
-        return quantity(float(value), unit, 4)
+        return measured(float(value), float(error), unit) if error else quantity(float(value), unit, 4)
     return cell(value)
 
 

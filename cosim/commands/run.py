@@ -39,6 +39,17 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         choices=("parquet", "csv"),
         help="also write the signals in this form; repeatable",
     )
+    parser.add_argument(
+        "--tol",
+        action="append",
+        default=[],
+        metavar="SHARE or NAME=AMOUNT",
+        help="choose solver settings so that measures are this right: 1e-3 for all, or "
+        "rendered_stiffness=0.1%%; repeatable",
+    )
+    parser.add_argument(
+        "--no-estimate", action="store_true", help="do not estimate the errors of measures: saves a twin run"
+    )
 
 
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
@@ -48,11 +59,12 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         "cosim.loop.early_imports", reads=[Path(args.scene).parent]
     ) as child:  # it imports while the scene is read
         from cosim.commands.choice import plan_of
-        from cosim.comparisons.measuring import check_measures, needs_a_run, run_with_measures
+        from cosim.comparisons.measuring import check_measures, needs_a_run
         from cosim.results import written_files
         from cosim.staging import require_ours
 
         check_measures(args.measure)
+        _check_tolerances(args)
         found = load_variants(args)
         if args.measure and not needs_a_run(args.measure):
             return _without_run(args, [(v, plan_of(args, v, scene, child)) for v, scene in found], child)
@@ -71,11 +83,43 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         for (variant, plan), out in zip(plans, places, strict=True):
             title = variant.label or plan.scene.title
             with collected(about(variant, found)), progress(plan.scene.duration_s, title) as show:
-                result = run_with_measures(
-                    plan, out, formats=tuple(args.format), on_progress=show, child=child
-                )
+                result = _simulate(args, plan, out, child, show)
             finished.append((variant, out, result))
     return _json(finished), _text(finished)
+
+
+def _check_tolerances(args: argparse.Namespace) -> None:
+    """Refuse what no run can do, before anything long is done."""
+    if not args.tol:
+        return
+    from cosim.accuracy.within import parse_tolerances
+    from cosim.errors import fail
+
+    parse_tolerances(args.tol)
+    if args.no_estimate:
+        fail("a tolerance is held by the estimates: leave one of the two out", key="--no-estimate")
+
+
+def _simulate(
+    args: argparse.Namespace,
+    plan: "Plan",
+    out: Path,
+    child: "Child",
+    show: "Callable[[Mapping[str, Any]], None] | None",
+) -> "Run":
+    """Run a plan as the flags ask: within tolerances, with the errors of its measures, or without them."""
+    told: dict[str, Any] = {"formats": tuple(args.format), "on_progress": show, "child": child}
+    if args.tol:
+        from cosim.accuracy.within import parse_tolerances, run_within
+
+        return run_within(plan, out, parse_tolerances(args.tol), free=not args.model, **told)
+    from cosim.comparisons.measuring import run_with_measures
+
+    if args.no_estimate:
+        return run_with_measures(plan, out, **told)
+    from cosim.accuracy.estimate import estimator
+
+    return run_with_measures(plan, out, errors=estimator(plan, child), **told)
 
 
 def _without_run(
@@ -196,7 +240,19 @@ def _text(finished: "list[tuple[Variant, Path, Run]]") -> str:
         lines += _certified(run)
         lines += [f"  note: {note}" for note in run.plan["notes"]]
         lines += [f"  printed: {line}" for line in run.said]
-    return "\n".join([*lines, "", measure_table([(v.label, r.measures) for v, _, r in finished])])
+    table = measure_table([(v.label, r.measures) for v, _, r in finished])
+    return "\n".join([*lines, "", table, *_estimated(finished)])
+
+
+def _estimated(finished: "list[tuple[Variant, Path, Run]]") -> list[str]:
+    """Say what the errors are, or why there are none."""
+    rows = [row for _, _, run in finished for row in run.measures.values()]
+    if any(row.get("error") is not None for row in rows):
+        return [
+            "±: bound of the solver's error (95 %), from a closer run; what the scene leaves out is not in it"
+        ]
+    why = next((str(row["no_error"]) for row in rows if "no_error" in row), "")
+    return [f"errors are not estimated: {why}"] if why else []
 
 
 def _certified(run: "Run") -> list[str]:
@@ -250,9 +306,10 @@ _SAME = 1e-12
 def _cell(row: "Mapping[str, Any] | None", before: "Mapping[str, Any] | None") -> str:
     if row is None:
         return "-"
-    from cosim.units import quantity
+    from cosim.units import measured, quantity
 
-    text = quantity(float(row["value"]), str(row["unit"]), 4)
+    value, unit, error = float(row["value"]), str(row["unit"]), row.get("error")
+    text = measured(value, float(error), unit) if error else quantity(value, unit, 4)
     if before is None:
         return text
     if abs(row["value"] - before["value"]) <= _SAME * abs(before["value"]):

@@ -1,0 +1,137 @@
+"""The error of each measure of a run, from a twin: the same scene, solved far more closely by another solver.
+
+Where the model `linear` carries the scene, its loop is the twin of a lockstep with ngspice: it shares neither
+the integrator of the circuit nor the coupling, and costs a small part. What the tolerances of its own circuit
+may hide (fit, reduction, gains that are not quite proportional) is added as a share of the value. A scene
+that only ngspice carries is its own twin, with tolerances ten times tighter and half the steps.
+
+The difference of run and twin is the error itself but for the twin's own, which is smaller: the bound is the
+difference with a margin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from cosim.accuracy.solver_settings import carries
+from cosim.caution import collected
+from cosim.circuits.linear_circuit import LinearCircuit
+from cosim.errors import CosimError, InputError
+from cosim.ngspice.child import Child
+from cosim.plan import Plan, resolve
+from cosim.runner import measures_of
+
+__all__ = ["Twin", "estimator", "twin_of"]
+
+Measures = Mapping[str, Mapping[str, Any]]
+
+#: The bound over the difference of run and twin. Were the twin exact, 1 would do: it is not, and where rows
+#: miss a peak its error falls with the first power of the step only. Measured over shipped scenes
+#: (`python -m benchmarks.estimates`), 95 % of the errors are within the bound with 1.4.
+_MARGIN = 1.6
+#: Of a twin with half the step: at first order its error is half of the run's, as large as the difference.
+_OWN_MARGIN = 2.5
+#: The twin's steps are an eighth of the scene's, of its period, and of this, the usual longest step [s].
+_FINER, _USUAL_STEP_S = 8.0, 2e-3
+#: Sums over rows are right to this share of the value.
+_ROUNDING = 1e-12
+#: What tells how right a run is has no error of its own.
+_WITHOUT = frozenset({"ledger_closure"})
+
+
+@dataclass(frozen=True)
+class Twin:
+    """The plan that a run is held against.
+
+    Attributes
+    ----------
+    plan : what is simulated
+    margin : bound over the difference
+    words : what it is, for people
+    """
+
+    plan: Plan
+    margin: float
+    words: str
+
+
+def twin_of(plan: Plan, *, own: bool = False) -> Twin:
+    """Return the twin of a plan; with `own` the same model, more tightly solved.
+
+    Raises
+    ------
+    InputError
+        Where the other model does not take the scene.
+    """
+    scene, solver = plan.scene, plan.scene.solver
+    model = "linear" if plan.model == "spice" and carries(scene, "linear") and not own else plan.model
+    if model == "spice":
+        finer = {
+            "rtol": max(solver.rtol / 10.0, 1e-9),
+            "max_step_s": solver.max_step_s / 2.0,
+            "coupling_tolerance_rad": max(solver.coupling_tolerance_rad / 10.0, 1e-14),
+            "charge_tolerance_c": max(solver.charge_tolerance_c / 10.0, 1e-18),
+        }
+        words, margin = "the same model with tolerances ten times tighter", _OWN_MARGIN
+    else:
+        finer = {
+            "max_step_s": max(min(solver.max_step_s, scene.computer.period_s, _USUAL_STEP_S) / _FINER, 1e-9),
+            "coupling_tolerance_rad": max(1e-3 * min(solver.coupling_tolerance_rad, 1e-7), 1e-14),
+            "reduction_tolerance": min(solver.reduction_tolerance, 1e-6),
+        }
+        words, margin = f"the model {model}, an eighth of the step and tight tolerances", _MARGIN
+    update = {"solver": solver.model_copy(update={**finer, "model": type(solver.model)(model)})}
+    with collected(forward=False):
+        other = resolve(scene.model_copy(update=update), trust=plan.trust, board=plan.board)
+    return Twin(other, margin, words)
+
+
+def estimator(plan: Plan, child: Child | None) -> Callable[[Measures, Any], dict[str, dict[str, Any]]]:
+    """Return what `cosim.runner.run` calls for the errors of its measures.
+
+    Every row gets 'error', a bound in the measure's unit, or None with 'no_error' saying why.
+    """
+
+    def errors(measures: Measures, circuit: LinearCircuit | None) -> dict[str, dict[str, Any]]:
+        why = ""
+        for own in (False, True):
+            try:
+                twin = twin_of(plan, own=own)
+                with collected(forward=False):
+                    found = measures_of(twin.plan, child)
+                break
+            except CosimError as error:
+                why = _first_line(error)
+        else:
+            return {name: {**row, "error": None, "no_error": why} for name, row in measures.items()}
+        share = doubt(circuit)
+        return {name: _with_error(name, row, found.get(name), twin, share) for name, row in measures.items()}
+
+    return errors
+
+
+def doubt(circuit: LinearCircuit | None) -> float:
+    """Return what a linear circuit may be wrong by, as a share: the worst that its certificate states."""
+    told = circuit.certificate if circuit is not None else {}
+    names = ("error", "measured_error", "fit_error", "control_nonlinearity", "not_through_multipliers")
+    return max((float(told[name]) for name in names if isinstance(told.get(name), int | float)), default=0.0)
+
+
+def _with_error(
+    name: str, row: Mapping[str, Any], other: Mapping[str, Any] | None, twin: Twin, share: float
+) -> dict[str, Any]:
+    if name in _WITHOUT:
+        return dict(row)
+    if other is None:
+        return {**row, "error": None, "no_error": f"{twin.words} has no such measure"}
+    value = float(row["value"])
+    apart = abs(value - float(other["value"]))
+    return {**row, "error": twin.margin * apart + (share + _ROUNDING) * abs(value)}
+
+
+def _first_line(error: CosimError) -> str:
+    if isinstance(error, InputError):
+        return error.problems[0].message
+    return str(error).splitlines()[0]

@@ -1,0 +1,177 @@
+"""A run whose measures are within a tolerance: model and tolerances of the solver are chosen for it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from cosim.accuracy.estimate import estimator
+from cosim.catalogue import OF_A_RUN, UNITS
+from cosim.caution import Caution, collected, warn
+from cosim.comparisons.measuring import run_with_measures
+from cosim.errors import InputError, Problem, nearest
+from cosim.measures import Tolerance, amount
+from cosim.ngspice.child import Child
+from cosim.plan import Plan, resolve
+from cosim.results import Run
+from cosim.scene import CircuitModelName
+
+__all__ = ["Wanted", "parse_tolerances", "run_within"]
+
+#: What has no error that a solver could make smaller.
+_WITHOUT = frozenset({"ledger_closure", "headroom"})
+#: How often the tolerances are tightened before a tolerance counts as out of reach.
+_LEVELS = 5
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Tolerances: of some measures, or one for all (`every`).
+
+    Attributes
+    ----------
+    by_name : measure -> tolerance
+    every : share that all measures must meet; None where only those named count
+    """
+
+    by_name: Mapping[str, Tolerance]
+    every: float | None = None
+
+    def missed(self, measures: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+        """Return the measures whose error is larger than allowed, or not known, with what there is."""
+        out = {}
+        names = [*self.by_name, *(measures if self.every is not None else ())]
+        for name in dict.fromkeys(names):
+            row = measures.get(name)
+            asked = self.by_name.get(name)
+            if row is None:
+                out[name] = "this run has none"
+            elif name in _WITHOUT and asked is None:
+                continue
+            elif row.get("error") is None:
+                out[name] = str(row.get("no_error", "its error is not known"))
+            else:
+                value = float(row["value"])
+                allowed = asked.allowed(value) if asked else (self.every or 0.0) * abs(value)
+                if row["error"] > allowed:
+                    out[name] = f"error {row['error']:.2g}, allowed {allowed:.2g} {row['unit']}".rstrip()
+        return out
+
+
+def parse_tolerances(texts: Sequence[str]) -> Wanted:
+    """Parse ``1e-3`` (a share, of every measure) and ``NAME=AMOUNT`` (``0.1%``, ``0.05 N``, a share).
+
+    Raises
+    ------
+    InputError
+        For anything else, all of it at once.
+    """
+    by_name: dict[str, Tolerance] = {}
+    every: float | None = None
+    problems = []
+    for text in texts:
+        name, given, written = text.rpartition("=")
+        name = name.strip()
+        found = _amount(written, UNITS.get(name, ""))
+        if not given:
+            if found is None or not found.relative or found.size > 1.0:
+                problems.append(_problem("is no share", text))
+            else:
+                every = found.size
+        elif name not in OF_A_RUN or name in _WITHOUT:
+            near = nearest(name, OF_A_RUN)
+            problems.append(
+                _problem(f"no such measure of a run{f'; nearest is {near}' if near else ''}", text)
+            )
+        elif found is None:
+            problems.append(_problem("is no amount of this measure", text))
+        else:
+            by_name[name] = found
+    if problems:
+        raise InputError(problems)
+    return Wanted(by_name, every)
+
+
+def _amount(text: str, unit: str) -> Tolerance | None:
+    """Return an amount; a number alone is a share."""
+    try:
+        size = float(text)
+    except ValueError:
+        return amount(text, unit)
+    return Tolerance(size, True) if 0.0 < size < math.inf else None
+
+
+def _problem(message: str, text: str) -> Problem:
+    return Problem(message, key="--tol", value=text, allowed="1e-3, NAME=0.1%, or NAME=AMOUNT with its unit")
+
+
+def run_within(
+    plan: Plan,
+    out: str | Path | None,
+    wanted: Wanted,
+    *,
+    free: bool = True,
+    child: Child | None = None,
+    **more: Any,
+) -> Run:
+    """Run a plan so that the estimated errors of its measures are within tolerances.
+
+    Tolerances and steps are tightened until the estimates fit. What cannot be reached is a caution, and the
+    last run is kept.
+
+    Parameters
+    ----------
+    plan, out, child, more
+        As `cosim.runner.run` takes them.
+    free
+        Whether the cheapest model that carries the scene replaces the one that the scene states.
+    """
+    missed: dict[str, str] = {}
+    for level in range(_LEVELS):
+        with collected(forward=False) as heard:
+            tried = _at_level(plan, wanted, level, free)
+            result = run_with_measures(tried, out, child=child, errors=estimator(tried, child), **more)
+        missed = wanted.missed(result.measures)
+        if not missed or not _could_shrink(missed, result):
+            break
+    warn(*heard)
+    for name, why in missed.items():
+        warn(
+            Caution(
+                "tolerance-missed",
+                f"{name} is not known to be within its tolerance, after {level + 1} run(s): {why}",
+                "allow more; cosim accuracy tells what each setting reaches",
+            )
+        )
+    return result
+
+
+def _at_level(plan: Plan, wanted: Wanted, level: int, free: bool) -> Plan:
+    """Return the plan with tolerances that many times tightened, and every measure that is wanted."""
+    scene, solver = plan.scene, plan.scene.solver
+    tight = 10.0**-level
+    update: dict[str, Any] = {
+        "max_step_s": max(solver.max_step_s * 4.0**-level, 1e-9),
+        "rtol": max(solver.rtol * tight, 1e-9),
+        "coupling_tolerance_rad": max(solver.coupling_tolerance_rad * tight, 1e-14),
+        "charge_tolerance_c": max(solver.charge_tolerance_c * tight, 1e-18),
+    }
+    if free:
+        update["model"] = CircuitModelName.AUTO
+    names = scene.measures.names
+    if names and wanted.every is None:
+        names = tuple(dict.fromkeys([*names, *wanted.by_name]))
+    told = {
+        "solver": solver.model_copy(update=update if level else {"model": update.get("model", solver.model)}),
+        "measures": scene.measures.model_copy(update={"names": names}),
+    }
+    tried = resolve(scene.model_copy(update=told), trust=plan.trust, board=plan.board)
+    return replace(tried, cautions=plan.cautions, choice=plan.choice)
+
+
+def _could_shrink(missed: Mapping[str, str], result: Run) -> bool:
+    """Whether a measure that misses its tolerance has an error that smaller steps may mend."""
+    return any(result.measures.get(name, {}).get("error") is not None for name in missed)

@@ -1,0 +1,194 @@
+"""The error that a run prints with each measure: it holds, is written right, and a tolerance is kept."""
+
+import json
+import math
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import SCENES, ExactSlider, scene_of, shared_child, slider
+
+from cosim.accuracy.estimate import doubt, estimator, twin_of
+from cosim.accuracy.within import Wanted, parse_tolerances, run_within
+from cosim.caution import collected
+from cosim.cli import main
+from cosim.errors import InputError
+from cosim.measures import Tolerance
+from cosim.plan import resolve
+from cosim.runner import run
+from cosim.scene import load_scene
+from cosim.units import measured
+
+RADIUS = 0.1333
+#: A carriage thrown at the wall, ideal parts: between its samples a matrix exponential.
+THROWN = slider(duration_s=0.25, device={"start": {"q_rad": [0.06], "v_rad_per_s": [-1.0]}})
+
+
+@cache
+def deepest() -> float:
+    """Deepest penetration [m] of the thrown carriage, of matrix exponentials."""
+    exact = ExactSlider(inertia=0.2 * RADIUS**2, radius=RADIUS, period=0.025, k_dp=100.0)
+
+    def lowest(times: np.ndarray) -> tuple[float, float]:
+        q = exact.solve(0.06, -1.0, 10, [(0.0, 0.0)], times)[:, 0]
+        return float(times[int(np.argmin(q))]), float(q.min())
+
+    near, _ = lowest(np.linspace(0.0, 0.25, 101))
+    # 1e-4 s apart and beside the peak by half of that: k/m h^2/8 is 6e-7 of the depth
+    return -RADIUS * lowest(np.linspace(near - 2.5e-3, near + 2.5e-3, 51))[1]
+
+
+@pytest.mark.parametrize("more", [(), ("solver.rtol=1e-2", "solver.coupling_tolerance_rad=1e-3")])
+@pytest.mark.parametrize("model", ["spice", "ideal", "linear"])
+def test_the_bound_holds_against_the_closed_form(tmp_path: Path, model: str, more: tuple[str, ...]) -> None:
+    plan = resolve(scene_of(tmp_path, THROWN, f"solver.model={model}", *more))
+    found = run(
+        plan, tmp_path / "run", formats=(), child=shared_child(), errors=estimator(plan, shared_child())
+    )
+    row = found.measures["max_penetration"]
+    error = abs(row["value"] - deepest())
+    # 6e-7 of `deepest`, and 5e-8 of gains of 1e9 of the ideal op-amps (test_coupling), which every model has
+    assert error <= row["error"] + 1e-6 * row["value"]
+    assert row["error"] < 1e-2 * row["value"]
+    assert "error" not in found.measures["ledger_closure"]
+    if model == "spice":  # amplifiers have no outputs in the twin's model
+        assert all(
+            r["error"] is not None
+            for n, r in found.measures.items()
+            if n not in ("ledger_closure", "headroom")
+        )
+
+
+def test_a_scene_that_only_ngspice_carries_is_its_own_twin(tmp_path: Path) -> None:
+    full = resolve(scene_of(tmp_path, THROWN, "effects.opamp=full"))
+    assert twin_of(full).plan.model == "spice"
+    assert twin_of(full).plan.tolerances.rtol == pytest.approx(full.tolerances.rtol / 10)
+    assert twin_of(resolve(scene_of(tmp_path, THROWN))).plan.model == "linear"
+
+
+def test_what_cannot_be_estimated_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from cosim.accuracy import estimate
+
+    def refused(*_: object) -> None:
+        raise InputError("no such thing")
+
+    monkeypatch.setattr(estimate, "measures_of", refused)
+    plan = resolve(scene_of(tmp_path, THROWN))
+    rows = estimator(plan, None)({"peak_force": {"value": 1.0, "unit": "N", "text": ""}}, None)
+    assert rows["peak_force"]["error"] is None
+    assert rows["peak_force"]["no_error"] == "no such thing"
+
+
+def test_the_circuits_own_doubt_is_the_worst_that_its_certificate_states() -> None:
+    class Circuit:
+        certificate = {"error": 1e-7, "fit_error": 3e-5, "measured_error": "none", "sentence": "words"}  # noqa: RUF012
+
+    assert doubt(Circuit()) == 3e-5  # type: ignore[arg-type]
+    assert doubt(None) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "unit", "text"),
+    [
+        (104.4738, 0.0123, "N/m", "104.47 ± 0.02 N/m"),
+        (0.0101252, 3.0e-7, "m", "10.1252 ± 0.0003 mm"),
+        (0.0101252, 1e-15, "m", "10.1252 ± 0.0001 mm"),  # no more than six digits
+        (0.98, 0.0999, "N", "1.0 ± 0.1 N"),
+        (0.0, 2.1e-3, "N", "0 ± 3 mN"),
+        (-0.06095, 3.1e-5, "N", "-60.95 ± 0.04 mN"),
+        (1234.0, 56.0, "N/m", "1234 ± 60 N/m"),
+    ],
+)
+def test_a_value_is_written_to_the_digit_of_its_error(
+    value: float, error: float, unit: str, text: str
+) -> None:
+    assert measured(value, error, unit) == text
+
+
+def test_tolerances_are_read() -> None:
+    wanted = parse_tolerances(["1e-3", "rendered_stiffness=0.1%", "peak_force=20 mN", "heat=0.5"])
+    assert wanted.every == 1e-3
+    assert wanted.by_name == {
+        "rendered_stiffness": Tolerance(1e-3, True), "peak_force": Tolerance(0.02, False),
+        "heat": Tolerance(0.5, True),
+    }  # fmt: skip
+    for text in (
+        "0",
+        "2",
+        "-1",
+        "nan",
+        "inf",
+        "peak_force=",
+        "peak_forc=1%",
+        "peak_force=1 kg",
+        "ledger_closure=1",
+    ):
+        with pytest.raises(InputError, match="--tol"):
+            parse_tolerances([text])
+
+
+def test_what_misses_its_tolerance_is_named() -> None:
+    rows = {
+        "peak_force": {"value": 2.0, "unit": "N", "error": 0.01},
+        "heat": {"value": 1.0, "unit": "A^2 s", "error": None, "no_error": "why"},
+        "headroom": {"value": 0.5, "unit": "", "error": None},
+    }
+    assert Wanted({}, 1e-2).missed(rows) == {"heat": "why"}  # headroom is no matter of the solver's
+    missed = Wanted({"peak_force": Tolerance(1e-3, False), "max_penetration": Tolerance(1, True)}).missed(
+        rows
+    )
+    assert missed == {"peak_force": "error 0.01, allowed 0.001 N", "max_penetration": "this run has none"}
+
+
+def test_a_tolerance_chooses_model_and_steps(tmp_path: Path) -> None:
+    scene = load_scene(SCENES / "press.toml", ["duration_s=0.8"])
+    loose, close = (
+        run_within(resolve(scene), tmp_path / str(k), Wanted({"peak_force": Tolerance(tol, True)}),
+                   child=shared_child(), formats=())
+        for k, tol in enumerate((1e-2, 1e-6))
+    )  # fmt: skip
+    for found, tol in ((loose, 1e-2), (close, 1e-6)):
+        assert found.plan["model"] == "linear"  # it carries the scene, which states spice
+        assert found.measures["peak_force"]["error"] <= tol * found.measures["peak_force"]["value"]
+    assert loose.scene.solver.max_step_s == scene.solver.max_step_s
+    assert close.scene.solver.max_step_s < scene.solver.max_step_s
+    apart = abs(loose.measures["peak_force"]["value"] - close.measures["peak_force"]["value"])
+    assert apart <= loose.measures["peak_force"]["error"] + close.measures["peak_force"]["error"]
+
+
+def test_a_tolerance_out_of_reach_is_said(tmp_path: Path) -> None:
+    plan = resolve(scene_of(tmp_path, THROWN, "solver.model=ideal"))
+    with collected(forward=False) as heard:
+        run_within(
+            plan,
+            tmp_path / "o",
+            Wanted({"headroom": Tolerance(1e-3, True)}),
+            child=shared_child(),
+            formats=(),
+        )
+    assert [(c.code, "headroom" in c.text) for c in heard if c.code == "tolerance-missed"] == [
+        ("tolerance-missed", True)
+    ]
+
+
+def test_the_command_prints_errors_and_keeps_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene_of(tmp_path, {**THROWN, "solver": {"model": "ideal"}})
+    scene, out = str(tmp_path / "scene.toml"), tmp_path / "out"
+    assert main(["run", scene, "-o", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "±" in next(line for line in said.splitlines() if line.startswith("max_penetration"))
+    assert "bound of the solver's error" in said
+    kept = json.loads((out / "run.json").read_text())["measures"]["max_penetration"]
+    assert 0.0 < kept["error"] < 1e-3 * kept["value"]
+    assert main(["report", str(out)]) == 0
+    assert "±" in (out / "report" / "report.html").read_text()
+    assert main(["run", scene, "-o", str(out), "--no-estimate"]) == 0
+    assert "±" not in capsys.readouterr().out
+    assert "error" not in json.loads((out / "run.json").read_text())["measures"]["max_penetration"]
+    assert main(["run", scene, "-o", str(out), "--no-estimate", "--tol", "1e-3"]) == 2
+    assert "--no-estimate" in capsys.readouterr().err
+    assert main(["run", scene, "-o", str(out), "--tol", "max_penetration=1e-4", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["runs"][0]["measures"]["max_penetration"]
+    assert told["error"] <= 1e-4 * told["value"]
+    assert math.isfinite(told["value"])
