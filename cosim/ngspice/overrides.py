@@ -13,7 +13,9 @@ from cosim.ngspice.netlist import Block, Instance, Netlist
 from cosim.ngspice.syntax import malformed
 from cosim.ngspice.values import as_meant
 
-__all__ = ["LARGEST", "SMALLEST", "apply_overrides", "set_param", "shorts"]
+__all__ = [
+    "LARGEST", "SMALLEST", "apply_overrides", "elements_of", "own_copy", "set_element", "set_param", "shorts",
+]  # fmt: skip
 
 SMALLEST, LARGEST = 1e-30, 1e30
 """Magnitudes of values other than 0: beyond them products overflow or vanish, in ngspice and here."""
@@ -130,16 +132,16 @@ def _name(net: Netlist, board: Block, key: str, value: str) -> str | None:
         return None
     for is_part in (False, True):
         owners = [
-            block for block in net.blocks.values() if block.is_part is is_part and key in _elements(block)
+            block for block in net.blocks.values() if block.is_part is is_part and key in elements_of(block)
         ]
         if len(owners) > 1:
             names = ", ".join(block.name for block in owners)
             return f"is an element of several subcircuits ({names}): name the instance, as in xdiff1.{key}"
         if owners:
-            return _set_element(owners[0], key, value)
+            return set_element(owners[0], key, value)
     known = [
         *_params(net),
-        *(name for block in net.blocks.values() if not block.is_part for name in _elements(block)),
+        *(name for block in net.blocks.values() if not block.is_part for name in elements_of(block)),
     ]
     return "no such parameter or element" + _near(key, known)
 
@@ -158,16 +160,16 @@ def _instance(net: Netlist, board: Block, path: list[str], value: str) -> str | 
             kept = [word for word in instance.extra if not word.lower().startswith(path[-1] + "=")]
             block.body[instance.index] = instance.rewritten(extra=[*kept, f"{path[-1]}={value}"])
             return None
-        if last and path[-1] not in _elements(child):
+        if last and path[-1] not in elements_of(child):
             return f"{child.name} has no parameter or element {path[-1]}" + _near(
-                path[-1], [*child.params, *_elements(child)]
+                path[-1], [*child.params, *elements_of(child)]
             )
-        block = _own_copy(net, block, instance, child)
-    return _set_element(block, path[-1], value)
+        block = own_copy(net, block, instance, child)
+    return set_element(block, path[-1], value)
 
 
-def _own_copy(net: Netlist, block: Block, instance: Instance, child: Block) -> Block:
-    """Give an instance a subcircuit of its own."""
+def own_copy(net: Netlist, block: Block, instance: Instance, child: Block) -> Block:
+    """Give an instance in `block` a subcircuit of its own, unless it has one, and return it."""
     name = f"{child.name}__{block.name}_{instance.name}"
     if child.name.endswith(f"__{block.name}_{instance.name}"):
         return child
@@ -196,9 +198,10 @@ def set_param(net: Netlist, key: str, value: str) -> bool:
     return found
 
 
-def _set_element(block: Block, key: str, value: str) -> str | None:
+def set_element(block: Block, key: str, value: str) -> str | None:
+    """Give an element of a subcircuit another value; return what is wrong."""
     place = _VALUE_PLACE.get(key[0])
-    index = _elements(block)[key]
+    index = elements_of(block)[key]
     line = block.body[index]
     words = tokens(line.text)
     named = next((i for i, word in enumerate(words) if word.lower().startswith(f"{key[0]}=")), None)
@@ -215,7 +218,7 @@ def _set_element(block: Block, key: str, value: str) -> str | None:
     return None
 
 
-def _elements(block: Block) -> dict[str, int]:
+def elements_of(block: Block) -> dict[str, int]:
     """Return the designators of a subcircuit's elements -> their place in the body."""
     found, depth = {}, 0
     for index, line in enumerate(block.body):

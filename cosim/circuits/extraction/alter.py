@@ -13,8 +13,9 @@ from enum import Enum
 
 from cosim.ngspice.deck import Deck
 from cosim.ngspice.lines import Line, assignments, number, tokens
-from cosim.ngspice.netlist import Block, Instance, Netlist, parse
+from cosim.ngspice.netlist import Block, Instance, Netlist
 from cosim.ngspice.overrides import apply_overrides
+from cosim.ngspice.placed import board_netlist as netlist
 
 __all__ = ["Handle", "Way", "altered", "handle", "netlist", "nominal_value", "walk"]
 
@@ -101,15 +102,6 @@ def nominal_value(board: Deck, name: str) -> float | None:
             if value is not None:
                 return number(value)
     return None
-
-
-def netlist(board: Deck) -> Netlist:
-    """Return the structure of a flat deck, its parts marked as such."""
-    net = parse(board.lines[1:])
-    parts = {part.name for part in board.parts}
-    for block in net.blocks.values():
-        block.is_part = block.name.partition("__")[0] in parts
-    return net
 
 
 def _of_instance(net: Netlist, board: str, key: str) -> Handle:

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.circuits.extraction.path_measurement import LOW_HZ, Session
+from cosim.circuits.extraction.testbench import Bench
 
-__all__ = ["ControlPath", "Offsets", "control_path", "current_limits", "offsets"]
+__all__ = ["ControlPath", "Offsets", "beyond_rounding", "control_path", "current_limits", "offsets"]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -62,7 +63,7 @@ class Offsets:
     y: Array
 
 
-def current_limits(session: Session) -> Array:
+def current_limits(session: Bench) -> Array:
     """Return the lowest and highest current of each motor at standstill [n, 2] A, infinite where none shows.
 
     From a `.dc` sweep of its command: the current where it stops rising.
@@ -89,7 +90,11 @@ def offsets(session: Session) -> Offsets:
     gives k x. Without probes x is what the current of the channel's own motor does at full scale, and y is
     not told apart from a direct path.
     """
-    found = _offsets(session)
+    return beyond_rounding(session, _offsets(session))
+
+
+def beyond_rounding(session: Session, found: Offsets) -> Offsets:
+    """Return offsets without those that are nothing but rounding."""
     tiny = _ROUNDING * session.v_fs
     floors = (("current", _ROUNDING_A), ("x", tiny if session.multipliers else _ROUNDING_A), ("y", tiny))
     kept = {}

@@ -151,17 +151,16 @@ def shortened(full: Fractions, chosen: NDArray[np.int64], s: Complex) -> tuple[F
 def realised(row: Fractions, k: int) -> tuple[Array, Array, Array, Array] | None:
     """Return A, B, C, D of row `k`, one state a pole; ``None`` where a complex pole lacks its partner."""
     poles, residues = row.poles[k], row.residues[k]
-    real = poles.imag == 0.0
-    upper = np.flatnonzero(~real & (poles.imag > 0.0))
-    alone = np.flatnonzero(real)
-    if len(alone) + 2 * len(upper) != len(poles):
-        return None
+    alone, upper = np.flatnonzero(poles.imag == 0.0), np.flatnonzero(poles.imag > 0.0)
     count, first = len(poles), len(alone)
+    if first + 2 * len(upper) != count:
+        return None
     a, b, c = np.zeros((count, count)), np.zeros((count, len(row.d[k]))), np.zeros(count)
-    each = np.arange(first)
-    a[each, each], b[:first], c[:first] = poles[alone].real, residues[:, alone].real.T, 1.0
-    one = np.arange(first, count, 2)
-    a[one, one] = a[one + 1, one + 1] = poles[upper].real
-    a[one, one + 1], a[one + 1, one] = -poles[upper].imag, poles[upper].imag
-    b[one], b[one + 1], c[one] = residues[:, upper].real.T, residues[:, upper].imag.T, 2.0
+    a.flat[: first * (count + 1) : count + 1] = poles.real[alone]
+    b[:first], c[:first] = residues.real.T[alone], 1.0
+    for at, pole in zip(range(first, count, 2), upper.tolist(), strict=True):
+        real, imag = poles[pole].real, poles[pole].imag
+        a[at, at] = a[at + 1, at + 1] = real
+        a[at, at + 1], a[at + 1, at] = -imag, imag
+        b[at], b[at + 1], c[at] = residues[:, pole].real, residues[:, pole].imag, 2.0
     return a, b, c, row.d[k]

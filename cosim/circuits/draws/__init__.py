@@ -1,0 +1,1 @@
+"""The circuit models of many boards that differ in the values of their components."""

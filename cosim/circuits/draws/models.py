@@ -1,0 +1,190 @@
+"""The `ideal` or `linear` model of a board for many sets of values of its placed components.
+
+Every set is answered from the board as it is, never from the set before it: the order of the sets does not
+matter. Where all values are admittances, the paths follow from `DrawnNetwork` and are fitted with the poles'
+number of the board as it is; where that does not do, with as many as they need. Values of another kind, and
+boards without probes, are extracted anew from a deck of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.circuits.cache import Asked
+from cosim.circuits.draws.admittances import Unlike, changes
+from cosim.circuits.draws.network import DrawnNetwork
+from cosim.circuits.extraction.extract import SWEEP, extracted, networks, without_rates
+from cosim.circuits.extraction.ideal import DC_SWEEP, ideal
+from cosim.circuits.extraction.limits_and_offsets import current_limits
+from cosim.circuits.extraction.path_measurement import Paths, Session
+from cosim.circuits.extraction.testbench import Bench
+from cosim.circuits.fitting.rational_fit import WORST, Modes
+from cosim.circuits.fitting.refit import Batch, Unfit, batches, fitted, points
+from cosim.circuits.linear_circuit import LinearCircuit
+from cosim.ngspice.deck import Deck
+from cosim.ngspice.placed import Placed
+
+__all__ = ["Draws"]
+
+Array = NDArray[np.float64]
+
+
+class Draws:
+    """A board whose placed components take many sets of values.
+
+    To be used in ngspice's child process; it holds the one circuit that ngspice can have there.
+
+    Parameters
+    ----------
+    board
+        The flat deck.
+    keys
+        Components, as `Placed` takes them.
+    nominal
+        Their values on the board as it is, SI.
+    model
+        ``ideal`` or ``linear``.
+
+    Attributes
+    ----------
+    why_slow
+        Why every set is extracted anew, if so.
+
+    Raises
+    ------
+    InputError
+        For unknown components, and a board that has no such model.
+    """
+
+    def __init__(self, board: Deck, keys: Sequence[str], nominal: Sequence[float], model: str) -> None:
+        self._placed = Placed.of(board, keys)
+        self._model, self._nominal = model, tuple(map(float, nominal))
+        self._file = str(board.path)
+        self._as_is = self._placed.deck(self._nominal)
+        self.why_slow = ""
+        self._rows: tuple[Batch, ...] | None = None
+        try:
+            self._learn(keys)
+        except Unlike as reason:
+            self.why_slow = str(reason)
+
+    def _learn(self, keys: Sequence[str]) -> None:
+        """Ask ngspice for the board as it is, and find out which poles each row of paths has."""
+        elements = changes(self._placed.board, keys)
+        self._network = network = DrawnNetwork(self._as_is, elements, self._nominal)
+        session = network.session
+        if not session.multipliers:
+            raise Unlike("the multipliers have no probes")
+        whole = session.measure(DC_SWEEP if self._model == "ideal" else SWEEP)
+        circuit = extracted(session, Asked(self._as_is.text, self._model, 0.0, 0.0), whole)
+        network.learn(whole.gain, circuit)
+        self._limit = circuit.limit
+        if self._model == "ideal":
+            network.sweep(DC_SWEEP)
+            return
+        before = [session.before(part) for part in session.multipliers]
+        same: dict[str, list[int]] = {}
+        for c, node in enumerate(before):
+            same.setdefault(node, []).append(c)
+        rows = [(True, tuple(places)) for places in same.values()]
+        rows += [(False, (i,)) for i in range(session.joints)]
+        self._rows = batches(without_rates(whole)[1], rows)
+        self._sweep = points(self._rows)
+        network.sweep(self._sweep)
+        network.sweep(SWEEP)
+        self._kept: dict[tuple[float, float], tuple[Batch, ...]] = {}
+
+    def _known_rows(self, omega: float, share: float) -> tuple[Batch, ...]:
+        """Return the rows with the poles that the board as it is keeps at such a reduction."""
+        assert self._rows is not None
+        if (omega, share) not in self._kept:
+            paths = without_rates(self._network.paths(self._sweep, self._nominal))[1]
+            self._kept[omega, share] = fitted(paths, self._rows, omega, share).batches
+        return self._kept[omega, share]
+
+    def at(self, values: Sequence[float], band_hz: float = 0.0, tolerance: float = 0.0) -> LinearCircuit:
+        """Return the model with these values.
+
+        Parameters
+        ----------
+        values
+            In the order of the keys, SI.
+        band_hz, tolerance
+            Band and largest error of the reduced model, as `extract` takes them; 0: unreduced.
+
+        Raises
+        ------
+        InputError
+            For values with which there is no model: an unstable board.
+        """
+        if self.why_slow:
+            asked = Asked(self._placed.board.text, self._model, band_hz, tolerance)
+            return extracted(Session(self._placed.deck(values)), asked)
+        if self._model == "ideal":
+            paths = self._network.paths(DC_SWEEP, values)
+            still = ideal(paths, self._file)
+            parts = {name: value for name, value in still.arrays().items() if name[2:] in ("pre", "post")}
+            return self._finished(parts | {"certificate": still.certificate}, paths, values)
+        try:
+            return self._quickly(values, band_hz, tolerance)
+        except Unfit as reason:
+            return self._wholly(values, band_hz, tolerance, str(reason))
+
+    def _quickly(self, values: Sequence[float], band_hz: float, tolerance: float) -> LinearCircuit:
+        """Fit with as many poles as the board has as it is."""
+        omega = 2.0 * np.pi * band_hz
+        share = float(np.sqrt(1.0 + tolerance) - 1.0)  # of each side: a + b (1 + a) <= tolerance
+        rows = self._known_rows(omega, share)
+        rate, paths = without_rates(self._network.paths(self._sweep, values))
+        found = fitted(paths, rows, omega, share)
+        told = {"model": "linear", "order": len(found.pre.a) + len(found.post.a),
+                "full_order": len(found.poles), "fit_error": found.error}  # fmt: skip
+        return self._finished(self._parts(found.pre, found.post, rate, told), paths, values)
+
+    def _wholly(
+        self, values: Sequence[float], band_hz: float, tolerance: float, reason: str
+    ) -> LinearCircuit:
+        """Fit with as many poles as it takes."""
+        rate, paths = without_rates(self._network.paths(SWEEP, values))
+        pre, post = networks(paths, self._file, max(WORST, tolerance))
+        if band_hz > 0.0 and tolerance > 0.0:
+            half = float(np.sqrt(1.0 + tolerance) - 1.0)
+            pre, post = (side.reduced(2.0 * np.pi * band_hz, half)[0] for side in (pre, post))
+        first, second = pre.joined(), post.joined()
+        told = {"model": "linear", "order": len(first.a) + len(second.a), "anew": reason}
+        return self._finished(self._parts(first, second, rate, told), paths, values)
+
+    @staticmethod
+    def _parts(pre: Modes, post: Modes, rate: Array, told: dict[str, Any]) -> dict[str, Any]:
+        return {
+            "a_pre": pre.a, "b_pre": pre.b, "c_pre": pre.c, "d_pre": pre.d, "e_pre": rate,
+            "a_post": post.a, "b_post": post.b, "c_post": post.c, "d_post": post.d, "certificate": told,
+        }  # fmt: skip
+
+    def _finished(self, parts: dict[str, Any], paths: Paths, values: Sequence[float]) -> LinearCircuit:
+        """Return the circuit with offsets and limits."""
+        n, v_fs, m = self._limit.shape[0], self._network.session.v_fs, len(paths.gain)
+        steady = parts["d_post"][:, :m]
+        if len(parts["a_post"]):
+            steady = steady - parts["c_post"] @ np.linalg.solve(parts["a_post"], parts["b_post"][:, :m])
+        found = self._network.offsets(paths, steady, values)
+        return LinearCircuit(
+            joints=n,
+            model=self._model,
+            gain=paths.gain * v_fs / (v_fs + found.y),
+            offset=found.current,
+            x_offset=found.x,
+            y_offset=found.y,
+            limit=self._limits(values),
+            **parts,
+        )
+
+    def _limits(self, values: Sequence[float]) -> Array:
+        """Return the motors' limits of current [n, 2], by `.dc` where the board as it is shows some."""
+        if not np.isfinite(self._limit).any():
+            return self._limit
+        return current_limits(Bench(self._placed.deck(values), multipliers=False))
