@@ -50,11 +50,12 @@ class Lacking(Exception):
 class BoardMeasures:
     """Measures of one plan; circuit, pose and loops are found once, when the first of them is asked for.
 
-    A plan for `spice` is studied with the `linear` model of the same parts.
+    A plan for `spice` is studied with the `linear` model of the same parts. `circuit` is that model,
+    unreduced, where it is known.
     """
 
-    def __init__(self, plan: Plan, child: Child | None = None) -> None:
-        self._plan, self._scene, self._child = plan, plan.scene, child
+    def __init__(self, plan: Plan, child: Child | None = None, circuit: LinearCircuit | None = None) -> None:
+        self._plan, self._scene, self._child, self._known = plan, plan.scene, child, circuit
 
     def row(self, name: str) -> Row:
         """Return a measure as a run's own ones are kept: {value, unit, text}.
@@ -71,6 +72,8 @@ class BoardMeasures:
 
     @cached_property
     def _circuit(self) -> tuple[LinearCircuit, DesignConstants]:
+        if self._known is not None:
+            return self._known, self._plan.stated(self._child)
         return circuit_of(self._plan, child=self._child)
 
     @cached_property

@@ -48,7 +48,10 @@ class Owner(Protocol):
 
 
 class Recorder:
-    """Streams rows and samples to files, and turns faults of compiled code into exceptions."""
+    """Streams rows and samples to files, and turns faults of compiled code into exceptions.
+
+    `streams` take rows and samples in place of files in `folder`.
+    """
 
     def __init__(
         self,
@@ -60,13 +63,15 @@ class Recorder:
         deck: str | None = None,
         person: str = "operator",
         nodes: Sequence[str] = (),
+        streams: tuple[BinaryIO, BinaryIO] | None = None,
     ) -> None:
         self.memory, self.simulator, self.report = memory, simulator, report
         self.folder, self.deck, self.person, self.nodes = folder, deck, person, tuple(nodes)
         self.failure: BaseException | None = None
         self.running = True  # only a running analysis can be stopped; another would stop at once later
-        self.rows: BinaryIO = open(folder / ROWS, "wb")
-        self.samples: BinaryIO = open(folder / SAMPLES, "wb")
+        opened = streams or (open(folder / ROWS, "wb"), open(folder / SAMPLES, "wb"))
+        self.rows: BinaryIO = opened[0]
+        self.samples: BinaryIO = opened[1]
         self.bytes = 0
         self.callback = ctypes.CFUNCTYPE(None)(self.drain)
         state = memory.state[0]

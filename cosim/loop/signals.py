@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -58,9 +58,30 @@ def write_signals(
     Derived here: powers of the motors, the operator, friction and stops [W], kinetic, gravity and
     commanded-spring energy [J], and the motors' force at the fingertip [N].
     """
+    table = np.memmap(rows_file, dtype=np.float64, mode="r").reshape(-1, len(layout.columns))
+    with RawWriter(raw_file, signal_names(layout.columns)[0], title=title) as raw:
+        return _derived(table, layout, work_j, raw.append)
+
+
+def held_signals(
+    table: NDArray[np.float64], layout: Layout, work_j: NDArray[np.float64] | None = None
+) -> tuple[dict[str, NDArray[np.float64]], dict[str, Any]]:
+    """Return every signal of rows that are held in memory, and the energy ledger; see `write_signals`."""
+    parts: list[NDArray[np.float64]] = []
+    ledger = _derived(table, layout, work_j, parts.append)
+    columns = np.ascontiguousarray(np.concatenate(parts).T)
+    return dict(zip(signal_names(layout.columns)[0], columns, strict=True)), ledger
+
+
+def _derived(
+    table: NDArray[np.float64],
+    layout: Layout,
+    work_j: NDArray[np.float64] | None,
+    keep_rows: Callable[[NDArray[np.float64]], object],
+) -> dict[str, Any]:
+    """Hand all signals to `keep_rows`, some rows at a time, and return the energy ledger."""
     n, columns = layout.circuit.joints, layout.columns
-    table = np.memmap(rows_file, dtype=np.float64, mode="r").reshape(-1, len(columns))
-    names, keep = signal_names(columns)
+    _, keep = signal_names(columns)
     shafts = bool(layout.linkage["shaft_on"])
     motors, windup = (columns.index(name) if shafts else -1 for name in ("qm1", "e_shaft"))
     workers, stores = len(_POWERS), 2
@@ -72,40 +93,29 @@ def write_signals(
     first = columns.index("q1")
     totals = np.zeros(workers)
     held, spring = [], []
-    with RawWriter(raw_file, names, title=title) as raw:
-        for start in range(0, len(table), _CHUNK):
-            # two rows of overlap: the parabola of a step reaches two points back
-            back = min(start, 2)
-            rows = np.ascontiguousarray(table[start - back : start + _CHUNK])
-            torques = np.empty((len(rows), len(_POWERS), n))
-            energies = np.empty((len(rows), 3))
-            push = np.empty((len(rows), 2))
-            torques_and_energy(
-                layout.linkage,
-                nobody,
-                n,
-                torque_per_amp,
-                rows,
-                first,
-                torques,
-                energies,
-                push,
-                motors,
-                windup,
-            )
-            if work_j is None:
-                done = np.zeros((len(rows), workers))
-                works(n, rows, first, torques, done)
-                totals += done[max(back, 1) :].sum(axis=0)
-            speeds = rows[:, first + n : first + 2 * n]
-            power = np.einsum("kij,kj->ki", torques, speeds)
-            stored = _spring_energy(rows, layout)
-            if shafts:
-                power[:, 0] = (torques[:, 0] * rows[:, motors + n : motors + 2 * n]).sum(axis=1)
-            derived = np.column_stack([rows[:, keep], power, energies[:, :2], stored, push])
-            raw.append(derived[back:])
-            held.append(energies[back:, :stores])
-            spring.append(stored[back:])
+    for start in range(0, len(table), _CHUNK):
+        # two rows of overlap: the parabola of a step reaches two points back
+        back = min(start, 2)
+        rows = np.ascontiguousarray(table[start - back : start + _CHUNK])
+        torques = np.empty((len(rows), len(_POWERS), n))
+        energies = np.empty((len(rows), 3))
+        push = np.empty((len(rows), 2))
+        torques_and_energy(
+            layout.linkage, nobody, n, torque_per_amp, rows, first, torques, energies, push, motors, windup
+        )
+        if work_j is None:
+            done = np.zeros((len(rows), workers))
+            works(n, rows, first, torques, done)
+            totals += done[max(back, 1) :].sum(axis=0)
+        speeds = rows[:, first + n : first + 2 * n]
+        power = np.einsum("kij,kj->ki", torques, speeds)
+        stored = _spring_energy(rows, layout)
+        if shafts:
+            power[:, 0] = (torques[:, 0] * rows[:, motors + n : motors + 2 * n]).sum(axis=1)
+        derived = np.column_stack([rows[:, keep], power, energies[:, :2], stored, push])
+        keep_rows(derived[back:])
+        held.append(energies[back:, :stores])
+        spring.append(stored[back:])
     return summary(
         np.concatenate(held), totals if work_j is None else work_j[:workers], np.concatenate(spring)
     )

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.errors import InputError, Problem
 from cosim.ngspice.conditions import flags
 from cosim.ngspice.deck import NOMINAL_C, Deck
 from cosim.ngspice.expression import evaluate
@@ -22,7 +23,7 @@ from cosim.ngspice.lines import Line, assignments, number, tokens
 from cosim.ngspice.netlist import Block, Instance, Netlist
 from cosim.ngspice.placed import board_netlist, node_name, split, walk
 
-__all__ = ["Change", "Unlike", "changes"]
+__all__ = ["Change", "Unlike", "changes", "nominal_values"]
 
 Array = NDArray[np.float64]
 Pair = tuple[str, str]
@@ -100,6 +101,37 @@ def changes(board: Deck, keys: Sequence[str]) -> list[Change]:
     for path, given in parts.items():
         block, instance, nets = where[path]
         found += _of_part(block, instance, path, nets, given, known, warm)
+    return found
+
+
+def nominal_values(board: Deck, keys: Sequence[str]) -> list[float]:
+    """Return the components' values on the board as it is, SI.
+
+    Raises
+    ------
+    InputError
+        For every component whose value is no number by itself, and for what is no component.
+    """
+    net = board_netlist(board)
+    where = {path: (block, instance) for path, block, instance, _ in walk(net, board.board)}
+    known, problems, found = flags(net), [], []
+    for key in keys:
+        steps, element, parameter = split(key)
+        block, instance = where.get(".".join(["xboard", *steps]), (None, None))
+        line = next((line for line in block.body if line.keyword == element), None) if block else None
+        value = None
+        if parameter:
+            value = known.get(parameter)
+        elif block is not None and line is not None and element[0] in "rcl":
+            words = tokens(line.text)
+            text = words[3].removeprefix(f"{element[0]}=") if len(words) > 3 else ""
+            value = _value(text, _scope(block, instance, known))
+        if value is None:
+            problems.append(Problem("has no plain value on the board", file=str(board.path), key=key))
+        else:
+            found.append(value)
+    if problems:
+        raise InputError(problems)
     return found
 
 

@@ -106,6 +106,10 @@ class Draws:
             self._kept[omega, share] = fitted(paths, self._rows, omega, share).batches
         return self._kept[omega, share]
 
+    def deck(self, values: Sequence[float]) -> Deck:
+        """Return the board with these values."""
+        return self._placed.deck(values)
+
     def at(self, values: Sequence[float], band_hz: float = 0.0, tolerance: float = 0.0) -> LinearCircuit:
         """Return the model with these values.
 

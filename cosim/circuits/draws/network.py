@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,7 +81,7 @@ class _Part:
         self.nodes, self.sources = nodes, sources
         self._cut: dict[str, tuple[NDArray[np.int64], Complex, Complex, Complex, Complex]] = {}
 
-    def response(self, sweep: str, r: _Responses, size: Complex) -> Complex:
+    def response(self, sweep: str, r: _Responses, size: NDArray[Any]) -> Complex:
         """Return what the sources do at the nodes [F, N, S] with changed admittances `size` [F, K]."""
         if sweep not in self._cut:
             on = self._on_the_way(r)
@@ -103,7 +104,9 @@ class _Part:
 
         def reached(by: Complex, linked: NDArray[np.bool_]) -> NDArray[np.bool_]:
             size = np.abs(by) / scale[:, :, None]
-            found = (size > _REACHES * size.max(axis=(1, 2), keepdims=True)).any(axis=(0, 2))
+            found: NDArray[np.bool_] = (size > _REACHES * size.max(axis=(1, 2), keepdims=True)).any(
+                axis=(0, 2)
+            )
             for _ in range(len(found)):
                 found |= linked[:, found].any(axis=1)
             return found
@@ -111,7 +114,8 @@ class _Part:
         linked = (np.abs(r.own) > _REACHES * scale[:, :, None] * scale[:, None, :]).any(axis=0)
         to = reached(r.across[:, :, self.sources], linked)
         onward = reached(r.out[:, self.nodes].transpose(0, 2, 1), linked.T)
-        return np.flatnonzero(to & onward)
+        found: NDArray[np.int64] = np.flatnonzero(to & onward)
+        return found
 
 
 class DrawnNetwork:
@@ -226,8 +230,9 @@ class DrawnNetwork:
         r, s = self._known[sweep], self.session
         n, m = s.joints, len(self._inside)
         change = self._admittances(values) - self._base
-        points: Complex = 2j * np.pi * r.hz
-        by_kind = np.stack([np.ones(len(points)), points, 1.0 / points, np.zeros(len(points))])
+        points: Complex = 2j * np.pi * r.hz.astype(complex)
+        one = np.ones(len(points), np.complex128)
+        by_kind = np.stack([one, points, one / points, 0.0 * one])
         size = change * by_kind[self._kind].T
         x = np.zeros((len(points), m, 2 * n), complex)
         post = np.zeros((len(points), n, m + 2 * n), complex)

@@ -47,7 +47,7 @@ FIRST_ROW_SHARE, _FIRST_OF_FRESH = 2.0**-11, 1.0 / 24.0
 _SETTLED = 3.0
 
 
-class _Clock:
+class Clock:
     """What a `Recorder` asks of whoever owns time."""
 
     def __init__(self, state: np.void) -> None:
@@ -241,7 +241,7 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     packed = prepare(scene, constants, circuit, record=True, component=component)
     state = packed.memory.state[0]
     person = scene.operator.file if isinstance(scene.operator, PythonOperator) else "operator"
-    recorder = Recorder(packed.memory, _Clock(state), folder, report, deck=str(board.path), person=person)
+    recorder = Recorder(packed.memory, Clock(state), folder, report, deck=str(board.path), person=person)
     said = Said()
     if scene.computer.law is not None:
         where = scene.computer.law

@@ -1,0 +1,44 @@
+"""A draw of components put into a plan: elements and parts of the board, numbers of the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cosim.circuits.draws.admittances import nominal_values
+from cosim.plan import Plan
+from cosim.scene import Scene
+from cosim.scene.numbers import number_of, with_number
+
+__all__ = ["SCENE", "nominal", "of_board", "with_numbers"]
+
+#: How the key of a number of the scene begins.
+SCENE = "scene:"
+
+
+def of_board(keys: Sequence[str]) -> list[int]:
+    """Return the places of the keys that are components of the board."""
+    return [k for k, key in enumerate(keys) if not key.startswith(SCENE)]
+
+
+def nominal(plan: Plan, keys: Sequence[str]) -> list[float]:
+    """Return the values of components as designed, SI.
+
+    Raises
+    ------
+    InputError
+        For what is no component of the board and no number of the scene.
+    """
+    places = of_board(keys)
+    board = dict(zip(places, nominal_values(plan.board, [keys[k] for k in places]), strict=True))
+    scene = plan.scene
+    return [
+        board[k] if k in board else number_of(scene, key.removeprefix(SCENE)) for k, key in enumerate(keys)
+    ]
+
+
+def with_numbers(scene: Scene, keys: Sequence[str], values: Sequence[float]) -> Scene:
+    """Return a scene with other numbers; `keys` are ``scene:device.chain.masses_kg[0]``, others are left."""
+    for key, value in zip(keys, values, strict=True):
+        if key.startswith(SCENE):
+            scene = with_number(scene, key.removeprefix(SCENE), value)
+    return scene
