@@ -54,6 +54,8 @@ class Batch:
     model
         Circuit model of the runs; the plan's own by default. What needs no run is taken from the model
         `linear` where this is `spice`.
+    designed
+        The components' values as designed, SI; read from plan and board by default.
 
     Attributes
     ----------
@@ -67,7 +69,12 @@ class Batch:
     """
 
     def __init__(
-        self, plan: Plan, keys: Sequence[str], measures: Sequence[str], model: str | None = None
+        self,
+        plan: Plan,
+        keys: Sequence[str],
+        measures: Sequence[str],
+        model: str | None = None,
+        designed: Sequence[float] | None = None,
     ) -> None:
         check_measures(measures)
         own = [name for name in measures if ":" in name]
@@ -77,7 +84,7 @@ class Batch:
         watched = plan.watched if model == "spice" else ()
         self._plan = replace(plan, model=model, watched=watched, recorded=())
         self.keys, self.names = tuple(keys), tuple(measures)
-        self._nominal = nominal(plan, keys)
+        self._nominal = [float(v) for v in designed] if designed is not None else nominal(plan, keys)
         self._child: Child | None = None
         self.failures: dict[int, str] = {}
         with_numbers(plan.scene, keys, self._nominal)
