@@ -11,7 +11,7 @@ from cosim.circuits.draws.admittances import nominal_values
 from cosim.circuits.draws.models import Draws
 from cosim.errors import InputError
 from cosim.ngspice.deck import load_deck
-from cosim.ngspice.placed import Placed
+from cosim.ngspice.placed_values import Placed
 
 LEVELS = {"opamp": "gbw", "vca": "gbw", "driver": "voltage", "driver_level": "gbw", "motor": "full"}
 #: Components of every kind: in a block, on the board, and numbers of placed parts.

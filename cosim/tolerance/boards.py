@@ -154,7 +154,7 @@ class Batch:
 
     def plan_of(self, values: Sequence[float] | Array) -> Plan:
         """Return the plan of one sample."""
-        from cosim.ngspice.placed import Placed
+        from cosim.ngspice.placed_values import Placed
 
         places = of_board(self.keys)
         placed = Placed.of(self._plan.board, [self.keys[k] for k in places])

@@ -21,7 +21,7 @@ from cosim.ngspice.deck import NOMINAL_C, Deck
 from cosim.ngspice.expression import evaluate
 from cosim.ngspice.lines import Line, assignments, number, tokens
 from cosim.ngspice.netlist import Block, Instance, Netlist
-from cosim.ngspice.placed import board_netlist, node_name, split, walk
+from cosim.ngspice.placed_values import board_netlist, node_name, split, walk
 
 __all__ = ["Change", "Unlike", "changes", "nominal_values"]
 
@@ -73,7 +73,7 @@ def changes(board: Deck, keys: Sequence[str]) -> list[Change]:
     board
         The board as it is.
     keys
-        Components as `cosim.ngspice.placed.Placed` takes them.
+        Components as `cosim.ngspice.placed_values.Placed` takes them.
 
     Raises
     ------

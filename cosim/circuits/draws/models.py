@@ -26,7 +26,7 @@ from cosim.circuits.fitting.rational_fit import WORST, Modes
 from cosim.circuits.fitting.refit import Batch, Unfit, batches, fitted, points
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.ngspice.deck import Deck
-from cosim.ngspice.placed import Placed
+from cosim.ngspice.placed_values import Placed
 
 __all__ = ["Draws"]
 

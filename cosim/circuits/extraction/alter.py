@@ -15,7 +15,7 @@ from cosim.ngspice.deck import Deck
 from cosim.ngspice.lines import Line, assignments, number, tokens
 from cosim.ngspice.netlist import Block, Instance, Netlist
 from cosim.ngspice.overrides import apply_overrides
-from cosim.ngspice.placed import board_netlist as netlist
+from cosim.ngspice.placed_values import board_netlist as netlist
 
 __all__ = ["Handle", "Way", "altered", "handle", "netlist", "nominal_value", "walk"]
 
