@@ -9,7 +9,7 @@ from cosim.comparisons.measuring import measure
 from cosim.errors import InputError
 from cosim.plan import resolve
 from cosim.scene import load_scene
-from cosim.tolerance.boards import Batch
+from cosim.tolerance.batch import Batch
 
 SCENES = Path(__file__).parents[1] / "scenes"
 KEYS = ("xdiff1.r11", "rsp11", "scene:computer.analog_stiffness_n_per_m")

@@ -25,7 +25,7 @@ from cosim.ngspice.child import Child
 from cosim.plan import Plan
 from cosim.runner import run
 from cosim.staging import scratch_folder
-from cosim.tolerance.components import nominal, of_board, with_numbers
+from cosim.tolerance.drawn_plan import nominal, of_board, with_numbers
 
 __all__ = ["Batch"]
 
@@ -117,7 +117,7 @@ class Batch:
         }  # fmt: skip
         columns = [self.names.index(name) for name in names]
         try:
-            found, failed = self._call("cosim.tolerance.boards:measured", payload, len(values))
+            found, failed = self._call("cosim.tolerance.batch:measured", payload, len(values))
         except SimulationError as reason:
             if len(values) == 1:
                 self.failures[start] = _words(reason)
@@ -172,7 +172,7 @@ class Batch:
 
     def _alive(self) -> Child:
         if self._child is None or not self._child.alive:
-            self._child = Child(("numpy", "cosim.tolerance.boards"))
+            self._child = Child(("numpy", "cosim.tolerance.batch"))
         return self._child
 
     def close(self) -> None:
