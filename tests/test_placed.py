@@ -4,11 +4,10 @@ import shutil
 
 import numpy as np
 import pytest
+from drawn_models import UNREDUCED, apart
 from extraction_boards import NETLISTS, extract, in_child, shipped
-from test_reextraction import UNREDUCED, apart
 
 from cosim.circuits.draws.admittances import nominal_values
-from cosim.circuits.draws.models import Draws
 from cosim.errors import InputError
 from cosim.ngspice.deck import load_deck
 from cosim.ngspice.placed_values import Placed
@@ -65,15 +64,9 @@ xmotor out 0 vel imot motor r=5.4
 """
 
 
-def drawn(payload, report):
-    """In ngspice's process: the model of every set, in this order."""
-    draws = Draws(payload["board"], payload["keys"], payload["nominal"], payload["model"])
-    return draws.why_slow, [draws.at(values, *payload.get("reduced", ())) for values in payload["sets"]]
-
-
 def models(board, keys, sets, model="linear", **more):
     payload = {"board": board, "keys": keys, "nominal": nominal_values(board, keys), "model": model}
-    return in_child("test_placed:drawn", payload | {"sets": [list(map(float, s)) for s in sets]} | more)
+    return in_child("drawn_models:drawn", payload | {"sets": [list(map(float, s)) for s in sets]} | more)
 
 
 def passive(board):
@@ -151,7 +144,7 @@ def test_the_order_of_the_draws_does_not_matter():
     board = shipped(2, "gbw", "current")
     keys = passive(board)
     sets = sets_about(board, keys, 0.02, 4)
-    # far away: the driver's zero leaves the motor's pole, and the number of poles changes
+    # far away: the differentiator without its capacitor has another number of poles
     sets = np.concatenate(
         [sets[:2], sets[:1] * np.where([k.startswith("xdrv") for k in keys], 3.0, 1.0), sets[2:]]
     )

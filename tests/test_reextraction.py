@@ -2,15 +2,13 @@
 
 import numpy as np
 import pytest
+from drawn_models import UNREDUCED, apart
 from extraction_boards import NETLISTS, board, extract, in_child, shipped
 
 from cosim.circuits.extraction.alter import Way, altered, handle
-from cosim.circuits.fitting.refit import GOOD
 from cosim.errors import InputError
 from cosim.ngspice.deck import load_deck
 
-#: Within one of the other: both models promise 1e-9 of the path's maximum (unreduced).
-UNREDUCED = 2.0 * GOOD
 #: Every resistor and capacitor of the shipped boards that carries a tolerance.
 NOMINAL = {
     "r_diff_in": 10e3, "r_diff_fb": 169e3, "c_der_in": 1e-6, "r_der_fb": 100e3, "r_der_in": 1.58e3,
@@ -22,15 +20,6 @@ NOMINAL = {
 def again(deck, sets, band_hz=0.0, tolerance=0.0, **more):
     payload = {"board": deck, "band_hz": band_hz, "tolerance": tolerance, "sets": sets} | more
     return in_child("cosim.circuits.extraction.reextract:circuits", payload)
-
-
-def apart(first, second, highest_hz, volts=None):
-    """Largest difference of any path, relative to its maximum up to the highest frequency."""
-    s = 2j * np.pi * np.geomspace(1e-2, highest_hz, 400)
-    held = np.full(len(first.gain), 10.0) if volts is None else volts
-    a, b = first.response(s, held), second.response(s, held)
-    peak = np.abs(a).max(axis=0)
-    return float((np.abs(a - b).max(axis=0) / np.where(peak > 1e-12, peak, 1.0)).max())
 
 
 def drawn(rng, spread):

@@ -9,6 +9,7 @@ boards without probes, are extracted anew from a deck of their own.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from cosim.circuits.extraction.ideal import DC_SWEEP, ideal
 from cosim.circuits.extraction.limits_and_offsets import current_limits
 from cosim.circuits.extraction.path_measurement import Paths, Session
 from cosim.circuits.extraction.testbench import Bench
-from cosim.circuits.fitting.rational_fit import WORST, Modes
+from cosim.circuits.fitting.rational_fit import WORST, FitError, Modes
 from cosim.circuits.fitting.refit import Batch, Unfit, batches, fitted, points
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.ngspice.deck import Deck
@@ -31,6 +32,15 @@ from cosim.ngspice.placed_values import Placed
 __all__ = ["Draws"]
 
 Array = NDArray[np.float64]
+
+#: How far off its design a board is looked at, to see all its poles; multiples of the ratio spread evenly.
+_OFF, _GOLDEN = 0.01, 0.6180339887498949
+
+
+def _spread(count: int) -> Array:
+    """Return so many different shares up to a hundredth, the same each time."""
+    out: Array = _OFF * (2.0 * (np.arange(1, count + 1) * _GOLDEN % 1.0) - 1.0)
+    return out
 
 
 class Draws:
@@ -66,7 +76,6 @@ class Draws:
         self._file = str(board.path)
         self._as_is = self._placed.deck(self._nominal)
         self.why_slow = ""
-        self._rows: tuple[Batch, ...] | None = None
         try:
             self._learn(keys)
         except Unlike as reason:
@@ -92,18 +101,26 @@ class Draws:
             same.setdefault(node, []).append(c)
         rows = [(True, tuple(places)) for places in same.values()]
         rows += [(False, (i,)) for i in range(session.joints)]
-        self._rows = batches(without_rates(whole)[1], rows)
-        self._sweep = points(self._rows)
-        network.sweep(self._sweep)
         network.sweep(SWEEP)
-        self._kept: dict[tuple[float, float], tuple[Batch, ...]] = {}
+        # where values are as designed, a zero may lie on a pole: a board off it shows one pole more
+        typical = [value * (1.0 + off) for value, off in zip(self._nominal, _spread(len(keys)), strict=True)]
+        self._learned: list[tuple[list[float], tuple[Batch, ...]]] = []
+        for at in (typical, list(self._nominal)):
+            with suppress(FitError):
+                self._learned.append((at, batches(without_rates(network.paths(SWEEP, at))[1], rows)))
+        self._sweep = points([batch for _, found in self._learned for batch in found])
+        network.sweep(self._sweep)
+        self._kept: dict[tuple[float, float], list[tuple[Batch, ...]]] = {}
 
-    def _known_rows(self, omega: float, share: float) -> tuple[Batch, ...]:
-        """Return the rows with the poles that the board as it is keeps at such a reduction."""
-        assert self._rows is not None
+    def _known_rows(self, omega: float, share: float) -> list[tuple[Batch, ...]]:
+        """Return the rows with the poles that the board keeps at such a reduction, off its design and on."""
         if (omega, share) not in self._kept:
-            paths = without_rates(self._network.paths(self._sweep, self._nominal))[1]
-            self._kept[omega, share] = fitted(paths, self._rows, omega, share).batches
+            kept = []
+            for at, rows in self._learned:
+                paths = without_rates(self._network.paths(self._sweep, at))[1]
+                with suppress(Unfit):
+                    kept.append(fitted(paths, rows, omega, share).batches)
+            self._kept[omega, share] = kept
         return self._kept[omega, share]
 
     def deck(self, values: Sequence[float]) -> Deck:
@@ -142,9 +159,16 @@ class Draws:
         """Fit with as many poles as the board has as it is."""
         omega = 2.0 * np.pi * band_hz
         share = float(np.sqrt(1.0 + tolerance) - 1.0)  # of each side: a + b (1 + a) <= tolerance
-        rows = self._known_rows(omega, share)
         rate, paths = without_rates(self._network.paths(self._sweep, values))
-        found = fitted(paths, rows, omega, share)
+        found, reason = None, Unfit("the board as designed has no model of known order")
+        for rows in self._known_rows(omega, share):
+            try:
+                found = fitted(paths, rows, omega, share)
+                break
+            except Unfit as misfit:
+                reason = misfit
+        if found is None:
+            raise reason
         told = {"model": "linear", "order": len(found.pre.a) + len(found.post.a),
                 "full_order": len(found.poles), "fit_error": found.error}  # fmt: skip
         return self._finished(self._parts(found.pre, found.post, rate, told), paths, values)
