@@ -37,10 +37,9 @@ Array = NDArray[np.float64]
 _OFF, _GOLDEN = 0.01, 0.6180339887498949
 
 
-def _spread(count: int) -> Array:
+def _spread(count: int) -> list[float]:
     """Return so many different shares up to a hundredth, the same each time."""
-    out: Array = _OFF * (2.0 * (np.arange(1, count + 1) * _GOLDEN % 1.0) - 1.0)
-    return out
+    return [_OFF * (2.0 * (k * _GOLDEN % 1.0) - 1.0) for k in range(1, count + 1)]
 
 
 class Draws:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
+from cosim.loop.columns import columns, sample_columns
 from cosim.loop.linear.run_linear import Clock, prepare
 from cosim.loop.recorder import Recorder
-from cosim.loop.setup import columns, sample_columns
 from cosim.loop.signals import Layout, held_signals
 from cosim.scene import PythonOperator, Scene
 
