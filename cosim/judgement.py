@@ -20,6 +20,7 @@ from cosim.ngspice.deck import Deck, load_deck
 from cosim.plan import Plan, swaps
 from cosim.pose import at_poses, at_start
 from cosim.scene import Level, PartFile
+from cosim.units import quantity, signed
 
 __all__ = ["FINITE", "coupled", "latched", "left", "question", "reached", "verdict"]
 
@@ -162,7 +163,7 @@ def latched(
     found = []
     for each in end.get("hung", ()):
         stuck = {each["node"]: each["volts"]} if each["node"] in paths else {}
-        when = f"from {each['since_s']:.4g} s on"
+        when = f"from {quantity(each['since_s'], 's', 4)} on"
         found += _unasked(plan, stuck, each["pins"], when, paths, child)
     known = {node for node, _ in found}
     stuck = {}
@@ -185,7 +186,8 @@ def left(plan: Plan, end: Mapping[str, Any]) -> list[Caution]:
         Caution(
             "operating-point-left",
             f"at the end of the run, with the device at rest, the output of {path} stands at "
-            f"{end['nodes'][node]:+.3g} V, the operating point of the circuit is {point[node]:+.3g} V",
+            f"{signed(end['nodes'][node], 'V')}, the operating point of the circuit is "
+            f"{signed(point[node], 'V')}",
             "look for positive feedback around it; declare it (stability=bistable) where it is meant",
         )
         for node, path in _undeclared(plan).items()
@@ -225,8 +227,8 @@ def _unasked(
             node,
             Caution(
                 "output-latched",
-                f"{when} the output of {paths[node]} hangs at {volts:+.3g} V, where its inputs ask for "
-                f"{wanted:+.3g} V",
+                f"{when} the output of {paths[node]} hangs at {signed(volts, 'V')}, where its inputs ask for "
+                f"{signed(wanted, 'V')}",
                 "look for positive feedback around it that begins once it clips",
             ),
         )

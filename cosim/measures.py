@@ -18,6 +18,7 @@ from cosim.loop.dac_channels import channels
 from cosim.scene import PotNoise, Scene
 from cosim.scene.tolerance_table import CLASSES
 from cosim.traces import Trace, changes, together
+from cosim.units import quantity
 
 Signals = Mapping[str, NDArray[np.float64]]
 #: An amplifier that saturates softly stops short of its stated limit by so much.
@@ -116,7 +117,7 @@ def standard(
     tightest = headroom(amplifiers)
     if tightest:
         first = tightest[0]
-        used = f"{first['peak_v']:.3g} V of {first['swing_v']:.3g} V"
+        used = f"{quantity(first['peak_v'], 'V')} of {quantity(first['swing_v'], 'V')}"
         text = f"{first['path']} ({first['part']}) clips first: {used}"
         add("headroom", first["headroom"], text)
     add("ledger_closure", ledger["closure"])

@@ -27,6 +27,7 @@ from cosim.rawfile import Signals, read_raw, stamp
 from cosim.results import RAW, Run, provenance, run_date, written_files
 from cosim.scene import PythonOperator, Scene
 from cosim.staging import Staging, disk_errors, require_ours, scratch_folder
+from cosim.units import quantity
 
 __all__ = ["measures_of", "resolve", "run"]
 
@@ -267,7 +268,8 @@ def _check_duration(plan: Plan) -> None:
     if seconds > _HOPELESS * limit:
         raise InputError(
             Problem(
-                f"the run would compute for about {seconds:.3g} s (see cosim plan): check duration_s, "
+                f"the run would compute for about {quantity(seconds, 's')} (see cosim plan): check "
+                f"duration_s, "
                 "computer.period_s, solver.max_step_s and the noise, or raise this limit",
                 file=str(plan.scene.file) if plan.scene.file else None,
                 key="solver.time_limit_s",

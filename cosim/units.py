@@ -3,7 +3,7 @@
 import math
 
 __all__ = ["figures", "heading", "measured", "name_of", "quantity", "sample_unit", "scale", "signal_unit",
-           "signed"]  # fmt: skip
+           "signed", "unit_in"]  # fmt: skip
 
 _SIGNALS = {
     "time": "s", "x": "m", "y": "m", "fx": "N", "fy": "N", "fmx": "N", "fmy": "N",
@@ -46,6 +46,11 @@ def heading(name: str, unit: str) -> str:
 def name_of(heading: str) -> str:
     """Return the name in a column's heading, with or without a unit."""
     return heading.partition(" [")[0]
+
+
+def unit_in(heading: str) -> str:
+    """Return the unit in a column's heading, nothing where it has none."""
+    return heading.partition(" [")[2].removesuffix("]")
 
 
 def quantity(value: float, unit: str = "", digits: int = 3) -> str:

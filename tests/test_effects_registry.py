@@ -15,6 +15,7 @@ from cosim.comparisons.effects_ledger import effects_ledger
 from cosim.effects import EFFECTS
 from cosim.effects.scale import scale
 from cosim.errors import InputError
+from cosim.newproject import new_project
 from cosim.plan import Plan, resolve
 from cosim.scene import Effects, load_scene
 
@@ -203,6 +204,65 @@ def test_levels_noise_and_tolerance_are_priced_in_points(
     ratio = plan.cost()["points"] / found["points"]
     print(f"{ratio:.2f}")
     assert 0.5 < ratio < 2.0
+
+
+LAW = """
+from cosim.loop.userlaw import Command
+class Still:
+    def control(self, sample):
+        return Command()
+"""
+JITTER = ("effects.period_jitter=uniform", "computer.jitter_share=0.05")
+BY_LAW = (
+    "computer.law='{folder}/law.py:Still'",
+    "computer.method=discrete",
+    "computer.analog_stiffness_n_per_m=0",
+)
+#: What asks for other steps or for Python; a project of `new` where a number of joints stands for the scene.
+OTHERS = [
+    pytest.param(name, more, model, id=f"{name} {what} {model}", marks=() if name != 6 else pytest.mark.slow)
+    for model in ("spice", "linear")
+    for name, what, more in (
+        ("press", "current drive", ("effects.driver=current",)),
+        ("drop", "current drive", ("effects.driver=current",)),
+        ("slope_discrete", "jitter", JITTER),
+        ("drop", "jitter", JITTER),
+        ("press", "own law", BY_LAW),
+        (3, "joints", ()),
+        (6, "joints", ()),
+    )
+]
+
+
+@pytest.mark.parametrize(("name", "more", "model"), OTHERS)
+def test_joints_drives_jitter_and_laws_are_priced_in_points(
+    tmp_path: Path, name: str | int, more: tuple[str, ...], model: str
+) -> None:
+    plan = other(tmp_path, name, more, model, "duration_s=0.5")
+    ratio = plan.cost()["points"] / simulate(plan.scene, tmp_path / "run").stats["points"]
+    assert 0.5 < ratio < 2.0
+
+
+def other(folder: Path, name: str | int, more: tuple[str, ...], model: str, *last: str) -> Plan:
+    (folder / "law.py").write_text(LAW)
+    file = SCENES / f"{name}.toml"
+    if isinstance(name, int):
+        file = next(path for path in new_project(folder / "project", name) if path.name == "press.toml")
+    changes = [change.format(folder=folder) for change in more]
+    return plan_of(load_scene(file, [f"solver.model={model}", *changes, *last]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "more"), [("press", BY_LAW), ("drop", JITTER), ("slope_discrete", JITTER)])
+def test_jitter_and_laws_are_priced_in_seconds(tmp_path: Path, name: str, more: tuple[str, ...]) -> None:
+    """As the seconds of the shipped scenes, in our own loop: there Python is most of it."""
+
+    def ratio(plan: Plan) -> float:
+        best = min(simulate(plan.scene).stats["cpu_s"] for _ in range(3))
+        return plan.cost()["seconds"] / best
+
+    machine = ratio(shipped("press", "solver.model=spice"))
+    assert 0.5 < ratio(other(tmp_path, name, more, "linear", "duration_s=20")) / machine < 2.0
 
 
 def test_elements_of_every_level_are_priced() -> None:

@@ -50,7 +50,7 @@ def test_shipped_scenes_carry_no_warning(path: Path, model: str) -> None:
         # 7 mm of penetration at a spring of 3 N m/rad: the wall is 10 000 times what the converters reach
         ("dac-clipped", "end of its range", ["computer.analog_stiffness_n_per_m=1e6"]),
         ("gain-beyond-full-scale", "3 N m/rad", ["computer.analog_stiffness_n_per_m=1e6"]),
-        ("stiffness-far-off", "1e+06 N/m are asked for", ["computer.analog_stiffness_n_per_m=1e6"]),
+        ("stiffness-far-off", "1000000 N/m are asked for", ["computer.analog_stiffness_n_per_m=1e6"]),
         ("gain-beyond-full-scale", "damper gain", ["computer.analog_damping_n_s_per_m=300.0"]),
         ("no-contact", "never touched", ["wall.point_m=[0.07,0.01]"]),
         ("resistor-absurd", "write 10meg for mega", ["device.values.r_diff_fb=10M"]),

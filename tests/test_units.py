@@ -15,7 +15,7 @@ _PREFIX = {"p": 1e-12, "n": 1e-9, "µ": 1e-6, "m": 1e-3, "": 1.0, "k": 1e3, "M":
 _COMPOUND = r"N m s/rad|N m/rad|N s/m|N/m|V/rad|V/\(N m\)|rad/s|N m"
 _WRITTEN = re.compile(
     rf"(?<![\w.])(?P<number>[-+]?\d[\d.]*(?:e[-+]?\d+)?) (?:(?P<unit>{_COMPOUND})|(?P<prefix>[pnµmkM]?)"
-    r"(?P<simple>s|m|N|A|V|J|W|rad|Hz))(?![\w/])"
+    r"(?P<simple>s|m|N|A|V|J|W|rad|Hz))(?![\w/^])"
 )
 
 
@@ -45,9 +45,11 @@ def test_the_finder_sees_what_is_written_in_another_way() -> None:
     [
         (["stability"], 5),
         (["check"], 60),
+        (["plan"], 40),
+        (["device"], 12),
         (["noise", "--set", "effects.pot_noise=white", "--set", "effects.component_noise=true"], 9),
     ],
-    ids=["stability", "check", "noise"],
+    ids=["stability", "check", "plan", "device", "noise"],
 )
 def test_a_command_writes_values_as_all_do(
     command: list[str], least: int, capsys: pytest.CaptureFixture[str]

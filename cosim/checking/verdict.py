@@ -12,6 +12,7 @@ from cosim.checking.measured import Measured
 from cosim.checking.measured_constants import Constant
 from cosim.circuits.instability.stability_verdict import Verdict
 from cosim.plausibility import DEVIATION, constant_missed
+from cosim.units import quantity
 
 DEVIATION_PERCENT = 0.1
 """The computer's numbers and the board must agree to 1e-3."""
@@ -134,17 +135,19 @@ def _rest(measured: Measured) -> Iterable[Finding]:
         if not abs(rest.force_n) <= REST_N:
             yield _problem(
                 "rest",
-                f"joint {rest.joint} pushes with {rest.force_n:.2g} N out of contact (allowed {REST_N} N)",
+                f"joint {rest.joint} pushes with {quantity(rest.force_n, 'N', 2)} out of contact "
+                f"(allowed {REST_N} N)",
             )
 
 
 def _headroom(measured: Measured) -> Iterable[Finding]:
     for swing in measured.headroom.swings:
-        left = swing.headroom_percent
-        if left is not None and not left >= HEADROOM_PERCENT:
+        left, limit = swing.headroom_percent, swing.limit_v
+        if left is not None and limit is not None and not left >= HEADROOM_PERCENT:
             yield _problem(
                 "headroom",
-                f"{swing.path} ({swing.part}) reaches {swing.peak_v:.3g} V of {swing.limit_v:.3g} V at "
+                f"{swing.path} ({swing.part}) reaches {quantity(swing.peak_v, 'V')} of "
+                f"{quantity(limit, 'V')} at "
                 f"{swing.case}",
             )
     unknown = [s for s in measured.headroom.swings if s.limit_v is None]
@@ -155,8 +158,8 @@ def _headroom(measured: Measured) -> Iterable[Finding]:
         if c.name == "w_rated" and c.measured is not None and not c.measured >= MULTIPLIER_V:
             yield _problem(
                 "headroom",
-                f"the multiplier {c.where} makes {c.measured:.3g} V at rated torque "
-                f"(wanted {MULTIPLIER_V:g} V)",
+                f"the multiplier {c.where} makes {quantity(c.measured, 'V')} at rated torque "
+                f"(wanted {quantity(MULTIPLIER_V, 'V', 4)})",
             )
     for case in measured.headroom.cases:
         if case.deflection_rad is None:
@@ -164,10 +167,14 @@ def _headroom(measured: Measured) -> Iterable[Finding]:
     stated = measured.stated
     for joint, limit in enumerate(measured.headroom.limits_a, 1):
         if limit is not None and not limit >= stated.i_rated:
-            yield _problem("headroom", f"motor {joint} never gets its rated current: {limit:.3g} A at most")
+            yield _problem(
+                "headroom", f"motor {joint} never gets its rated current: {quantity(limit, 'A')} at most"
+            )
         elif limit is not None and not limit >= stated.i_limit * (1 - LIMIT_PERCENT / 100):
             yield _warning(
-                "headroom", f"motor {joint} gets {limit:.3g} A at most, i_limit says {stated.i_limit:.3g} A"
+                "headroom",
+                f"motor {joint} gets {quantity(limit, 'A')} at most, i_limit says "
+                f"{quantity(stated.i_limit, 'A')}",
             )
 
 

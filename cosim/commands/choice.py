@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from cosim.caution import collected
+from cosim.units import quantity
 
 if TYPE_CHECKING:
     from cosim.ngspice.child import Child
@@ -27,7 +28,9 @@ def plan_of(args: argparse.Namespace, variant: "Variant", scene: "Scene", child:
         plan, cpu_s = choose(
             args.scene, (*forced, *variant.overrides), child=child, trust=args.trust, on_progress=_told
         )
-    print(f"effects chosen in {plan.choice['runs']} runs, {cpu_s:.3g} s", file=sys.stderr, flush=True)
+    print(
+        f"effects chosen in {plan.choice['runs']} runs, {quantity(cpu_s, 's')}", file=sys.stderr, flush=True
+    )
     return plan
 
 
@@ -69,7 +72,7 @@ def open_lines(scene: "Scene", found: Mapping[str, Any]) -> list[str]:
 
     def table(wanted: bool) -> list[str]:
         rows = [
-            (c["effect"], _word(c["value"]), c["model"], f"{c['seconds']:.2g} s", c["size"])
+            (c["effect"], _word(c["value"]), c["model"], f"{quantity(c['seconds'], 's', 2)}", c["size"])
             for c in found["candidates"]
             if c["to_be_run"] is wanted
         ]
@@ -78,8 +81,9 @@ def open_lines(scene: "Scene", found: Mapping[str, Any]) -> list[str]:
     fixed = [f"{name} = {_word(value)} ({why})" for name, (value, why) in found["fixed"].items()]
     return [
         f"{scene.title}: effects to be chosen for a tolerance of {stated}",
-        f"  before anything has run, forces are taken to be of the order of {found['force_n']:.2g} N, and "
-        f"{found['tolerance_n']:.2g} N to matter",
+        f"  before anything has run, forces are taken to be of the order of "
+        f"{quantity(found['force_n'], 'N', 2)}, and "
+        f"{quantity(found['tolerance_n'], 'N', 2)} to matter",
         "  may matter: `cosim run` tries them by size per predicted second and keeps what does",
         *table(True),
         "  too small by themselves: the largest of them is tried, and all of them at once",

@@ -6,6 +6,7 @@ from typing import Any
 
 from cosim.caution import collected, warn
 from cosim.commands.command import Command, about, load_variants, scene_arguments
+from cosim.units import name_of, quantity, unit_in
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,14 +36,18 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
                 cases.append({"set": dict(variant.values), **found.as_dict()})
                 head = variant.label or scene.title
                 columns[head] = flat(found)
-                lines = [f"{head} (circuit model {found.model}, {1e3 * found.period_s:g} ms)"]
-                lines += [f"  {name:38s}{_text(value)}" for name, value in columns[head].items()]
+                lines = [f"{head} (circuit model {found.model}, {quantity(found.period_s, 's')})"]
+                lines += [
+                    f"  {name_of(name):38s}{_text(value, unit_in(name))}"
+                    for name, value in columns[head].items()
+                ]
                 texts.append("\n".join([*lines, f"  workspace: {found.workspace.note}"]))
     if args.file:
         _write(Path(args.file), columns)
         texts.append(f"wrote {args.file}")
     known = "; ".join(
-        f"{p.name} {p.force_n:g} N, {p.stiffness_n_per_m:g} N/m, {p.damping_n_s_per_m:g} N s/m"
+        f"{p.name} {quantity(p.force_n, 'N', 4)}, {quantity(p.stiffness_n_per_m, 'N/m', 4)}, "
+        f"{quantity(p.damping_n_s_per_m, 'N s/m', 4)}"
         for p in PRESETS
     )
     texts.append(f"for comparison, limits recommended for controllers (CHAI3D): {known}")
@@ -50,10 +55,10 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     return {"cases": cases, "published": published}, "\n".join(texts)
 
 
-def _text(value: Any) -> str:
+def _text(value: Any, unit: str) -> str:
     if value is None:
-        return "        -"
-    return f"{value:9.4g}" if isinstance(value, float) else str(value)
+        return "-"
+    return quantity(value, unit, 4) if isinstance(value, float) else str(value)
 
 
 def _write(file: Path, columns: dict[str, dict[str, Any]]) -> None:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.caution import collected, warn
 from cosim.commands.command import Command, about, load_variants, scene_arguments
+from cosim.units import quantity
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -40,17 +41,18 @@ def describe(plan: "Plan") -> str:
     facts = plan.as_dict()
     cost = facts["predicted"]
     lines = [
-        f"{plan.scene.title}: {plan.scene.duration_s:g} s on circuit model '{plan.model}'",
+        f"{plan.scene.title}: {quantity(plan.scene.duration_s, 's', 4)} on circuit model '{plan.model}'",
         f"  board {facts['board']}, {facts['joints']} joint(s), {facts['amplifiers']} amplifiers, "
         f"{len(facts['external_sources'])} driven pins",
         f"  states: {facts['mechanical_states']} of the mechanics, {_order(facts)} of the circuit",
-        f"  predicted: {cost['points']:.0f} points, {cost['seconds']:.3g} s"
+        f"  predicted: {cost['points']:.0f} points, {quantity(cost['seconds'], 's')}"
         + (
-            f"; of these {cost['noise_points']:.0f} points and {cost['noise_seconds']:.3g} s for noise"
+            f"; of these {cost['noise_points']:.0f} points and "
+            f"{quantity(cost['noise_seconds'], 's')} for noise"
             if cost["noise_points"]
             else "; no noise"
         )
-        + f"; about {cost['start_seconds']:.2g} s to start",
+        + f"; about {quantity(cost['start_seconds'], 's', 2)} to start",
         "  in force:",
         *(_line(row) for row in facts["effects"]),
         "  left out, the largest first:",

@@ -226,13 +226,14 @@ def _json(finished: "list[tuple[Variant, Path, Run]]") -> dict[str, Any]:
 
 def _text(finished: "list[tuple[Variant, Path, Run]]") -> str:
     from cosim.commands.choice import choice_lines
+    from cosim.units import quantity
 
     lines = []
     for variant, out, run in finished:
         head = f"{variant.label}: " if variant.label else ""
         stats = run.stats
         lines.append(
-            f"{head}{run.scene.duration_s:g} s simulated in {stats['wall_s']:.3g} s, "
+            f"{head}{quantity(run.scene.duration_s, 's', 4)} simulated in {quantity(stats['wall_s'], 's')}, "
             f"{stats['points']} points, {1e6 * stats['wall_s'] / stats['points']:.3g} us each -> {out}"
         )
         if "choice" in run.plan:
@@ -257,6 +258,8 @@ def _estimated(finished: "list[tuple[Variant, Path, Run]]") -> list[str]:
 
 def _certified(run: "Run") -> list[str]:
     """Say what the model `ideal` or `linear` leaves out; dampers only where the scene uses them."""
+    from cosim.units import quantity
+
     certificate = run.plan.get("certificate", {})
     neglect = certificate.get("footnote_1", {})
     if "sentence" in certificate:
@@ -270,7 +273,8 @@ def _certified(run: "Run") -> list[str]:
         if path != "damper" or damped
     ]
     left_out = (
-        f"up to {neglect['band_hz']:g} Hz the dynamics left out are at most {', '.join(parts)} of each path"
+        f"up to {quantity(neglect['band_hz'], 'Hz', 4)} the dynamics left out are at most "
+        f"{', '.join(parts)} of each path"
     )
     return [f"  model {run.plan['model']}: {left_out}"]
 

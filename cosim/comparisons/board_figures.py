@@ -13,6 +13,7 @@ from cosim.checking.loops import Loop
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.comparisons.dissipation import Dissipation
 from cosim.results import Run
+from cosim.units import quantity
 
 #: Sections in the order in which they are shown.
 SECTIONS = (
@@ -93,8 +94,8 @@ def of_circuit(circuit: LinearCircuit) -> Iterator[Figure]:
         )
     neglect = circuit.certificate.get("footnote_1", {})
     for path, share in neglect.get("error", {}).items():
-        quantity = f"dynamics of the path up to {neglect['band_hz']:g} Hz, at most"
-        yield Figure("bounds", quantity, str(path).replace("_", "-"), "%", 100.0 * share)
+        shown = f"dynamics of the path up to {quantity(neglect['band_hz'], 'Hz', 4)}, at most"
+        yield Figure("bounds", shown, str(path).replace("_", "-"), "%", 100.0 * share)
     worst = float(circuit.certificate["control_nonlinearity"])
     yield Figure("bounds", "nonlinearity of a gain, of full scale", "", "%", 100.0 * worst)
 
@@ -105,7 +106,9 @@ def of_reduced(circuit: LinearCircuit) -> Iterator[Figure]:
     if "error" in circuit.certificate:
         band = circuit.certificate["band_hz"]
         error = 100.0 * float(circuit.certificate["error"])
-        yield Figure("bounds", f"error of that model up to {band:g} Hz, at most", "", "%", error)
+        yield Figure(
+            "bounds", f"error of that model up to {quantity(band, 'Hz', 4)}, at most", "", "%", error
+        )
 
 
 def of_check(check: Check) -> Iterator[Figure]:
@@ -156,8 +159,8 @@ def _of_loop(loop: Loop) -> Iterator[Figure]:
 def _of_headroom(check: Check) -> Iterator[Figure]:
     headroom = check.measured.headroom
     for s in headroom.swings:
-        quantity = "left of the output limit at rated torque"
-        yield Figure("headroom", quantity, part_name(s.path), "%", s.headroom_percent, s.part)
+        shown = "left of the output limit at rated torque"
+        yield Figure("headroom", shown, part_name(s.path), "%", s.headroom_percent, s.part)
     for speed in headroom.speeds:
         quantity = "speed at which the damper at full scale clips"
         yield Figure("headroom", quantity, f"joint {speed.joint}", "rad/s", speed.speed_rad_per_s)

@@ -27,6 +27,7 @@ from cosim.measures import Tolerance, tolerances
 from cosim.ngspice.child import Child
 from cosim.plan import Plan
 from cosim.results import effects_digest
+from cosim.units import quantity
 
 Measures = Mapping[str, Mapping[str, Any]]
 
@@ -224,7 +225,8 @@ def _verify_largest(search: _Search, settings: Settings) -> tuple[Settings, str]
         move = search.on_top(settings, largest)
         if move.share <= 1.0:
             return settings, (
-                f"with {largest.name}, a priori the largest that is left out ({force_n:.2g} N), switched on "
+                f"with {largest.name}, a priori the largest that is left out "
+                f"({quantity(force_n, 'N', 2)}), switched on "
                 f"over this choice, the measures move by {move.share:.2g} of the tolerance ({move.text})"
             )
         settings = _add_by_size(search, search.candidates.with_(settings, largest))
@@ -243,7 +245,8 @@ def _verify_all(search: _Search, settings: Settings) -> tuple[Settings, str]:
         return settings, "all effects that the scene leaves open are in force"
     if seconds > CHECK_S:
         return settings, (
-            f"all that is left out at once was not run: predicted {seconds:.3g} s, more than {CHECK_S:g} s"
+            f"all that is left out at once was not run: predicted {quantity(seconds, 's')}, more "
+            f"than {quantity(CHECK_S, 's', 4)}"
         )
     full = search.measures(everything, "with every effect")
     move = search.move(search.measures(settings, ""), full)
@@ -313,7 +316,10 @@ def _decided(search: _Search, chosen: Settings, rung: Rung, in_force: bool, leas
     except InputError as error:  # what it requires is left out, or what it excludes is in
         return Decision(name, value, False, "; ".join(problem.message for problem in error.problems))
     if move is None:
-        why = f"not run: a priori up to {size.force_n:.2g} N, the tolerance is {least_n:.2g} N"
+        why = (
+            f"not run: a priori up to {quantity(size.force_n, 'N', 2)}, the tolerance is "
+            f"{quantity(least_n, 'N', 2)}"
+        )
         if size.force_n <= _NOTHING_N:
             why = "nothing to switch on"
     else:

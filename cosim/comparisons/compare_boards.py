@@ -34,6 +34,7 @@ from cosim.results import Run, written_files
 from cosim.runner import run
 from cosim.scene import load_scene
 from cosim.staging import require_ours
+from cosim.units import quantity
 from cosim.variants import Variant
 
 #: Differences below this share are rounding of the measurement, not the edit.
@@ -333,13 +334,13 @@ def _rank(row: Row) -> tuple[int, float]:
 
 
 def _felt(
-    section: str, quantity: str, unit: str, values: tuple[float | None, ...],
+    section: str, name: str, unit: str, values: tuple[float | None, ...],
     stated: Mapping[str, Tolerance], force_n: float,
 ) -> tuple[float | None, str]:  # fmt: skip
     """Return a change over what matters of a figure, and what that is; (None, '') for what nobody feels."""
-    tolerance = stated.get(quantity.replace(" ", "_")) if section == "measures" else None
+    tolerance = stated.get(name.replace(" ", "_")) if section == "measures" else None
     known = [abs(value) for value in values if value is not None]
-    share, source = _IMPEDANCE.get((section, quantity), (0.0, ""))
+    share, source = _IMPEDANCE.get((section, name), (0.0, ""))
     if tolerance is not None:
         allowed, by = tolerance.allowed(max(known)), f"tolerance of {tolerance.text(unit)}"
     elif share:
@@ -347,7 +348,7 @@ def _felt(
     elif section in _AT_THE_HAND and unit == "N":
         share, source = _FORCE
         allowed = share * max(*known, force_n)
-        by = f"{100 * share:.0f} % of {allowed / share:.3g} N is noticed ({source})"
+        by = f"{100 * share:.0f} % of {quantity(allowed / share, 'N')} is noticed ({source})"
     else:
         return None, ""
     first = values[0]

@@ -10,6 +10,7 @@ from cosim.effects.effect import Cost, Size
 from cosim.effects.scale import Scale, scale
 from cosim.ngspice.deck import NOMINAL_C
 from cosim.scene import Drive, Scene
+from cosim.units import quantity
 
 
 def gain_before(constants: Stated) -> float:
@@ -65,7 +66,11 @@ def saturation(scene: Scene, constants: Stated) -> Size:
     lost = max(0.0, 1.0 - min(swing) / volts) if volts > 0.0 else 0.0
     force = at.capped(at.analog_n_per_m * at.depth_m * lost)
     return Size(
-        min(swing), "V", force, f"of swing, {volts:.3g} V wanted", "k x (1 - swing / (G v_rad x / r))"
+        min(swing),
+        "V",
+        force,
+        f"of swing, {quantity(volts, 'V')} wanted",
+        "k x (1 - swing / (G v_rad x / r))",
     )
 
 

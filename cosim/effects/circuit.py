@@ -11,6 +11,7 @@ from cosim.effects.amplifier_errors import driver_gain, gain_before, unstated
 from cosim.effects.effect import ALL, DYNAMIC, SPICE, Cost, Effect, Size
 from cosim.effects.scale import Scale, scale
 from cosim.scene import Level, Scene
+from cosim.units import quantity
 
 #: Op-amps between potentiometer and summing point, and the summing amplifier.
 _STAGES = 3
@@ -77,7 +78,11 @@ def _motor(scene: Scene, constants: Stated) -> Size:
     b = back_emf(constants, at)
     force = at.capped(b * at.speed_m_per_s) + at.of_delay(lag)
     return Size(
-        b, "N s/m", force, f"of back-EMF, and a lag of {lag:.2g} s", "(kt gear / r)^2 v / R + k v L/R"
+        b,
+        "N s/m",
+        force,
+        f"of back-EMF, and a lag of {quantity(lag, 's', 2)}",
+        "(kt gear / r)^2 v / R + k v L/R",
     )
 
 

@@ -8,6 +8,7 @@ from cosim.circuits.design_constants import Stated
 from cosim.effects.effect import ALL, Cost, Effect, Size
 from cosim.effects.scale import scale
 from cosim.scene import Scene
+from cosim.units import quantity
 
 #: Peak of a normal distribution over its rms that is passed once in some 400 values.
 _PEAK = 3.0
@@ -24,7 +25,8 @@ def _size(scene: Scene, constants: Stated) -> Size:
     volts = density * math.sqrt(band * scene.joints * (1.0 + _DAMPER**2))
     force = volts / constants.w_rated * constants.i_rated * constants.kt * constants.gear / at.reach_m
     return Size(
-        force, "N rms", at.capped(_PEAK * force), f"of the multipliers' noise up to {band:g} Hz",
+        force, "N", at.capped(_PEAK * force),
+        f"rms of the multipliers' noise up to {quantity(band, 'Hz', 4)}",
         "e_n sqrt(B n (1 + 4^2)) i_rated kt gear/(w_rated r)",
     )  # fmt: skip
 

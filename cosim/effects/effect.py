@@ -9,6 +9,7 @@ from typing import Any
 from cosim.circuits.design_constants import Stated
 from cosim.scene import Scene
 from cosim.scene.schema import CHOICES
+from cosim.units import quantity
 
 #: Every circuit model; those that know the circuit's dynamics; and the one that bends.
 ALL = frozenset({"ideal", "linear", "spice"})
@@ -38,8 +39,10 @@ class Size:
 
     def __str__(self) -> str:
         """Return the size in a line."""
-        shown = f"{self.value:.3g} {self.unit}".strip()
-        return f"{shown} {self.text}; up to {self.force_n:.2g} N ({self.source})"
+        return (
+            f"{quantity(self.value, self.unit)} {self.text}; up to "
+            f"{quantity(self.force_n, 'N', 2)} ({self.source})"
+        )
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,10 @@ SLEW_STEPS = 1.5
 #: Seconds for the matrices of a slider that is solved exactly, and for the maps of an interval of new length.
 EXACT_S = {"spice": 0.0, "linear": 0.020, "ideal": 0.012}
 INTERVAL_S = {"spice": 0.0, "linear": 1.4e-4, "ideal": 1.1e-5}
+#: The same where a slider is solved exactly: matrix exponentials for each new length.
+EXACT_INTERVAL_S = {"spice": 0.0, "linear": 1.9e-3, "ideal": 1.5e-3}
+#: Seconds a sample for a control law in Python.
+LAW_S = 1.5e-4
 #: Seconds of processor time from the command to the first point, with everything compiled and extracted
 #: before: two processes load Python, ngspice and compiled code, and the board's stability is judged.
 START_S = 1.6
@@ -63,7 +67,9 @@ def predict(scene: Scene, constants: Stated, model: str) -> dict[str, float]:
         micro *= SLEW_STEPS
     apart = EXACT_S[model] if _is_exact(scene) else 0.0
     if scene.effects.period_jitter is not Jitter.NONE:
-        apart += samples * INTERVAL_S[model]
+        apart += samples * (EXACT_INTERVAL_S if _is_exact(scene) else INTERVAL_S)[model]
+    if scene.computer.law is not None:
+        apart += samples * LAW_S
     return {
         "points": round(points),
         "seconds": 1e-6 * points * micro + apart,

@@ -13,6 +13,7 @@ from cosim.circuits.design_constants import DesignConstants
 from cosim.measures import AT_LIMIT, Signals, wall_frame
 from cosim.plausibility.constants import DEVIATION
 from cosim.scene import Level, Method, Scene
+from cosim.units import quantity
 
 __all__ = ["of_run"]
 
@@ -66,11 +67,12 @@ def _clipped(scene: Scene, amplifiers: Sequence[Mapping[str, Any]]) -> Iterator[
     for a in amplifiers:
         if a["swing_v"] and a["peak_v"] >= AT_LIMIT * a["swing_v"]:
             long_s = a.get("clipped_s")
-            share = f" for {long_s:.3g} s of {scene.duration_s:g} s" if long_s else ""
+            share = f" for {quantity(long_s, 's')} of {quantity(scene.duration_s, 's', 4)}" if long_s else ""
             beyond = a["peak_v"] > _UNLIMITED * a["swing_v"]
             yield Caution(
                 "amplifier-clipped",
-                f"{a['path']} ({a['part']}) reaches {a['peak_v']:.3g} V of {a['swing_v']:.3g} V{share}"
+                f"{a['path']} ({a['part']}) reaches {quantity(a['peak_v'], 'V')} of "
+                f"{quantity(a['swing_v'], 'V')}{share}"
                 + (": the real one clips, at this level the model does not" if beyond else ""),
                 "lower the gain before it or the command"
                 + (", or switch on its saturation (level full)" if beyond else ""),
@@ -83,7 +85,7 @@ def _converters(scene: Scene, samples: Signals) -> Iterator[Caution]:
         yield Caution(
             "dac-clipped",
             f"a DAC was at the end of its range at {clipped} of {len(samples['saturated'])} samples "
-            f"({clipped * scene.computer.period_s:.3g} s)",
+            f"({quantity(clipped * scene.computer.period_s, 's')})",
             "lower the stiffness, damping or force asked for, or change the board's scales",
         )
 
@@ -120,7 +122,7 @@ def _stiffness(
     if push < 0.0:
         yield Caution(
             "stiffness-wrong-sign",
-            f"in contact the motors pull into the wall, with {-push:.3g} N on average",
+            f"in contact the motors pull into the wall, with {quantity(-push, 'N')} on average",
             advice,
         )
     elif "rendered_stiffness" in measures:
@@ -128,7 +130,8 @@ def _stiffness(
         if abs(rendered / asked - 1.0) > DEVIATION:
             yield Caution(
                 "stiffness-far-off",
-                f"{rendered:.4g} N/m are rendered where {asked:.4g} N/m are asked for "
+                f"{quantity(rendered, 'N/m', 4)} are rendered where {quantity(asked, 'N/m', 4)} are "
+                f"asked for "
                 f"({100 * (rendered / asked - 1):+.3g} %)",
                 advice,
             )
@@ -142,7 +145,8 @@ def _over_limit(
     if not limited and peak > constants.i_limit:
         yield Caution(
             "current-beyond-limit",
-            f"a motor gets {peak:.4g} A, the board's driver stops at i_limit = {constants.i_limit:.4g} A",
+            f"a motor gets {quantity(peak, 'A', 4)}, the board's driver stops at i_limit = "
+            f"{quantity(constants.i_limit, 'A', 4)}",
             "set effects.driver_limit = true, or ask for less",
         )
 
@@ -179,7 +183,8 @@ def _free_force(
         if force > _REST_N:
             yield Caution(
                 "force-out-of-contact",
-                f"out of contact motor {joint} pushes with {force:.3g} N at a reach of {constants.r_tip:g} m",
+                f"out of contact motor {joint} pushes with {quantity(force, 'N')} at a reach of "
+                f"{quantity(constants.r_tip, 'm', 4)}",
                 "look for offsets before it, or a spring that does not switch off (cosim check)",
             )
 

@@ -12,6 +12,7 @@ from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.extraction import certificate
 from cosim.circuits.linear_circuit import LinearCircuit, channel_names
 from cosim.scene import Method, Scene
+from cosim.units import quantity
 
 __all__ = ["DEVIATION", "constant_missed", "of_asked", "of_circuit"]
 
@@ -31,7 +32,7 @@ def of_asked(scene: Scene, constants: DesignConstants) -> Iterator[Caution]:
             yield Caution(
                 "gain-beyond-full-scale",
                 f"an analog {what} of {asked:.4g} {unit} is asked for, the board shows at most {shown:.4g} "
-                f"{unit} at its reach of {constants.r_tip:g} m",
+                f"{unit} at its reach of {quantity(constants.r_tip, 'm', 4)}",
                 f"lower computer.analog_{key}, or raise the board's gain",
             )
 

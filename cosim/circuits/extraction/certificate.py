@@ -15,6 +15,7 @@ from cosim.circuits.fitting.networks import Block, derivatives
 from cosim.circuits.fitting.rational_fit import GOOD
 from cosim.circuits.fitting.reduction import Bound
 from cosim.circuits.linear_circuit import LinearCircuit, channel_names
+from cosim.units import quantity
 
 __all__ = ["WORST_NONLINEARITY", "cautions", "delays", "footnote", "linear_certificate", "statics"]
 
@@ -61,7 +62,8 @@ def footnote(
     return {
         "band_hz": band_hz,
         "error": each,
-        "sentence": f"up to {band_hz:.6g} Hz the circuit differs from its DC gains (dampers: from H(jw)/(jw) "
+        "sentence": f"up to {quantity(band_hz, 'Hz', 6)} the circuit differs from its DC gains "
+        f"(dampers: from H(jw)/(jw) "
         f"as w -> 0) by at most {_percent(each[worst])} of the path's maximum ({others})",
     }
 
@@ -98,7 +100,8 @@ def linear_certificate(circuit: LinearCircuit, full: int, bounds: tuple[Bound, B
             "error_after": second,
             "error": total,
             "measured_error": _measured(circuit, paths, band_hz),
-            "sentence": f"up to {band_hz:.6g} Hz the model of order {circuit.order} differs from the circuit "
+            "sentence": f"up to {quantity(band_hz, 'Hz', 6)} the model of order {circuit.order} "
+            f"differs from the circuit "
             f"(order {full}) by at most {_percent(total)} of the path's maximum",
         }
     return found
@@ -167,7 +170,7 @@ def statics(paths: Paths, control: ControlPath, limit: Array) -> dict[str, Any]:
         found["gain_step_delay_s"] = late
         found["gain_step"] = (
             "the multipliers have no probes, so all of the path's dynamics stand before them: a gain step "
-            f"acts at once, in the circuit up to {late:.3g} s later"
+            f"acts at once, in the circuit up to {quantity(late, 's')} later"
         )
     return found
 

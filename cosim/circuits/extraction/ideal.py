@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from cosim.circuits.extraction.path_measurement import LOW_HZ, Paths
 from cosim.circuits.linear_circuit import LinearCircuit, channel_names
 from cosim.errors import InputError, Problem
+from cosim.units import quantity
 
 __all__ = ["DC_SWEEP", "dc_gains", "ideal"]
 
@@ -65,7 +66,7 @@ def ideal(paths: Paths, file: str) -> LinearCircuit:
             problems.append(
                 _refused(
                     pin, f"the damper has a DC gain of {np.abs(static[c]).max():.3g} besides its slope of "
-                    f"{size:.3g} s: it is no damper as frequency goes to zero", file
+                    f"{quantity(size, 's')}: it is no damper as frequency goes to zero", file
                 )
             )  # fmt: skip
         static[c] = 0.0

@@ -24,6 +24,7 @@ from cosim.circuits.fitting.refit import GRID, Batch, Fitted, Unfit, batches, fi
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import InputError, Problem, SimulationError
 from cosim.ngspice.deck import Deck
+from cosim.units import quantity
 
 __all__ = ["Reextraction", "circuits"]
 
@@ -199,7 +200,8 @@ class Reextraction:
                 "band_hz": self._asked.band_hz,
                 "tolerance": self._asked.tolerance,
                 "error": error,
-                "sentence": f"up to {self._asked.band_hz:.6g} Hz the model of order {order} differs "
+                "sentence": f"up to {quantity(self._asked.band_hz, 'Hz', 6)} the model of order "
+                f"{order} differs "
                 f"from the circuit (order {len(found.poles)}) by {100.0 * error:.3g} % of the path's "
                 f"maximum, looked at {GRID} frequencies",
             }

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from cosim.circuits.fitting.rational_fit import WORST, FitError, Modes, fit
 from cosim.circuits.fitting.reduction import Bound, error_bound, path_scale, reduce
 from cosim.errors import InputError, Problem
+from cosim.units import quantity
 
 __all__ = ["ROUNDING", "Block", "derivatives", "fit_block"]
 
@@ -162,6 +163,6 @@ def _problem(reason: FitError, where: str, file: str) -> Problem:
     shown = f"{worst.real:.4g}" + (f" +- {worst.imag:.4g}j" if worst.imag else "")
     return Problem(
         f"the board is unstable: {where} there is a pole at {shown} rad/s "
-        f"({abs(worst) / (2.0 * np.pi):.4g} Hz); look for a loop with positive feedback",
+        f"({quantity(abs(worst) / (2.0 * np.pi), 'Hz', 4)}); look for a loop with positive feedback",
         file=file,
     )

@@ -17,6 +17,7 @@ from cosim.caution import Caution
 from cosim.circuits.cache import load_arrays, store_arrays
 from cosim.errors import InputError, Problem
 from cosim.ngspice.deck import Deck
+from cosim.units import quantity, signed
 
 __all__ = ["Instability", "Latched", "Question", "Verdict", "keep", "known"]
 
@@ -55,7 +56,10 @@ class Instability:
             return f"unstable: a pole in the right half plane, in the loop of {where} {self.condition}"
         shown = f"{self.real:+.4g}" + (f" +- {abs(self.imag):.4g}j" if self.imag else "")
         hz = abs(complex(self.real, self.imag)) / (2.0 * np.pi)
-        return f"unstable: a pole at {shown} rad/s ({hz:.4g} Hz) in the loop of {where} {self.condition}"
+        return (
+            f"unstable: a pole at {shown} rad/s ({quantity(hz, 'Hz', 4)}) in the loop of {where} "
+            f"{self.condition}"
+        )
 
 
 @dataclass(frozen=True)
@@ -66,7 +70,7 @@ class Latched:
     volts: float
 
     def __str__(self) -> str:
-        return f"the output of {self.path} stands at {self.volts:+.3g} V while all inputs are at zero"
+        return f"the output of {self.path} stands at {signed(self.volts, 'V')} while all inputs are at zero"
 
 
 @dataclass(frozen=True)
