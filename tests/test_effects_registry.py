@@ -253,16 +253,18 @@ def other(folder: Path, name: str | int, more: tuple[str, ...], model: str, *las
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "more"), [("press", BY_LAW), ("drop", JITTER), ("slope_discrete", JITTER)])
-def test_jitter_and_laws_are_priced_in_seconds(tmp_path: Path, name: str, more: tuple[str, ...]) -> None:
-    """As the seconds of the shipped scenes, in our own loop: there Python is most of it."""
+@pytest.mark.parametrize(("name", "more", "seconds"), [("press", BY_LAW, 20), ("drop", JITTER, 2)])
+def test_jitter_and_laws_are_priced_in_seconds(
+    tmp_path: Path, name: str, more: tuple[str, ...], seconds: int
+) -> None:
+    """As the seconds of the shipped scenes, in our own loop: there Python is most of it; before the device has come to rest."""
 
     def ratio(plan: Plan) -> float:
         best = min(simulate(plan.scene).stats["cpu_s"] for _ in range(3))
         return plan.cost()["seconds"] / best
 
     machine = ratio(shipped("press", "solver.model=spice"))
-    assert 0.5 < ratio(other(tmp_path, name, more, "linear", "duration_s=20")) / machine < 2.0
+    assert 0.5 < ratio(other(tmp_path, name, more, "linear", f"duration_s={seconds}")) / machine < 2.0
 
 
 def test_elements_of_every_level_are_priced() -> None:
