@@ -257,7 +257,7 @@ def other(folder: Path, name: str | int, more: tuple[str, ...], model: str, *las
 def test_jitter_and_laws_are_priced_in_seconds(
     tmp_path: Path, name: str, more: tuple[str, ...], seconds: int
 ) -> None:
-    """As the seconds of the shipped scenes, in our own loop: there Python is most of it; before the device has come to rest."""
+    """As those of the shipped scenes, in our own loop, of which Python is most; before all is at rest."""
 
     def ratio(plan: Plan) -> float:
         best = min(simulate(plan.scene).stats["cpu_s"] for _ in range(3))
