@@ -1,6 +1,21 @@
-"""Circuit-level co-simulation of haptic devices."""
+"""Circuit-level co-simulation of haptic devices.
 
+The names of the front door load what they need when they are first used: `load_scene`, `Scene`, `resolve`,
+`Plan`, `run`, `Run`, `sweep`, `compare`, `stability`, `noise`, `device`, `check`, `Sample`, `Command`, and
+the errors.
+
+Examples
+--------
+>>> import cosim
+>>> from cosim.assets import scenes_folder
+>>> scene = cosim.load_scene(scenes_folder() / "press.toml")
+>>> cosim.stability(scene.with_values({"computer.period_s": 0.001})).stability.stable
+True
+"""
+
+import importlib
 import os
+from typing import Any
 
 from cosim.numba_cache import LOCATORS, cache_folder
 
@@ -9,3 +24,36 @@ __version__ = "0.1.0"
 # numba reads it when it is imported: every process that compiles keeps its code in the same place
 os.environ.setdefault("NUMBA_CACHE_DIR", cache_folder())
 os.environ.setdefault("NUMBA_CACHE_LOCATOR_CLASSES", LOCATORS)
+
+#: Public names, and the module that each comes from; types stand in `__init__.pyi`.
+_PUBLIC = {
+    **dict.fromkeys(("run", "sweep", "compare"), "cosim.api.simulating"),
+    **dict.fromkeys(("stability", "noise", "device", "check"), "cosim.api.asking"),
+    **dict.fromkeys(("Plan", "resolve"), "cosim.plan"),
+    **dict.fromkeys(("Scene", "load_scene"), "cosim.scene"),
+    **dict.fromkeys(("Command", "Sample"), "cosim.loop.userlaw"),
+    **dict.fromkeys(("CosimError", "InputError", "SimulationError", "StorageError"), "cosim.errors"),
+    "Run": "cosim.results",
+}
+
+__all__ = [
+    "Command", "CosimError", "InputError", "Plan", "Run", "Sample", "Scene", "SimulationError",
+    "StorageError", "check", "compare", "device", "errors", "load_scene", "noise", "resolve", "run",
+    "stability", "sweep",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name on its first use."""
+    if name == "errors":
+        return importlib.import_module("cosim.errors")
+    if name not in _PUBLIC:
+        raise AttributeError(f"module 'cosim' has no attribute {name!r}")
+    value = getattr(importlib.import_module(_PUBLIC[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """Return the names that are there, and those that would be loaded."""
+    return sorted({*globals(), *__all__})

@@ -13,7 +13,11 @@ from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from typing import Any
 
-__all__ = ["Caution", "caution_of", "collected", "grouped", "warn"]
+__all__ = ["Caution", "Doubt", "caution_of", "collected", "grouped", "listening", "warn"]
+
+
+class Doubt(UserWarning):
+    """A `Caution` as a warning of Python's own, for scripts."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +65,11 @@ def grouped(cautions: Sequence[Caution]) -> list[tuple[list[Caution], int]]:
 
 
 _heard: ContextVar[list[Caution] | None] = ContextVar("heard", default=None)
+
+
+def listening() -> bool:
+    """Whether anybody collects what `warn` is told."""
+    return _heard.get() is not None
 
 
 def warn(*cautions: Caution) -> None:

@@ -11,24 +11,20 @@ A result folder holds
 """
 
 import csv
-import hashlib
+import importlib
 import importlib.metadata
+import importlib.util
 import json
 import os
-import platform
 import shutil
-import sys
-import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-import cosim
 from cosim.caution import Caution, caution_of
 from cosim.errors import CosimError, InputError, fail
 from cosim.rawfile import Signals, read_raw
@@ -99,6 +95,56 @@ class Run:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     warnings: Sequence[Caution] = ()
     said: Sequence[str] = ()
+
+    def to_dataframe(self, of: str = "signals") -> Any:
+        """Return the signals [one row a time point] or the samples [one row a sample] as a table.
+
+        Parameters
+        ----------
+        of
+            'signals' or 'samples'; SI units, as `units.signal_unit` and `units.sample_unit` tell.
+
+        Returns
+        -------
+        pandas.DataFrame or polars.DataFrame
+            Of whichever is installed, pandas first.
+
+        Raises
+        ------
+        ImportError
+            Where neither is installed.
+        ValueError
+            For another `of`.
+        """
+        if of not in ("signals", "samples"):
+            raise ValueError(f"of must be 'signals' or 'samples', not {of!r}")
+        table = self.signals if of == "signals" else self.samples
+        for library in ("pandas", "polars"):
+            if importlib.util.find_spec(library) is not None:
+                return importlib.import_module(library).DataFrame(
+                    {name: np.asarray(column) for name, column in table.items()}
+                )
+        raise ImportError("a table needs pandas or polars: pip install pandas")
+
+    def plot(self, name: str | None = None) -> Any:
+        """Return a matplotlib figure: 'path', 'tangent_normal', 'zoom', 'currents', 'gains', 'headroom', ...
+
+        Parameters
+        ----------
+        name
+            Of `reports.page.FIGURES`; the first that the run fills when not given.
+
+        Raises
+        ------
+        ValueError
+            For an unknown name, or a figure for which the run lacks the signals.
+        """
+        return importlib.import_module("reports.notebook").figure(self, name)
+
+    def _repr_html_(self) -> str:
+        """Return summary, cautions, measures with units and the main picture, for notebooks."""
+        text: str = importlib.import_module("reports.notebook").html(self)
+        return text
 
     def save(self, folder: str | os.PathLike[str], formats: Collection[str] = ("parquet",)) -> Path:
         """Write the result folder whole, or not at all.
@@ -207,60 +253,6 @@ def written_files(folder: Path) -> set[str]:
         return set()
     page = {f"{PAGE_FOLDER}/{name}" for name in listed(folder / PAGE_FOLDER)}
     return {RECORD, *intact(folder, {**record.get("files", {}), **record.get("forms", {})}), *page}
-
-
-def provenance(
-    scene: Scene, *, command: Sequence[str] | None = None, ngspice: str | None = None, **more: Any
-) -> dict[str, Any]:
-    """Return what is needed to repeat a run: versions, seed, command, scene file and its digest.
-
-    Parameters
-    ----------
-    scene
-        The scene that ran.
-    command
-        Command line; by default that of this process.
-    ngspice
-        Version of the library, as it told itself.
-    more
-        Further entries, for example the digest of the netlist.
-    """
-    packages = ("numpy", "scipy", "numba", "PySpice", "pydantic")
-    return {
-        "versions": {
-            "cosim": cosim.__version__,
-            "python": platform.python_version(),
-            "ngspice": ngspice,
-            **{package: _version(package) for package in packages},
-        },
-        "platform": platform.platform(),
-        "date": datetime.fromtimestamp(run_date(), UTC).isoformat(timespec="seconds"),
-        "command": list(sys.argv if command is None else command),
-        "seed": scene.seed,
-        "scene_file": str(scene.file) if scene.file else None,
-        "scene_digest": scene.digest(),
-        "effects_digest": effects_digest(scene),
-        **more,
-    }
-
-
-def run_date() -> float:
-    """Return the present time [s since 1970], or what SOURCE_DATE_EPOCH says, for results of equal bytes."""
-    fixed = os.environ.get("SOURCE_DATE_EPOCH", "")
-    return float(fixed) if fixed.isdigit() else time.time()
-
-
-def effects_digest(scene: Scene) -> str:
-    """Return the SHA-256 of the list of effects, set ones and unset ones."""
-    settings = scene.effects.model_dump(mode="json")
-    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
-
-
-def _version(package: str) -> str | None:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return None
 
 
 def json_text(value: Any) -> str:

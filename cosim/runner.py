@@ -23,8 +23,9 @@ from cosim.measures import chosen, headroom, own_measures, standard
 from cosim.ngspice import deck_file
 from cosim.ngspice.child import OUTBOX, Child, call
 from cosim.plan import Plan, resolve
+from cosim.provenance import provenance, run_date
 from cosim.rawfile import Signals, read_raw, stamp
-from cosim.results import RAW, Run, provenance, run_date, written_files
+from cosim.results import RAW, Run, written_files
 from cosim.scene import PythonOperator, Scene
 from cosim.staging import Staging, disk_errors, require_ours, scratch_folder
 from cosim.units import quantity

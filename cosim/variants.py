@@ -8,8 +8,10 @@ instances of subcircuits do).
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 from cosim.errors import InputError, Problem
+from cosim.toml import inline_toml
 
 _TOP_LEVEL = ("title", "duration_s", "seed", "effects")
 #: Tables of a scene, which ``--set 'operator={type="none"}'`` sets as a whole.
@@ -24,6 +26,19 @@ class Setting:
 
     name: str
     values: tuple[str, ...]
+
+    @classmethod
+    def of(cls, name: str, values: Iterable[Any]) -> "Setting":
+        """Return the setting of Python values: text as it would be typed, all else as TOML has it.
+
+        Examples
+        --------
+        >>> Setting.of("computer.period_s", [0.005, 0.01]).values
+        ('0.005', '0.01')
+        >>> Setting.of("R12", ["8.2k"]).override("8.2k")
+        'device.values.R12=8.2k'
+        """
+        return cls(name, tuple(each if isinstance(each, str) else inline_toml(each) for each in values))
 
     @property
     def is_netlist(self) -> bool:

@@ -122,8 +122,8 @@ def _doubts(run: RunLike, trials: Sequence[Trial]) -> list[Caution]:
     return found
 
 
-def draw_all(view: View) -> tuple[list[Picture], list[str]]:
-    """Return the figures that the run fills, and the titles of those for which it lacks the signals."""
+def draw_all(view: View, *, first: bool = False) -> tuple[list[Picture], list[str]]:
+    """Return the figures that the run fills (or the `first`), and the titles of those it lacks."""
     from importlib import import_module
 
     from reports.style import look
@@ -137,6 +137,8 @@ def draw_all(view: View) -> tuple[list[Picture], list[str]]:
                 absent.append(title)
             else:
                 pictures.append(picture(name, title, drawn))
+                if first:
+                    break
     return pictures, absent
 
 

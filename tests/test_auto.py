@@ -16,7 +16,8 @@ from cosim.effects import EFFECTS
 from cosim.errors import InputError
 from cosim.measures import Tolerance, tolerances
 from cosim.plan import resolve
-from cosim.results import Run, effects_digest
+from cosim.provenance import effects_digest
+from cosim.results import Run
 from cosim.scene import Level, load_scene
 from cosim.scene.schema import CHOICES
 

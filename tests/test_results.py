@@ -21,8 +21,9 @@ from spicelib import RawRead
 
 from cosim.assets import scenes_folder
 from cosim.errors import CosimError, InputError, SimulationError
+from cosim.provenance import provenance
 from cosim.rawfile import RawWriter, Signals, read_raw, stamp
-from cosim.results import FORMATS, Run, json_text, provenance, read_csv, write_csv, written_files
+from cosim.results import FORMATS, Run, json_text, read_csv, write_csv, written_files
 from cosim.scene import load_scene
 from cosim.seal import sealed
 from cosim.staging import Staging

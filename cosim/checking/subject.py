@@ -12,6 +12,7 @@ from cosim.judgement import FINITE, question
 from cosim.ngspice.deck import Deck, load_deck
 from cosim.plan import resolve
 from cosim.scene import Potentiometer, Scene, load_scene
+from cosim.scene.load import SceneLike
 from cosim.variants import Variant
 
 _PARTS = ("opamp", "vca", "driver_level")
@@ -51,9 +52,9 @@ class Subject:
 
 
 def load_subject(
-    target: str, variant: Variant, level: str | None, driver: str | None, *, trust: bool = False
+    target: SceneLike, variant: Variant, level: str | None, driver: str | None, *, trust: bool = False
 ) -> Subject:
-    """Load a scene (``.toml``) or a board.
+    """Load a scene (``.toml``, or one that is there already) or a board.
 
     Parameters
     ----------
@@ -71,7 +72,7 @@ def load_subject(
     InputError
         For anything wrong with either file, or a scene's key set on a board.
     """
-    if Path(target).suffix.lower() == ".toml":
+    if isinstance(target, Scene) or Path(target).suffix.lower() == ".toml":
         return _of_scene(target, variant, level, driver, trust)
     keys = [name for name, override in zip(_names(variant), variant.overrides, strict=True)
             if not override.startswith("device.values.")]  # fmt: skip
@@ -84,14 +85,16 @@ def load_subject(
         )
     kind = driver or "voltage"
     board, ideal, finite = (
-        load_deck(target, levels={**levels, "driver": kind}, overrides=dict(variant.values), trust=trust)
+        load_deck(str(target), levels={**levels, "driver": kind}, overrides=dict(variant.values), trust=trust)
         for levels in (LEVELS[level or "full"], LEVELS["ideal"], FINITE)
     )
     judged = Question((finite, board) if (level or "full") == "full" else (finite,))
     return Subject(board, ideal, kind, None, judged, variant.label)
 
 
-def _of_scene(target: str, variant: Variant, level: str | None, driver: str | None, trust: bool) -> Subject:
+def _of_scene(
+    target: SceneLike, variant: Variant, level: str | None, driver: str | None, trust: bool
+) -> Subject:
     kind = [f"effects.driver={driver}"] if driver else []
     scene = load_scene(target, [*variant.overrides, *_effects(level), *kind])
     plain = load_scene(target, [*variant.overrides, *_effects("ideal"), *kind])

@@ -34,7 +34,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
     with start_early("cosim.checking.measured") as child:  # it imports while the netlists are read
-        from cosim.checking.check import check
+        from cosim.api.asking import check
         from cosim.checking.printout import describe
         from cosim.checking.subject import load_subject
         from cosim.variants import parse_settings, variants

@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+import time
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -15,23 +16,16 @@ if TYPE_CHECKING:
     from cosim.variants import Variant
 
 
-def plan_of(args: argparse.Namespace, variant: "Variant", scene: "Scene", child: "Child") -> "Plan":
+def plan_of(args: argparse.Namespace, scene: "Scene", child: "Child") -> "Plan":
     """Return the plan of a scene, its effects chosen where it leaves that open."""
-    from cosim.plan import resolve
+    from cosim.api.simulating import plan
 
-    if not scene.effects.auto:
-        return resolve(scene, trust=args.trust)
-    from cosim.comparisons.choose_effects import choose
-
-    forced = [f"solver.model={args.model}"] if args.model else []
-    with collected(forward=False):  # what is doubtful about a trial is told of the run that is kept
-        plan, cpu_s = choose(
-            args.scene, (*forced, *variant.overrides), child=child, trust=args.trust, on_progress=_told
-        )
-    print(
-        f"effects chosen in {plan.choice['runs']} runs, {quantity(cpu_s, 's')}", file=sys.stderr, flush=True
-    )
-    return plan
+    begun = time.perf_counter()
+    found = plan(scene, child=child, trust=args.trust, on_choice=_told)
+    if found.choice:
+        took = quantity(time.perf_counter() - begun, "s")
+        print(f"effects chosen in {found.choice['runs']} runs, {took}", file=sys.stderr, flush=True)
+    return found
 
 
 def open_choice(args: argparse.Namespace, variant: "Variant") -> dict[str, Any]:

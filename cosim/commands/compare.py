@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 from cosim.commands.command import Command, measure_argument, trust_arguments
 
 if TYPE_CHECKING:
-    from cosim.comparisons.compare_boards import Asked, Row, Side
+    from cosim.comparisons.compare_boards import Row, Side
     from cosim.ngspice.child import Child
+    from cosim.variants import Variant
 
 #: Results of `cosim run SCENE` without a folder of their own.
 _USUAL = Path("out")
@@ -51,25 +52,28 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     with start_early(
         "cosim.loop.early_imports", "cosim.checking.measured", reads=[Path(args.scene).parent]
     ) as child:
+        from cosim.api.simulating import compare
         from cosim.belongings import refuse_foreign
         from cosim.commands.progress import progress
-        from cosim.comparisons.compare_boards import changes, compare, sides_of
         from cosim.comparisons.measuring import check_measures
         from cosim.variants import parse_settings, variants
         from reports.page import PAGE_NAME
 
         check_measures(args.measure)
         last = _USUAL / Path(args.scene).stem if args.last == "" else Path(args.last) if args.last else None
-        asked = sides_of(args.boards, variants(parse_settings(args.set)), last)
+        values = [variant for variant in variants(parse_settings(args.set)) if variant.values]
         if args.measure:
-            return _measures(args, asked, child)
+            return _measures(args, values, last, child)
         out = Path(args.out) if args.out else _USUAL / "compare"
         refuse_foreign(out / "report", [PAGE_NAME])
         with progress("comparing") as show:
-            sides = compare(args.scene, asked, out, child=child, trust=args.trust, on_progress=show)
+            found = compare(
+                args.scene, args.boards, values, last, out,
+                child=child, trust=args.trust, on_progress=show,
+            )  # fmt: skip
     from reports.boards import write_comparison
 
-    rows = changes(sides)
+    sides, rows = found.sides, found.changes
     page = write_comparison(sides, rows, out / "report")
     text = "\n".join([*_table(sides, rows, args.most), *_told(sides), f"wrote {page}"])
     result = {
@@ -82,13 +86,15 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     return result, text
 
 
-def _measures(args: argparse.Namespace, asked: "list[Asked]", child: "Child") -> tuple[dict[str, Any], str]:
+def _measures(
+    args: argparse.Namespace, values: "list[Variant]", last: Path | None, child: "Child"
+) -> tuple[dict[str, Any], str]:
     """Compare the measures that are asked for."""
     from cosim.commands.progress import progress
     from cosim.commands.run import measure_table
-    from cosim.comparisons.compare_boards import compare_measures
+    from cosim.comparisons.compare_boards import compare_measures, sides_of
 
-    names = list(dict.fromkeys(args.measure))
+    names, asked = list(dict.fromkeys(args.measure)), sides_of(args.boards, values, last)
     with progress("comparing") as show:
         sides = compare_measures(args.scene, asked, names, child=child, trust=args.trust, on_progress=show)
     rows = [(label, {n: found.rows[n] for n in names if n in found.rows}) for label, found in sides]

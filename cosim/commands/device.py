@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from cosim.caution import collected, warn
+from cosim.caution import collected
 from cosim.commands.command import Command, about, load_variants, scene_arguments
 from cosim.units import name_of, quantity, unit_in
 
@@ -18,11 +18,9 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
     with start_early("cosim.analysis.extracted") as child:
-        from cosim.analysis.extracted import circuit_of
-        from cosim.plan import resolve
-        from cosim.plausibility import of_asked, of_circuit
+        from cosim.api.asking import device
         from cosim.staging import own_file
-        from cosim.studies.device import PRESETS, device_numbers, flat
+        from cosim.studies.device import PRESETS, flat
 
         if args.file:
             own_file(args.file, lambda head: head.startswith("number,"))
@@ -30,9 +28,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         every = load_variants(args)
         for variant, scene in every:
             with collected(about(variant, every)):
-                circuit, constants = circuit_of(resolve(scene, trust=args.trust), child=child)
-                warn(*of_asked(scene, constants), *of_circuit(circuit, constants))
-                found = device_numbers(scene, constants, circuit)
+                found = device(scene, trust=args.trust, child=child)
                 cases.append({"set": dict(variant.values), **found.as_dict()})
                 head = variant.label or scene.title
                 columns[head] = flat(found)

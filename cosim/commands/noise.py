@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-from cosim.caution import collected, warn
+from cosim.caution import collected
 from cosim.commands.command import Command, about, load_variants, scene_arguments
 from cosim.units import quantity
 
@@ -12,31 +12,16 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
     with start_early("cosim.analysis.extracted") as child:
-        from cosim.analysis.extracted import circuit_of
-        from cosim.analysis.noise_covariance import noise_covariance
-        from cosim.analysis.tip_noise import component_force
-        from cosim.plan import resolve
-        from cosim.plausibility import of_asked, of_circuit
-        from cosim.scene import PotNoise
+        from cosim.api.asking import contact, noise
 
         cases, texts = [], []
         every = load_variants(args)
         for variant, scene in every:
             with collected(about(variant, every)):
-                plan = resolve(scene, trust=args.trust)
-                circuit, constants = circuit_of(plan, child=child)
-                warn(*of_asked(scene, constants), *of_circuit(circuit, constants))
-                components = scene.effects.component_noise
-                facts: dict[str, Any] = {}
-                if scene.effects.pot_noise is not PotNoise.NONE or not components:
-                    facts |= noise_covariance(scene, constants, circuit).as_dict()
-                if components:
-                    facts["component_noise_bandwidth_hz"] = scene.device.component_noise_bandwidth_hz
-                    facts["component_force_noise_rms_n"] = component_force(scene, plan.board, child)
-                cases.append({"set": dict(variant.values), "model": circuit.model, **facts})
-                texts.append(
-                    f"{variant.label or scene.title} (circuit model {circuit.model})\n{describe(facts)}"
-                )
+                held = contact(scene, trust=args.trust, child=child)
+                facts, model = noise(held, child=child).as_dict(), held.circuit.model
+                cases.append({"set": dict(variant.values), "model": model, **facts})
+                texts.append(f"{variant.label or scene.title} (circuit model {model})\n{describe(facts)}")
     return {"cases": cases}, "\n".join(texts)
 
 

@@ -58,6 +58,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     with start_early(
         "cosim.loop.early_imports", reads=[Path(args.scene).parent]
     ) as child:  # it imports while the scene is read
+        from cosim.api.simulating import run
         from cosim.commands.choice import plan_of
         from cosim.comparisons.measuring import check_measures, needs_a_run
         from cosim.results import written_files
@@ -67,7 +68,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         _check_tolerances(args)
         found = load_variants(args)
         if args.measure and not needs_a_run(args.measure):
-            return _without_run(args, [(v, plan_of(args, v, scene, child)) for v, scene in found], child)
+            return _without_run(args, [(v, plan_of(args, scene, child)) for v, scene in found], child)
         base = Path(args.out) if args.out else Path("out") / Path(args.scene).stem
         _keep_apart(base, series=len(found) > 1)
         names = folder_names([variant.label for variant, _ in found])
@@ -78,12 +79,15 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         plans = []
         for variant, scene in found:
             with collected(about(variant, found)):
-                plans.append((variant, plan_of(args, variant, scene, child)))
+                plans.append((variant, plan_of(args, scene, child)))
         finished: list[tuple[Variant, Path, Run]] = []
         for (variant, plan), out in zip(plans, places, strict=True):
             title = variant.label or plan.scene.title
             with collected(about(variant, found)), progress(plan.scene.duration_s, title) as show:
-                result = _simulate(args, plan, out, child, show)
+                result = run(
+                    plan, out, formats=tuple(args.format), tolerances=args.tol, free=not args.model,
+                    estimate=not args.no_estimate, on_progress=show, child=child,
+                )  # fmt: skip
             finished.append((variant, out, result))
     return _json(finished), _text(finished)
 
@@ -98,28 +102,6 @@ def _check_tolerances(args: argparse.Namespace) -> None:
     parse_tolerances(args.tol)
     if args.no_estimate:
         fail("a tolerance is held by the estimates: leave one of the two out", key="--no-estimate")
-
-
-def _simulate(
-    args: argparse.Namespace,
-    plan: "Plan",
-    out: Path,
-    child: "Child",
-    show: "Callable[[Mapping[str, Any]], None] | None",
-) -> "Run":
-    """Run a plan as the flags ask: within tolerances, with the errors of its measures, or without them."""
-    told: dict[str, Any] = {"formats": tuple(args.format), "on_progress": show, "child": child}
-    if args.tol:
-        from cosim.accuracy.within import parse_tolerances, run_within
-
-        return run_within(plan, out, parse_tolerances(args.tol), free=not args.model, **told)
-    from cosim.comparisons.measuring import run_with_measures
-
-    if args.no_estimate:
-        return run_with_measures(plan, out, **told)
-    from cosim.accuracy.estimate import estimator
-
-    return run_with_measures(plan, out, errors=estimator(plan, child), **told)
 
 
 def _without_run(

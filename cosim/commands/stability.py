@@ -5,7 +5,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.caution import collected, warn
+from cosim.caution import collected
 from cosim.commands.command import Command, about, load_variants, out_argument, scene_arguments
 from cosim.units import quantity
 
@@ -22,27 +22,23 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
     with start_early("cosim.analysis.extracted") as child:
-        from cosim.analysis.extracted import circuit_of
-        from cosim.analysis.stiffness_limits import limits
-        from cosim.plan import resolve
-        from cosim.plausibility import of_asked, of_circuit
+        from cosim.api.asking import contact, stability
 
         cases, texts = [], []
         every = load_variants(args)
         folders = _folders(args, [variant.label for variant, _ in every])
         for (variant, scene), folder in zip(every, folders, strict=True):
             with collected(about(variant, every)):
-                plan = resolve(scene, trust=args.trust)
-                circuit, constants = circuit_of(plan, child=child)
-                warn(*of_asked(scene, constants), *of_circuit(circuit, constants))
-                found = limits(scene, constants, circuit)
-                cases.append({"set": dict(variant.values), "model": circuit.model, **found.as_dict()})
+                held = contact(scene, trust=args.trust, child=child)
+                found, model = stability(held), held.circuit.model
+                cases.append({"set": dict(variant.values), "model": model, **found.as_dict()})
                 head = variant.label or scene.title
-                texts.append(f"{head} (circuit model {circuit.model})\n{describe(found)}")
+                texts.append(f"{head} (circuit model {model})\n{describe(found)}")
                 if folder is not None:
                     from reports.stability import write_stability
 
-                    texts.append(f"wrote {write_stability(found, scene, constants, circuit, folder)}")
+                    plot = write_stability(found, held.plan.scene, held.constants, held.circuit, folder)
+                    texts.append(f"wrote {plot}")
     return {"cases": cases}, "\n".join(texts)
 
 

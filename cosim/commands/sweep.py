@@ -37,10 +37,12 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
     with start_early("cosim.loop.early_imports", reads=[Path(args.scene).parent]) as child:
+        from cosim.api.simulating import sweep
         from cosim.belongings import refuse_foreign
         from cosim.commands.progress import progress
-        from cosim.comparisons.sweep import TABLE, parse_range, sweep
+        from cosim.comparisons.sweep import TABLE, parse_range
         from cosim.errors import fail
+        from cosim.scene import load_scene
         from cosim.variants import parse_settings
         from reports.sweep import FILES, MANIFEST, write_sweep
 
@@ -57,8 +59,8 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         measures = list(dict.fromkeys(args.measure)) or ["peak_force", "max_penetration"]
         with progress("sweep") as show:
             found = sweep(
-                args.scene, settings, measures, out,
-                overrides=overrides, child=child, trust=args.trust, on_progress=show,
+                load_scene(args.scene, overrides), settings, measures, out,
+                child=child, trust=args.trust, on_progress=show,
             )  # fmt: skip
     picture = write_sweep(found, out)
     result = {

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 from cosim.catalogue import OF_A_RUN
@@ -26,7 +25,8 @@ from cosim.errors import InputError, Problem
 from cosim.measures import Tolerance, tolerances
 from cosim.ngspice.child import Child
 from cosim.plan import Plan
-from cosim.results import effects_digest
+from cosim.provenance import effects_digest
+from cosim.scene.load import SceneLike
 from cosim.units import quantity
 
 Measures = Mapping[str, Mapping[str, Any]]
@@ -142,7 +142,7 @@ class _Search:
 
 
 def choose(
-    path: str | Path,
+    path: SceneLike,
     overrides: tuple[str, ...] = (),
     *,
     child: Child | None = None,

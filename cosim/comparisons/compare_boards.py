@@ -33,6 +33,7 @@ from cosim.plan import Plan, resolve
 from cosim.results import Run, written_files
 from cosim.runner import run
 from cosim.scene import load_scene
+from cosim.scene.load import SceneLike
 from cosim.staging import require_ours
 from cosim.units import quantity
 from cosim.variants import Variant
@@ -165,7 +166,7 @@ def _label(variant: Variant) -> str:
 
 
 def compare(
-    scene_file: str | Path,
+    scene_file: SceneLike,
     asked: list[Asked],
     folder: Path,
     *,
@@ -213,7 +214,7 @@ def _file_name(label: str) -> str:
     return "".join(c if c.isalnum() or c in "._=-+" else "_" for c in label)
 
 
-def _prepared(scene_file: str | Path, asked: Asked, trust: bool) -> tuple[Plan, Subject, Run | None]:
+def _prepared(scene_file: SceneLike, asked: Asked, trust: bool) -> tuple[Plan, Subject, Run | None]:
     if asked.stored is not None:
         result = Run.load(asked.stored)
         board = deck_file.load(asked.stored, trust=trust)
@@ -251,7 +252,7 @@ def _side(label: str, plan: Plan, subject: Subject, result: Run, child: Child | 
 
 
 def compare_measures(
-    scene_file: str | Path,
+    scene_file: SceneLike,
     asked: list[Asked],
     names: Sequence[str],
     *,

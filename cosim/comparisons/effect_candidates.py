@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from cosim.catalogue import UNITS
@@ -16,6 +15,7 @@ from cosim.ngspice.child import Child
 from cosim.ngspice.deck import Deck
 from cosim.plan import Plan, resolve
 from cosim.scene import load_scene
+from cosim.scene.load import SceneLike
 
 Settings = Mapping[str, Any]
 
@@ -68,7 +68,7 @@ class Candidates:
 
     def __init__(
         self,
-        path: str | Path,
+        path: SceneLike,
         overrides: tuple[str, ...] = (),
         *,
         trust: bool = False,

@@ -26,6 +26,7 @@ from cosim.ngspice.lines import number
 from cosim.plan import Plan, resolve
 from cosim.scene import load_scene
 from cosim.scene.keys import keys
+from cosim.scene.load import SceneLike
 from cosim.staging import disk_errors
 from cosim.units import heading
 from cosim.variants import Setting, Variant, split_values, variants
@@ -99,7 +100,7 @@ def parse_range(text: str) -> Setting:
 
 
 def sweep(
-    path: str | Path,
+    path: SceneLike,
     settings: Sequence[Setting],
     measures: Sequence[str],
     folder: Path,
@@ -179,7 +180,7 @@ def sweep(
 
 
 def _plans(
-    path: str | Path, overrides: tuple[str, ...], every: Sequence[Variant], trust: bool
+    path: SceneLike, overrides: tuple[str, ...], every: Sequence[Variant], trust: bool
 ) -> list[Plan | InputError]:
     """Plan all points before the first runs; raise when none of them can be planned."""
     plans: list[Plan | InputError] = []
@@ -197,7 +198,7 @@ def _plans(
     return plans
 
 
-def _plan(path: str | Path, overrides: tuple[str, ...], variant: Variant, trust: bool) -> Plan:
+def _plan(path: SceneLike, overrides: tuple[str, ...], variant: Variant, trust: bool) -> Plan:
     return resolve(load_scene(path, [*overrides, *variant.overrides]), trust=trust)
 
 
@@ -207,7 +208,7 @@ def _measured(plan: Plan, names: Sequence[str], child: Child | None) -> dict[str
     return {"measures": measures, "warnings": [caution.as_dict() for caution in found.warnings]}
 
 
-def _digest(path: str | Path, overrides: tuple[str, ...], trust: bool) -> str:
+def _digest(path: SceneLike, overrides: tuple[str, ...], trust: bool) -> str:
     """Return what the points depend on besides their own values: scene, user's code, board and version."""
     with collected(forward=False):  # the points tell it
         plan = resolve(load_scene(path, overrides), trust=trust)

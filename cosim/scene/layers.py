@@ -33,6 +33,19 @@ class Layer:
     text: str = field(repr=False, default="")
 
 
+@dataclass(frozen=True, eq=False)
+class Origin:
+    """The layers that a scene was made of; where a scene comes from is no part of what it says."""
+
+    layers: tuple[Layer, ...]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Origin)
+
+    def __hash__(self) -> int:
+        return hash(Origin)
+
+
 def read_layer(path: Path) -> Layer:
     """Read one TOML file with its own paths made absolute."""
     try:

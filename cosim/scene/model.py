@@ -2,22 +2,78 @@
 
 import hashlib
 import json
-import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from pydantic import PrivateAttr
 
+from cosim.scene.build import checked
 from cosim.scene.choices import Linkage
+from cosim.scene.layers import Layer, Origin, absolute_paths, override_layers
 from cosim.scene.schema import SceneTables
+from cosim.toml import toml_key, toml_value
+from cosim.variants import Setting
 
 
 class Scene(SceneTables):
     """A checked scene; attributes are the tables of the file (see `cosim.scene.schema`)."""
 
     _file: Path | None = PrivateAttr(default=None)
+    _origin: Origin = PrivateAttr(default=Origin(()))
+
+    @classmethod
+    def of_layers(cls, layers: Sequence[Layer], file: Path | None) -> "Scene":
+        """Return the scene that the layers state together; `InputError` with every problem of theirs."""
+        scene = checked(cls, layers)
+        scene._file, scene._origin = file, Origin(tuple(layers))
+        return scene
+
+    def with_values(self, values: Mapping[str, Any]) -> "Scene":
+        """Return the scene with other values, the same as its file with them would give.
+
+        Parameters
+        ----------
+        values
+            Key of the scene (``computer.period_s``, ``wall.normal``, ``operator``) or name of the netlist
+            (``r_sum_spring``, ``R12``, ``xdiff1.r1``) -> value: numbers in SI units, or text as in a netlist
+            (``"24k"``); lists and tables as TOML has them.
+
+        Raises
+        ------
+        InputError
+            With every problem found, each naming key, value, unit and allowed range.
+
+        Examples
+        --------
+        >>> from cosim.scene import load_scene
+        >>> from cosim.assets import scenes_folder
+        >>> scene = load_scene(scenes_folder() / "press.toml")
+        >>> other = scene.with_values({"computer.period_s": 0.005, "r_sum_spring": "24k"})
+        >>> other.computer.period_s, dict(other.device.values)
+        (0.005, {'r_sum_spring': '24k'})
+        >>> other == load_scene(scene.file, ["computer.period_s=0.005", "device.values.r_sum_spring=24k"])
+        True
+        """
+        settings = [Setting.of(name, [value]) for name, value in values.items()]
+        return self.changed(setting.override(setting.values[0]) for setting in settings)
+
+    def changed(self, overrides: Iterable[str]) -> "Scene":
+        """Return the scene with overrides as `load_scene` takes them."""
+        base = self._origin.layers or (Layer("scene", self._stated()),)
+        return Scene.of_layers([*base, *override_layers(overrides)], self._file)
+
+    def _stated(self) -> dict[str, Any]:
+        """Return the keys that were stated, for a scene whose layers are not known."""
+        return absolute_paths(self.model_dump(mode="json", exclude_unset=True, exclude_none=True), Path.cwd())
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> "Scene":
+        """Return a copy; with an `update` it is no longer what its layers state."""
+        copied = super().model_copy(update=update, deep=deep)
+        if update:
+            copied._origin = Origin(())
+        return copied
 
     @property
     def file(self) -> Path | None:
@@ -84,26 +140,9 @@ def _toml_table(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
     values = {key: value for key, value in table.items() if not isinstance(value, dict)}
     lines = []
     if path and values:
-        lines.append(f"\n[{'.'.join(_toml_key(part) for part in path)}]")
-    lines += [f"{_toml_key(key)} = {_toml_value(value)}" for key, value in values.items()]
+        lines.append(f"\n[{'.'.join(toml_key(part) for part in path)}]")
+    lines += [f"{toml_key(key)} = {toml_value(value)}" for key, value in values.items()]
     for key, value in table.items():
         if isinstance(value, dict):
             lines += _toml_table(value, (*path, key))
     return lines
-
-
-def _toml_key(key: str) -> str:
-    bare = key.replace("_", "").replace("-", "")
-    return key if bare.isalnum() and bare.isascii() else json.dumps(key)
-
-
-def _toml_value(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, float):
-        assert math.isfinite(value)
-        return repr(value)
-    if isinstance(value, list):
-        return "[" + ", ".join(_toml_value(item) for item in value) + "]"
-    # JSON's escapes are TOML's too, except for the surrogate pairs of ensure_ascii; DEL is missing.
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -1,0 +1,213 @@
+"""What is answered without a run: of a contact that is held, of a device, of a board."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from cosim.api.doubts import doubts
+from cosim.api.simulating import plan
+from cosim.caution import warn
+from cosim.plan import Plan
+from cosim.scene import PotNoise
+from cosim.scene.load import SceneLike
+from cosim.variants import Setting, variants
+
+if TYPE_CHECKING:  # each function loads what it needs: a map of stability checks no board
+    from cosim.analysis.noise_covariance import NoiseCovariance
+    from cosim.analysis.stiffness_limits import Limits
+    from cosim.checking.check import Check
+    from cosim.checking.subject import Subject
+    from cosim.circuits.design_constants import DesignConstants
+    from cosim.circuits.linear_circuit import LinearCircuit
+    from cosim.ngspice.child import Child
+    from cosim.studies.device import DeviceNumbers
+
+__all__ = ["Contact", "Noise", "check", "contact", "device", "noise", "stability"]
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A planned scene with what theory needs of its board: the linear circuit, all poles, and constants."""
+
+    plan: Plan
+    circuit: LinearCircuit
+    constants: DesignConstants
+
+
+#: What theory of a held contact can be asked about.
+ContactLike: TypeAlias = SceneLike | Plan | Contact
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of a contact that is held, without sampling.
+
+    Attributes
+    ----------
+    potentiometers : exact second moments under their noise; None where the scene has none
+    components_rms_n : force [N] of the board's components along the normal; None without that effect
+    components_up_to_hz : band [Hz] in which the components are counted
+    """
+
+    potentiometers: NoiseCovariance | None
+    components_rms_n: float | None
+    components_up_to_hz: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return every figure, JSON-ready, with the unit at the end of its name."""
+        facts = self.potentiometers.as_dict() if self.potentiometers is not None else {}
+        if self.components_rms_n is not None:
+            facts["component_noise_bandwidth_hz"] = self.components_up_to_hz
+            facts["component_force_noise_rms_n"] = self.components_rms_n
+        return facts
+
+
+def contact(scene: ContactLike, *, trust: bool = False, child: Child | None = None) -> Contact:
+    """Return a scene's plan, linear circuit and constants; ngspice is asked once for a board.
+
+    Raises
+    ------
+    InputError
+        For a board that ngspice does not accept, or a scene that does not fit it.
+
+    Examples
+    --------
+    >>> from cosim.assets import scenes_folder
+    >>> contact(scenes_folder() / "press.toml").circuit.joints
+    1
+    """
+    if isinstance(scene, Contact):
+        return scene
+    from cosim.analysis.extracted import circuit_of
+    from cosim.plausibility import of_asked, of_circuit
+
+    planned = plan(scene, trust=trust, child=child)
+    circuit, constants = circuit_of(planned, child=child)
+    warn(*of_asked(planned.scene, constants), *of_circuit(circuit, constants))
+    return Contact(planned, circuit, constants)
+
+
+def stability(scene: ContactLike, *, trust: bool = False, child: Child | None = None) -> Limits:
+    """Return how stiff the scene's wall may be: exact border, modes, largest passive stiffness.
+
+    The contact is held at the wall's point; eigenvalues are those of the map of one sampling period
+    (`cosim.analysis.stability`), passivity is Colgate and Schenkel's with the device's dynamics.
+
+    Raises
+    ------
+    InputError
+        For a scene without a wall, or with a law or an operator in Python.
+
+    Examples
+    --------
+    >>> from cosim.assets import scenes_folder
+    >>> found = stability(scenes_folder() / "press.toml")
+    >>> found.stability.stable, found.border.value > found.stiffness  # N/m
+    (True, True)
+    """
+    from cosim.analysis.stiffness_limits import limits
+
+    with doubts():
+        here = contact(scene, trust=trust, child=child)
+        return limits(here.plan.scene, here.constants, here.circuit)
+
+
+def noise(scene: ContactLike, *, trust: bool = False, child: Child | None = None) -> Noise:
+    """Return rms force [N] and jitter [m, rad] of a held contact exactly, without a run.
+
+    Raises
+    ------
+    InputError
+        Where scene or noise are not linear about the contact, with the reason; and where there is no noise.
+
+    Examples
+    --------
+    >>> from cosim.assets import scenes_folder
+    >>> quiet = load_scene(scenes_folder() / "press.toml")
+    >>> loud = quiet.with_values({"effects.pot_noise": "white", "device.potentiometer.noise_rad": 1e-5})
+    >>> half = loud.with_values({"device.potentiometer.noise_rad": 5e-6})
+    >>> force = [noise(each).potentiometers.force_rms_n for each in (loud, half)]
+    >>> round(force[0] / force[1], 9)
+    2.0
+    """
+    from cosim.analysis.noise_covariance import noise_covariance
+    from cosim.analysis.tip_noise import component_force
+
+    with doubts():
+        here = contact(scene, trust=trust, child=child)
+        scene, effects = here.plan.scene, here.plan.scene.effects
+        found = rms = None
+        if effects.pot_noise is not PotNoise.NONE or not effects.component_noise:
+            found = noise_covariance(scene, here.constants, here.circuit)
+        if effects.component_noise:
+            rms = component_force(scene, here.plan.board, child)
+        return Noise(found, rms, scene.device.component_noise_bandwidth_hz)
+
+
+def device(scene: ContactLike, *, trust: bool = False, child: Child | None = None) -> DeviceNumbers:
+    """Return the four numbers of a device: force [N], stiffness [N/m], damping [N s/m] and workspace [m].
+
+    Raises
+    ------
+    InputError
+        For a scene without a wall, with a law or an operator in Python, or of more than two joints.
+
+    Examples
+    --------
+    >>> from cosim.assets import scenes_folder
+    >>> found = device(scenes_folder() / "press.toml")
+    >>> found.as_dict()["model"], found.as_dict()["continuous_n"] > 0
+    ('linear', True)
+    """
+    from cosim.studies.device import device_numbers
+
+    with doubts():
+        here = contact(scene, trust=trust, child=child)
+        return device_numbers(here.plan.scene, here.constants, here.circuit)
+
+
+def check(
+    target: SceneLike | Subject,
+    values: Mapping[str, Any] | None = None,
+    *,
+    level: str | None = None,
+    driver: str | None = None,
+    trust: bool = False,
+    child: Child | None = None,
+) -> Check:
+    """Measure a board in ngspice and judge it: constants, headroom, loop margins, delays, noise.
+
+    Parameters
+    ----------
+    target
+        Scene, scene file (``.toml``), board netlist (``.cir``), or what `load_subject` has made of one.
+    values
+        Other values: name of the netlist, or with a scene also of its keys -> value.
+    level
+        'ideal', 'gbw' or 'full' for all parts, instead of the scene's effects; 'full' for a board.
+    driver
+        'voltage' or 'current'; the scene's, or 'voltage' for a board.
+
+    Raises
+    ------
+    InputError
+        When ngspice does not accept the board: syntax, floating node, no operating point.
+
+    Examples
+    --------
+    >>> from cosim.assets import netlists_folder
+    >>> found = check(netlists_folder() / "board1.cir")
+    >>> found.subject.board.joints, found.as_dict()["problems"]
+    (1, 0)
+    """
+    from cosim.checking.check import check as measured
+    from cosim.checking.subject import Subject, load_subject
+
+    with doubts():
+        if not isinstance(target, Subject):
+            settings = [Setting.of(name, [value]) for name, value in (values or {}).items()]
+            variant = variants(settings)[0]
+            target = load_subject(target, variant, level, driver, trust=trust)
+        return measured(target, child=child)

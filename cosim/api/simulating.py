@@ -1,0 +1,266 @@
+"""Scene -> Plan -> Run, and many runs: sweep and comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.api.doubts import doubts
+from cosim.caution import collected
+from cosim.plan import Plan, resolve
+from cosim.scene import load_scene
+from cosim.scene.load import SceneLike
+from cosim.staging import scratch_folder
+from cosim.variants import Setting, Variant, variants
+
+if TYPE_CHECKING:  # each function loads what it needs: a script that simulates compares nothing
+    from cosim.comparisons.compare_boards import Row, Side
+    from cosim.comparisons.sweep import Sweep
+    from cosim.ngspice.child import Child
+    from cosim.results import Run
+
+__all__ = ["Comparison", "compare", "plan", "run", "sweep"]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Boards under one scene: the sides, the reference first, and every figure that differs."""
+
+    sides: tuple[Side, ...]
+    changes: tuple[Row, ...]
+
+
+def plan(
+    scene: SceneLike | Plan,
+    *,
+    trust: bool = False,
+    child: Child | None = None,
+    on_choice: Callable[[str], None] | None = None,
+) -> Plan:
+    """Return what a run of a scene will be; effects are chosen where it says ``effects = "auto"``.
+
+    Parameters
+    ----------
+    scene
+        Scene or its file; a plan is returned as it is.
+    trust
+        Whether the netlists may hold commands and name files.
+    child
+        Process of `cosim.ngspice.child.start_early` for the runs of a choice.
+    on_choice
+        Called with a few words before every run of a choice.
+
+    Raises
+    ------
+    InputError
+        For a board that does not fit the scene, or effects that its model cannot carry.
+
+    Examples
+    --------
+    >>> from cosim.assets import scenes_folder
+    >>> plan(scenes_folder() / "press.toml").model
+    'linear'
+    """
+    if isinstance(scene, Plan):
+        return scene
+    scene = load_scene(scene)
+    if not scene.effects.auto:
+        return resolve(scene, trust=trust)
+    from cosim.comparisons.choose_effects import choose
+
+    with collected(forward=False):  # what is doubtful about a trial is told of the run that is kept
+        return choose(scene, child=child, trust=trust, on_progress=on_choice)[0]
+
+
+def run(
+    scene: SceneLike | Plan,
+    out: str | Path | None = None,
+    *,
+    formats: Collection[str] = ("parquet",),
+    tolerances: Sequence[str] = (),
+    estimate: bool = True,
+    free: bool = True,
+    trust: bool = False,
+    child: Child | None = None,
+    on_progress: Callable[[Mapping[str, Any]], None] | None = None,
+) -> Run:
+    """Simulate a scene and save the result whole, or not at all.
+
+    Parameters
+    ----------
+    scene
+        Scene, its file, or its plan.
+    out
+        Result folder; a temporary one when not given (its path is ``run.signals.path.parent``).
+    formats
+        Further forms of the signals: 'parquet', 'csv'.
+    tolerances
+        Errors that measures may have: ``"1e-3"`` (a share, of every measure), ``"peak_force=0.05 N"``; steps
+        are refined until the estimates fit.
+    estimate
+        Whether every measure gets its error, which costs a second run.
+    free
+        With tolerances, whether the cheapest model that carries the scene may replace the one it states.
+    trust, child
+        As for `plan`.
+    on_progress
+        Called with {'time_s', 'points'} while the simulation runs.
+
+    Returns
+    -------
+    Run
+        Signals [points] and samples [samples] in SI units, measures with units, energy ledger, cautions.
+
+    Raises
+    ------
+    InputError
+        For a board that ngspice does not accept or that is unstable, or a place that cannot be written.
+    SimulationError
+        For everything that goes wrong while it runs.
+
+    Examples
+    --------
+    >>> from cosim.assets import scenes_folder
+    >>> scene = load_scene(scenes_folder() / "press.toml").with_values({"duration_s": 0.02})
+    >>> result = run(scene)
+    >>> float(result.signals["time"][-1])
+    0.02
+    >>> result.signals["q1"].shape == result.signals["time"].shape
+    True
+    """
+    planned = plan(scene, trust=trust, child=child)
+    how: dict[str, Any] = {"formats": formats, "on_progress": on_progress, "child": child}
+    if tolerances:
+        from cosim.accuracy.within import parse_tolerances, run_within
+
+        return run_within(planned, out, parse_tolerances(tolerances), free=free, **how)
+    from cosim.comparisons.measuring import run_with_measures
+
+    if not estimate:
+        return run_with_measures(planned, out, **how)
+    from cosim.accuracy.estimate import estimator
+
+    return run_with_measures(planned, out, errors=estimator(planned, child), **how)
+
+
+def sweep(
+    scene: SceneLike,
+    ranges: Mapping[str, str | Sequence[Any]] | Sequence[Setting],
+    measures: Sequence[str] = ("peak_force", "max_penetration"),
+    out: str | Path | None = None,
+    *,
+    trust: bool = False,
+    child: Child | None = None,
+    on_progress: Callable[[int, int, str], None] | None = None,
+) -> Sweep:
+    """Measure a scene at every combination of values; points that `out` holds are not computed again.
+
+    Parameters
+    ----------
+    ranges
+        Key of the scene or name of the netlist -> ``"FROM:TO:COUNT"``, ``"FROM:TO:COUNT:log"`` or a sequence
+        of values; the last one changes fastest.
+    measures
+        Names of `cosim.catalogue`, or ``file.py:Class`` of one's own; nothing is run where none needs it.
+    out
+        Folder that keeps points and table; none when not given.
+    on_progress
+        Called with (points done, points in all, what is computed).
+
+    Returns
+    -------
+    Sweep
+        One value a point and measure, None where a point failed; `failed` says why.
+
+    Raises
+    ------
+    InputError
+        For an unknown name or measure, or when no point can be planned.
+    StorageError
+        When the folder cannot be written.
+
+    Examples
+    --------
+    >>> from cosim.assets import scenes_folder
+    >>> found = sweep(scenes_folder() / "press.toml", {"computer.period_s": [0.001, 0.002]}, ["border"])
+    >>> len(found.values), found.measures["border"][0] > found.measures["border"][1]
+    (2, True)
+    """
+    from cosim.comparisons.sweep import parse_range
+    from cosim.comparisons.sweep import sweep as swept
+
+    if isinstance(ranges, Mapping):
+        ranges = [
+            parse_range(f"{name}={values}") if isinstance(values, str) else Setting.of(name, values)
+            for name, values in ranges.items()
+        ]
+    with doubts():
+        if out is not None:
+            return swept(
+                scene, ranges, measures, Path(out), child=child, trust=trust, on_progress=on_progress
+            )
+        with scratch_folder("sweep") as folder:
+            return swept(scene, ranges, measures, folder, child=child, trust=trust, on_progress=on_progress)
+
+
+def compare(
+    scene: SceneLike,
+    boards: Sequence[str | Path] = (),
+    values: Mapping[str, Sequence[Any]] | Sequence[Variant] = (),
+    last: str | Path | None = None,
+    out: str | Path | None = None,
+    *,
+    trust: bool = False,
+    child: Child | None = None,
+    on_progress: Callable[[int, int, str], None] | None = None,
+) -> Comparison:
+    """Check and run boards, values or an earlier run under one scene, side by side.
+
+    Parameters
+    ----------
+    boards
+        None (the scene's own), one or two netlists; the first is the reference.
+    values
+        Name -> values to try, all combinations.
+    last
+        Folder of a stored run, which becomes the reference.
+    out
+        Folder for the runs; a temporary one that is gone afterwards when not given.
+
+    Raises
+    ------
+    InputError
+        For a board that does not fit the scene, or when nothing is left to compare.
+    SimulationError
+        When a run fails.
+
+    Examples
+    --------
+    >>> from cosim.assets import scenes_folder
+    >>> scene = load_scene(scenes_folder() / "press.toml").with_values({"duration_s": 0.02})
+    >>> found = compare(scene, values={"computer.period_s": [0.001]})
+    >>> [side.label for side in found.sides]
+    ['A as it stands', 'B computer.period_s=0.001']
+    """
+    from cosim.comparisons.compare_boards import changes, sides_of
+    from cosim.comparisons.compare_boards import compare as compared
+
+    if isinstance(values, Mapping):
+        values = variants([Setting.of(name, each) for name, each in values.items()])
+    asked = sides_of([str(board) for board in boards], list(values), Path(last) if last is not None else None)
+    with doubts(), _folder(out, "compare") as folder:
+        sides = compared(scene, asked, folder, child=child, trust=trust, on_progress=on_progress)
+        return Comparison(tuple(sides), tuple(changes(sides)))
+
+
+@contextmanager
+def _folder(out: str | Path | None, what: str) -> Iterator[Path]:
+    """Yield the folder that is asked for, or one that is gone afterwards."""
+    if out is not None:
+        yield Path(out)
+    else:
+        with scratch_folder(what) as folder:
+            yield folder

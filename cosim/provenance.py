@@ -1,0 +1,71 @@
+"""What is needed to repeat a run: versions, seed, command, date, digests."""
+
+import hashlib
+import importlib.metadata
+import json
+import os
+import platform
+import sys
+import time
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+import cosim
+from cosim.scene import Scene
+
+__all__ = ["effects_digest", "provenance", "run_date"]
+
+
+def provenance(
+    scene: Scene, *, command: Sequence[str] | None = None, ngspice: str | None = None, **more: Any
+) -> dict[str, Any]:
+    """Return what is needed to repeat a run: versions, seed, command, scene file and its digest.
+
+    Parameters
+    ----------
+    scene
+        The scene that ran.
+    command
+        Command line; by default that of this process.
+    ngspice
+        Version of the library, as it told itself.
+    more
+        Further entries, for example the digest of the netlist.
+    """
+    packages = ("numpy", "scipy", "numba", "PySpice", "pydantic")
+    return {
+        "versions": {
+            "cosim": cosim.__version__,
+            "python": platform.python_version(),
+            "ngspice": ngspice,
+            **{package: _version(package) for package in packages},
+        },
+        "platform": platform.platform(),
+        "date": datetime.fromtimestamp(run_date(), UTC).isoformat(timespec="seconds"),
+        "command": list(sys.argv if command is None else command),
+        "seed": scene.seed,
+        "scene_file": str(scene.file) if scene.file else None,
+        "scene_digest": scene.digest(),
+        "effects_digest": effects_digest(scene),
+        **more,
+    }
+
+
+def run_date() -> float:
+    """Return the present time [s since 1970], or what SOURCE_DATE_EPOCH says, for results of equal bytes."""
+    fixed = os.environ.get("SOURCE_DATE_EPOCH", "")
+    return float(fixed) if fixed.isdigit() else time.time()
+
+
+def effects_digest(scene: Scene) -> str:
+    """Return the SHA-256 of the list of effects, set ones and unset ones."""
+    settings = scene.effects.model_dump(mode="json")
+    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
