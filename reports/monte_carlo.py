@@ -14,7 +14,8 @@ from cosim.catalogue import UNITS
 from cosim.caution import Caution, grouped
 from cosim.results import json_text
 from cosim.tolerance.bill import grade_text
-from cosim.tolerance.findings import CONVENTION, components_csv
+from cosim.tolerance.findings import components_csv
+from cosim.tolerance.listing import CONVENTION
 from cosim.tolerance.monte_carlo import worst
 from cosim.tolerance.scene_study import RECORD
 from cosim.tolerance.sensitivity import deviations

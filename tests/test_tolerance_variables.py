@@ -202,3 +202,12 @@ def test_list_prints_every_variable(capsys: pytest.CaptureFixture[str]) -> None:
     text = capsys.readouterr().out
     assert "rsp12" in text
     assert "summer.cir:3" in text
+
+
+def test_check_prints_them_and_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    wrong = board(tmp_path, (SUMMER, "24.3k $ tol=1%", "24.3k $ tol=120%"))
+    assert cli.main(["check", str(wrong), "--level", "ideal"]) == 2
+    assert "summer.cir:3: more tolerance than value" in capsys.readouterr().out
+    assert cli.main(["check", str(ROOT / "netlists/board1.cir"), "--level", "ideal", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["checks"][0]["tolerances"]
+    assert "xdiff1.r11" in {row["key"] for row in told}

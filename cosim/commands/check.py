@@ -1,10 +1,13 @@
 """``cosim check``: what a board does, asked of ngspice in a few seconds."""
 
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cosim.caution import collected
 from cosim.commands.command import Command, trust_arguments
+
+if TYPE_CHECKING:
+    from cosim.checking.subject import Subject
 
 _LEVELS = ("ideal", "gbw", "full")
 _DRIVERS = ("voltage", "current")
@@ -47,15 +50,36 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         for subject in subjects:
             with collected(subject.label):
                 checks.append(check(subject, child=child))
+    varies = [_varies(subject) for subject in subjects]
     text = "\n\n".join(
-        (f"{done.subject.label}\n" if done.subject.label else "") + describe(done) for done in checks
+        (f"{done.subject.label}\n" if done.subject.label else "") + describe(done) + "\n" + lines
+        for done, (_, lines) in zip(checks, varies, strict=True)
     )
-    return {"checks": [done.as_dict() for done in checks]}, text
+    told = [done.as_dict() | found for done, (found, _) in zip(checks, varies, strict=True)]
+    return {"checks": told}, text
+
+
+def _varies(subject: "Subject") -> tuple[dict[str, Any], str]:
+    """Return what varies of a built device, or what is wrong with its tolerances."""
+    from cosim.errors import InputError
+    from cosim.tolerance.listing import CONVENTION, component_rows, table
+    from cosim.tolerance.variables import tolerances
+
+    try:
+        found = tolerances(subject.scene, board=subject.board)
+    except InputError as error:
+        wrong = [problem.as_dict() for problem in error.problems]
+        lines = [f"  problem: {problem}" for problem in error.problems]
+        return {"tolerances": [], "tolerance_problems": wrong}, "\n".join(["tolerances", *lines])
+    rows = {"tolerances": component_rows(found), "tolerance_problems": []}
+    if not found.components:
+        return rows, "tolerances\n  none stated"
+    return rows, "\n".join(["tolerances", *(f"  {line}" for line in (*table(found), CONVENTION))])
 
 
 def _exit_code(args: argparse.Namespace, result: dict[str, Any]) -> int:
-    if any(done["stability"]["refused"] for done in result["checks"]):
-        return 2  # nobody needs to ask for that: such a board does not run
+    if any(done["stability"]["refused"] or done["tolerance_problems"] for done in result["checks"]):
+        return 2  # nobody needs to ask for that: such a board does not run, such parts do not exist
     return 2 if args.strict and any(done["problems"] for done in result["checks"]) else 0
 
 

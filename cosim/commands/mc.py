@@ -109,27 +109,10 @@ def replay(args: argparse.Namespace) -> str:
 
 
 def _listed(found: "Tolerances") -> tuple[dict[str, Any], str]:
-    from cosim.tolerance.findings import CONVENTION, component_rows
+    from cosim.tolerance.listing import CONVENTION, component_rows, table
 
-    rows = component_rows(found)
-    table = _aligned([["component", "nominal", "distribution", "shared draws", "stated in"], *_cells(found)])
-    count = f"{len(found.components)} components, {len(found.variables)} independent random variables"
-    return {"components": rows, "variables": list(found.variables)}, "\n".join([*table, count, CONVENTION])
-
-
-def _cells(found: "Tolerances") -> list[list[str]]:
-    from cosim.units import quantity
-
-    return [
-        [
-            each.key,
-            quantity(each.nominal, each.unit, 4),
-            each.distribution,
-            " ".join(each.lots),
-            f"{each.file}:{each.line}" if each.line else each.file,
-        ]
-        for each in found.components
-    ]
+    result = {"components": component_rows(found), "variables": list(found.variables)}
+    return result, "\n".join([*table(found), CONVENTION])
 
 
 def _one(prepared: "Prepared", number: int) -> tuple[dict[str, Any], str]:

@@ -15,22 +15,15 @@ from numpy.typing import NDArray
 from cosim.catalogue import UNITS
 from cosim.tolerance.bill import Line, bill, grade_text
 from cosim.tolerance.corner_search import Corner
-from cosim.tolerance.distributions import SIGMAS
-from cosim.tolerance.intervals import CONFIDENCE, Estimate
+from cosim.tolerance.intervals import Estimate
+from cosim.tolerance.listing import CONVENTION, component_rows
 from cosim.tolerance.monte_carlo import Study, Summary, passed, summary, worst, yields
 from cosim.tolerance.sensitivity import GOOD, Surface, fit_surface
 from cosim.tolerance.spec import Spec
 from cosim.tolerance.varying import Tolerances
 from cosim.units import heading
 
-__all__ = ["CONVENTION", "Findings", "component_rows", "components_csv", "find"]
-
-#: Conventions disagree between tools: ours is told wherever tolerances are shown.
-CONVENTION = (
-    f"A tolerance is a Gaussian with sigma = tol/{SIGMAS:g}, cut off at +-tol, where nothing else is said; "
-    "agauss and gauss are not cut, as in ngspice. Each placed component draws its own value. Intervals hold "
-    f"with {100 * CONFIDENCE:g} %."
-)
+__all__ = ["Findings", "components_csv", "find"]
 
 
 @dataclass(frozen=True)
@@ -160,27 +153,8 @@ def find(
 
 def components_csv(tolerances: Tolerances) -> str:
     """Return what varies, one row a component."""
-    return _csv(list(_COLUMNS), [list(row.values()) for row in component_rows(tolerances)])
-
-
-def component_rows(tolerances: Tolerances) -> list[dict[str, Any]]:
-    """Return what varies, JSON-ready."""
-    return [_component(each) for each in tolerances.components]
-
-
-_COLUMNS = ("key", "nominal", "unit", "distribution", "lots", "file", "line")
-
-
-def _component(component: Any) -> dict[str, Any]:
-    return {
-        "key": component.key,
-        "nominal": component.nominal,
-        "unit": component.unit,
-        "distribution": component.distribution,
-        "lots": " ".join(component.lots),
-        "file": component.file,
-        "line": component.line,
-    }
+    rows = component_rows(tolerances)
+    return _csv(list(rows[0]) if rows else [], [list(row.values()) for row in rows])
 
 
 def _summary(of: Summary) -> dict[str, Any]:

@@ -35,13 +35,13 @@ _K_T = "motor_k"
 _KNOWN_UNITS = ("Hz", "Ohm", "V", "A", "F", "H", "%", "V/V", "V/s", "N m/A", "rad", "1/K")
 
 
-def tolerances(scene: Scene, *, board: Deck | None = None, trust: bool = False) -> Tolerances:
+def tolerances(scene: Scene | None, *, board: Deck | None = None, trust: bool = False) -> Tolerances:
     """Return what varies of a scene's device: by its netlist, and by the scene's ``[tolerance]``.
 
     Parameters
     ----------
     scene
-        The scene.
+        The scene; none: the board's own tolerances alone.
     board
         Its flat deck, where it is at hand.
     trust
@@ -52,7 +52,10 @@ def tolerances(scene: Scene, *, board: Deck | None = None, trust: bool = False) 
     InputError
         With all that is wrong with the tolerances, each with file and line.
     """
-    board = resolve(scene, trust=trust).board if board is None else board
+    if board is None:
+        if scene is None:
+            raise ValueError("neither scene nor board")
+        board = resolve(scene, trust=trust).board
     return _Reader(board, scene).read()
 
 
