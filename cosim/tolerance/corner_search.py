@@ -77,7 +77,7 @@ def corner(study: Study, name: str, cheap: Measurer, own: Measurer | None = None
                 values[side], ends[side] = float(column[k]), points[k]
     there = tolerances.in_box(ends)
     low, high = (dict(zip(tolerances.keys, map(float, row), strict=True)) for row in there)
-    return Corner(values[0], values[1], low, high, least.evaluations + most.evaluations, int(np.sum(~within)))
+    return Corner(values[0], values[1], low, high, most.evaluations, int(np.sum(~within)))
 
 
 def _in_box(study: Study) -> tuple[Array, NDArray[np.bool_]]:

@@ -22,7 +22,9 @@ Array = NDArray[np.float64]
 Measure = Callable[[Array], Array]
 #: Share of a variable's range by which a gradient is taken.
 _STEP = 1e-3
-_ROUNDS = 8
+_ROUNDS, _CLIMBS = 6, 15
+#: Slopes below this share of the largest are rounding: which way they point means nothing.
+_NOISE = 1e-6
 #: Variables of which all corners are looked at.
 _ALL_CORNERS = 6
 
@@ -48,57 +50,76 @@ def extremes(measure: Measure, variables: int, starts: Sequence[Array] = ()) -> 
     starts
         Points to begin at beside the middle: the worst samples.
     """
-    least = _largest(lambda x: -measure(x), variables, starts)
-    most = _largest(measure, variables, starts)
-    return Extreme(-least.value, least.point, least.evaluations), most
+    known = _Known(measure)
+    least = _largest(_Search(known, variables, -1.0), starts)
+    most = _largest(_Search(known, variables, 1.0), starts)
+    return (
+        Extreme(-least.value, least.best, known.count),
+        Extreme(most.value, most.best, known.count),
+    )
 
 
-def _largest(measure: Measure, variables: int, starts: Sequence[Array]) -> Extreme:
-    search = _Search(measure, variables)
-    first = [np.zeros(variables), *(np.clip(start, -1.0, 1.0) for start in starts)]
-    search.look(np.array(first))
-    slopes = search.gradient(first[0])
-    for start in first:
-        search.vertices(start)
-    search.corners(np.argsort(-np.abs(slopes))[:_ALL_CORNERS])
-    search.polish()
-    search.vertices(search.best)
-    return Extreme(search.value, search.best, search.count)
+class _Known:
+    """The measure, with the slopes that were already taken; both extremes use them."""
+
+    def __init__(self, measure: Measure) -> None:
+        self._measure, self.count = measure, 0
+        self._slopes: dict[bytes, tuple[float, Array]] = {}
+
+    def values(self, points: Array) -> Array:
+        self.count += len(points)
+        return np.asarray(self._measure(points), dtype=float)
+
+    def slopes(self, at: Array) -> tuple[float, Array]:
+        """Return value and slope along each variable, by a step to the side where there is room."""
+        name = at.tobytes()
+        if name not in self._slopes:
+            step = np.where(at > 0.0, -_STEP, _STEP)
+            values = self.values(np.vstack([at, at + np.diag(step)]))
+            with np.errstate(invalid="ignore"):
+                slopes = (values[1:] - values[0]) / step
+            slopes = np.where(np.isfinite(slopes), slopes, 0.0)
+            slopes[np.abs(slopes) < _NOISE * np.abs(slopes).max(initial=0.0)] = 0.0
+            self._slopes[name] = float(values[0]), slopes
+        return self._slopes[name]
 
 
 class _Search:
-    """The best point so far."""
+    """The best point so far, upwards or, with `sign` -1, downwards."""
 
-    def __init__(self, measure: Measure, variables: int) -> None:
-        self._measure, self._variables = measure, variables
-        self.best, self.value, self.count = np.zeros(variables), -np.inf, 0
+    def __init__(self, known: _Known, variables: int, sign: float) -> None:
+        self._known, self._sign = known, sign
+        self.variables, self.best, self.value = variables, np.zeros(variables), -np.inf
+        self.settled = False
 
     def look(self, points: Array) -> Array:
-        found = np.asarray(self._measure(points), dtype=float)
-        self.count += len(points)
+        found = self._sign * self._known.values(points)
         found = np.where(np.isfinite(found), found, -np.inf)
-        k = int(np.argmax(found))
-        if found[k] > self.value:
-            self.value, self.best = float(found[k]), points[k].copy()
+        self._keep(points, found)
         return found
 
+    def _keep(self, points: Array, found: Array) -> None:
+        k = int(np.argmax(found))
+        if found[k] > self.value:
+            self.value, self.best, self.settled = float(found[k]), points[k].copy(), False
+
     def gradient(self, at: Array) -> Array:
-        """Return the slope along each variable, by a step to the side where there is room."""
-        step = np.where(at > 0.0, -_STEP, _STEP)
-        values = self.look(np.vstack([at, at + np.diag(step)]))
-        with np.errstate(invalid="ignore"):
-            slopes = (values[1:] - values[0]) / step
-        return np.where(np.isfinite(slopes), slopes, 0.0)
+        value, slopes = self._known.slopes(at)
+        if np.isfinite(value):
+            self._keep(at[None, :], np.array([self._sign * value]))
+        return self._sign * slopes
 
     def vertices(self, start: Array) -> None:
         """Go where the gradient points, to the end of the box, until it points there already."""
         at = start
         for _ in range(_ROUNDS):
             there = np.where(self.gradient(at) >= 0.0, 1.0, -1.0)
+            if np.array_equal(there, at):
+                # every slope points out of the box: no small step from here goes further up
+                self.settled = self.settled or np.array_equal(at, self.best)
+                return
             # the corner, and half-way to it: an extreme inside the box lies between
             self.look(np.vstack([there, 0.5 * (at + there)]))
-            if np.array_equal(there, at):
-                return
             at = there
 
     def corners(self, few: NDArray[np.intp]) -> None:
@@ -108,15 +129,27 @@ class _Search:
         points[:, few] = signs
         self.look(points)
 
-    def polish(self) -> None:
-        """Climb from the best point and from the middle, within the box."""
+    def climb(self) -> None:
+        """Climb from the best point and from half-way to the middle, within the box."""
         scale = max(abs(self.value), 1e-300)
-        for start in (self.best, 0.9 * self.best, np.zeros(self._variables)):
+        for start in (self.best, 0.5 * self.best):
             minimize(
                 lambda x: -float(self.look(x[None, :])[0]) / scale,
                 start,
-                jac=lambda x: -self.gradient(x) / scale,
+                jac=lambda x: -self.gradient(np.array(x)) / scale,
                 method="L-BFGS-B",
-                bounds=[(-1.0, 1.0)] * self._variables,
-                options={"maxiter": 20},
+                bounds=[(-1.0, 1.0)] * self.variables,
+                options={"maxiter": _CLIMBS},
             )
+
+
+def _largest(search: _Search, starts: Sequence[Array]) -> _Search:
+    first = [np.zeros(search.variables), *(np.clip(start, -1.0, 1.0) for start in starts)]
+    for start in first:
+        search.vertices(start)
+    search.corners(np.argsort(-np.abs(search.gradient(first[0])))[:_ALL_CORNERS])
+    search.vertices(search.best)
+    if not search.settled:
+        search.climb()
+        search.vertices(search.best)
+    return search
