@@ -3,6 +3,7 @@
 import argparse
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -22,28 +23,54 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
-    from cosim.assets import scenes_folder
     from cosim.commands.progress import COMPILING
     from cosim.numba_cache import cache_folder, is_warm
-    from cosim.plan import resolve
-    from cosim.runner import run
-    from cosim.scene import load_scene
 
     started = time.perf_counter()
     if not is_warm():
         print(COMPILING, file=sys.stderr, flush=True)
-    seconds = {}
-    for number, (what, settings) in enumerate(_STEPS.items(), 1):
-        print(f"  {number}/{len(_STEPS)} {what}", end=" ", file=sys.stderr, flush=True)
-        begun = time.perf_counter()
-        # its results are nobody's, and so are doubts about them
-        with collected(forward=False), tempfile.TemporaryDirectory(prefix="cosim-warm-") as folder:
-            scene = load_scene(scenes_folder() / "slope.toml", ["duration_s=0.05", *settings])
-            run(resolve(scene), Path(folder) / "run")
-        seconds[what] = round(time.perf_counter() - begun, 3)
-        print(f"{seconds[what]:.1f} s", file=sys.stderr, flush=True)
+    seconds: dict[str, float] = {}
+    errors: list[BaseException] = []
+    works = [
+        # a daemon: after Ctrl-C nobody waits for it, and its process goes with this one
+        threading.Thread(target=_compile, args=(what, settings, seconds, errors), daemon=True)
+        for what, settings in _STEPS.items()
+    ]
+    for work in works:
+        work.start()
+    for work in works:
+        work.join()
+    if errors:
+        raise errors[0]
+    for settings in _STEPS.values():  # where both compiled the same at once, the list of one is lost
+        _short_run(settings)
     text = f"ready after {time.perf_counter() - started:.1f} s; compiled code is kept in {cache_folder()}"
     return {"folder": cache_folder(), "seconds": seconds}, text
+
+
+def _compile(
+    what: str, settings: tuple[str, ...], seconds: dict[str, float], errors: list[BaseException]
+) -> None:
+    begun = time.perf_counter()
+    try:
+        _short_run(settings)
+    except BaseException as error:  # the command's own thread raises it
+        errors.append(error)
+        return
+    seconds[what] = round(time.perf_counter() - begun, 3)
+    print(f"  {what}: {seconds[what]:.1f} s", file=sys.stderr, flush=True)
+
+
+def _short_run(settings: tuple[str, ...]) -> None:
+    """Run a scene whose results are nobody's, and so are doubts about them."""
+    from cosim.assets import scenes_folder
+    from cosim.plan import resolve
+    from cosim.runner import run
+    from cosim.scene import load_scene
+
+    with collected(forward=False), tempfile.TemporaryDirectory(prefix="cosim-warm-") as folder:
+        scene = load_scene(scenes_folder() / "slope.toml", ["duration_s=0.05", *settings])
+        run(resolve(scene), Path(folder) / "run")
 
 
 COMMAND = Command("warm", "compile ahead what the first run would compile", _arguments, _run)

@@ -210,7 +210,7 @@ def _steps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
     whole = _WHOLE
     finest, until = _finest(length), _NEVER
     wish, jump = s.h_max, -_NEVER
-    watch = behind = False
+    watch = behind = bool(0)  # as literals they would have `_take` and `_longest` compiled twice
     while s.fault == 0:
         if s.t_event <= s.t + s.delta_min:
             if s.t >= s.t_end - s.delta_min:
