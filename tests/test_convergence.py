@@ -1,5 +1,6 @@
 """Models at which ngspice stops: what is tried, what is told, and what is never blamed."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,11 +10,13 @@ from support import SCENES, quick, simulate, slider
 
 from cosim.caution import Caution, collected
 from cosim.circuits.decks import Tolerances
+from cosim.circuits.rest import STEPPING, AtRest
 from cosim.errors import Crawl, InputError, NoOperatingPoint, Problem, SimulationError, StepTooSmall
 from cosim.loop.spice.convergence import ITERATIONS, Aid, aided
 from cosim.loop.state import PATIENCE
-from cosim.ngspice.dcpath import has_dc_path
+from cosim.ngspice.dcpath import has_dc_path, in_voltage_loop
 from cosim.ngspice.messages import operating_point_problem
+from cosim.ngspice.simulator import Simulator
 from cosim.plan import resolve
 from cosim.scene import load_scene
 
@@ -196,16 +199,115 @@ def test_paths_to_ground(node: str, tied: bool) -> None:
 
 SAID = [
     "Warning: singular matrix:  check node xboard.xop.12",
-    "Note: Transient op started",
-    "Error: Transient op failed, timestep too small",
+    "Warning: singular matrix:  check nodes v.xboard.vpx#branch and xboard.x",
+    "doAnalyses: iteration limit reached",
 ]
 
 
 def test_a_floating_node_is_told_only_where_one_floats() -> None:
-    floating = operating_point_problem(SAID, lambda node: False)
+    floating = operating_point_problem(SAID, lambda node: "12" not in node, lambda element: False)
     assert "floating node: xboard.xop.12 has no DC path" in str(floating)
     assert not isinstance(floating, NoOperatingPoint)
-    lost = operating_point_problem(SAID, lambda node: True)
+    lost = operating_point_problem(SAID, lambda node: True, lambda element: False)
     assert isinstance(lost, NoOperatingPoint)
     assert "floating" not in str(lost)
+    assert "loop" not in str(lost)
     assert "singular at xboard.xop.12" in str(lost)
+    looped = operating_point_problem(SAID, lambda node: True, lambda element: element == "v.xboard.vpx")
+    assert "loop of voltage sources or inductors through v.xboard.vpx" in str(looped)
+
+
+def test_warnings_of_an_analysis_that_converged_are_none() -> None:
+    assert operating_point_problem(SAID[:2], lambda node: False, lambda element: True) is None
+
+
+LOOPS = """\
+title
+V1 a 0 1
+V2 a 0 2
+V3 b 0 1
+R3 b a 1k
+xb a b board
+.subckt board p q
+L1 p n 1m
+E1 n q p q 1
+V4 q m 0
+R4 m 0 1k
+B1 m c v=v(p)
+B2 c m i=v(p)
+.ends
+""".splitlines()
+
+
+@pytest.mark.parametrize(
+    ("element", "loop"),
+    [
+        ("v1", True), ("v2", True), ("v3", True), ("l.xb.l1", True), ("e.xb.e1", True),  # 0-a-n-b-0
+        ("v.xb.v4", False), ("b.xb.b1", False), ("v.xb.unheard_of", True),
+    ],
+)  # fmt: skip
+def test_loops_of_voltage_sources(element: str, loop: bool) -> None:
+    assert in_voltage_loop(LOOPS, element) is loop
+
+
+# --- a deck that is helped to its operating point -----------------------------------------------------
+
+
+class Lost:
+    """ngspice that finds an operating point only once it has heard what it waits for."""
+
+    def __init__(self, wanted: str) -> None:
+        self.wanted, self.heard = wanted, list[str]()
+
+    def load(self, lines: Sequence[str]) -> None:
+        self.heard.append(f"load {' '.join(lines)}".strip())
+
+    def command(self, command: str) -> None:
+        self.heard.append(command)
+        if command == "op" and self.wanted not in self.heard:
+            raise NoOperatingPoint(Problem("here"))
+
+
+@pytest.mark.parametrize(
+    ("wanted", "aid"), [("op", ""), ("reset", ""), (f"load {STEPPING}", "gmin = 1e-10 S")]
+)
+def test_a_deck_is_read_again_and_stepped_with_all_that_was_altered(wanted: str, aid: str) -> None:
+    ngspice = Lost(wanted)
+    circuit = AtRest(ngspice, ngspice.load)  # type: ignore[arg-type]
+    circuit.parameters({"r": 2.0})
+    circuit.alter("v1 dc", 3.0)
+    ngspice.heard.clear()
+    circuit.analyse("op")
+    assert aid in circuit.aid
+    assert bool(circuit.aid) == bool(aid)
+    if wanted != "op":
+        assert ngspice.heard[-4:] == ["alterparam r = 2.0", "reset", "alter v1 dc = 3.0", "op"]
+
+
+def test_a_deck_that_nothing_helps_is_left_as_it_was() -> None:
+    ngspice = Lost("nothing")
+    circuit = AtRest(ngspice, ngspice.load)  # type: ignore[arg-type]
+    circuit.alter("v1 dc", 3.0)
+    with pytest.raises(NoOperatingPoint, match="here"):
+        circuit.analyse("op")
+    assert circuit.aid == ""
+    assert ngspice.heard[-3:] == ["load", "reset", "alter v1 dc = 3.0"]
+
+
+#: v(z) is 1 where it is below one half, and 0 above: no voltage is right.
+NO_POINT = "t\nV1 a 0 1\nR1 a 0 1k\nB1 z 0 v=u(0.5-v(z))\nR2 z 0 1k\n.end\n"
+
+
+@pytest.mark.parametrize(
+    "command", ["op", "ac lin 1 1 1", "dc v1 0 1 0.5", "tran 1u 1m", "noise v(a) v1 lin 1 1 1"]
+)
+def test_where_there_is_no_operating_point_ngspice_says_so_and_lives_on(command: str) -> None:
+    simulator = Simulator()
+    simulator.load(NO_POINT)
+    with pytest.raises(NoOperatingPoint):
+        simulator.command(command)
+    # no transient from zero in its place, which may never end and leaves the library in ruins
+    assert not any("ransient op" in line for line in simulator.notes)
+    simulator.load("t\nV1 a 0 dc 0 ac 1\nR1 a b 1k\nC1 b 0 1u\n.end\n")
+    simulator.command("ac lin 1 159.15494309189535 159.15494309189535")
+    assert simulator.vector("b")[0] == pytest.approx(0.5 - 0.5j, rel=1e-9)

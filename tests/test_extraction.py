@@ -8,8 +8,7 @@ import pytest
 from extraction_boards import DAMPER, STATED, SUM, board, differences, extract, in_child, shipped
 
 from cosim.circuits.extraction.certificate import cautions
-from cosim.circuits.rest import STEPPING, at_rest
-from cosim.errors import InputError, NoOperatingPoint, Problem
+from cosim.errors import InputError
 from cosim.ngspice.deck import PartSwap, load_deck
 
 VENDOR = Path(__file__).parent / "data" / "ngspice" / "vendor"
@@ -399,24 +398,6 @@ def test_joints_that_reach_each_other(tmp_path, joined):
 def test_hard_case_41_no_operating_point_names_the_node(tmp_path, stage, words, model):
     with pytest.raises(InputError, match=words):
         extract(board(tmp_path, spring=stage), model)
-
-
-def test_stepping_is_tried_where_there_is_no_operating_point():
-    def attempt(lines):
-        if not lines:
-            raise NoOperatingPoint(Problem("no DC operating point: here"))
-        return lines
-
-    found, words = at_rest(attempt)
-    assert found == (STEPPING,)
-    assert "gmin = 1e-10 S" in words
-    assert at_rest(len) == (0, "")
-
-    def in_vain(lines):
-        raise NoOperatingPoint(Problem("in vain" if lines else "the first reason"))
-
-    with pytest.raises(NoOperatingPoint, match="the first reason"):
-        at_rest(in_vain)
 
 
 @pytest.mark.parametrize("model", ["ideal", "linear"])

@@ -231,3 +231,28 @@ def test_random_boards():
 @pytest.mark.parametrize("start", range(20, 220, 20))
 def test_many_random_boards(start):
     check_boards(range(start, start + 20))
+
+
+def test_paths_that_grow_as_powers_of_s_are_fitted_and_not_called_unstable():
+    # the common-mode path of a macro-model: a zero at 19 MHz in front of poles at 1 and 30 MHz, and another
+    # one without any: H = (1 - s/a) (1 + s/b) / ((1 + s/c) (1 + s/d)) and e s on top
+    hz = np.logspace(-3, 9, 241)
+    s = 2j * np.pi * hz
+    a, b, c, d = 2e8, 3e8, 6e6, 1.9e8
+    proper = (1.0 - s / a) * (1.0 + s / b) / ((1.0 + s / c) * (1.0 + s / d))
+    rising = np.stack([proper + 1e-15 * s, 1e-13 * s * (1.0 + s / 1e11)], axis=1)[:, None, :]
+    found = fit(s, rising)
+    assert (found.poles.real < 0.0).all()
+    # within the band of anything: what stands for powers of s is far beyond the last point
+    assert found.worst < 1e-6
+    near = np.abs(found.poles) < 2.0 * np.pi * hz[-1]
+    assert sorted(np.abs(found.poles[near])) == pytest.approx([c, d], rel=1e-3)
+
+
+def test_a_pole_on_the_right_beside_powers_of_s_is_told():
+    hz = np.logspace(-3, 9, 241)
+    s = 2j * np.pi * hz
+    h = (1.0 / (1.0 - s / 1e6) + 1e-13 * s)[:, None, None]
+    with pytest.raises(FitError, match="right half plane") as caught:
+        fit(s, h)
+    assert caught.value.poles == pytest.approx([1e6], rel=1e-3)

@@ -15,7 +15,7 @@ from cosim.circuits.instability.stability_verdict import Instability, Latched, Q
 from cosim.cli import main
 from cosim.errors import InputError
 from cosim.judgement import FINITE, latched, question, verdict
-from cosim.ngspice.deck import load_deck
+from cosim.ngspice.deck import PartSwap, load_deck
 from cosim.plan import resolve
 from cosim.runner import run
 
@@ -261,6 +261,56 @@ def test_a_loop_through_a_multiplier_is_judged_at_the_commanded_gains(tmp_path):
     assert [each.condition for each in found.refused] == ["with all gains at full scale"]
     assert found.refused[0].real == pytest.approx(pole.real, rel=0.05)  # as well as two fits must agree
     assert found.gains_matter
+
+
+#: An op-amp in the manner of old macro-models: its common-mode gain rises with frequency and never falls. The
+#: resistor between its inputs then pushes the output along, the harder the faster: a pole on the right at
+#: 2/(3e-8 * 0.1) * (600k/100 + 1) = 4e12 rad/s as a follower, where no part is what its model says.
+RISING = """\
+.subckt rising 1 2 3 4 5
+R1 1 m 250k
+R2 m 2 250k
+G1 0 c m 0 3e-8
+L1 c d 0.1
+R3 d 0 1k
+E1 7 1 c 0 1
+RID 7 2 600k
+G2 0 x 7 2 1m
+RX x 0 200meg
+CX x 0 159p
+G3 0 y x 0 1u
+RY y 0 1meg
+CY y 0 5.3f
+E2 z 0 y 0 1
+RO z 5 100
+RP 3 4 20k
+.ends rising
+"""
+
+
+def rising(folder, pins):
+    (folder / "rising.lib").write_text(RISING)
+    part = PartSwap(folder / "rising.lib", "rising", pins)
+    return load_deck(BOARD1, levels={**FINITE, "driver": "voltage"}, parts={"opamp": part})
+
+
+def test_a_pole_where_no_part_is_what_its_model_says_condemns_no_board(tmp_path):
+    board = rising(tmp_path, "1 2 3 4 5")
+    poles = Circuit(bench_text(board, 0.0)).poles()
+    right = np.abs(poles[poles.real > 0.0])
+    assert right.size > 0
+    assert right.min() > 2.0 * np.pi * 1e10
+    found = judged(board)
+    assert found.found == ()
+    assert found.stable
+
+
+def test_such_a_part_hides_no_slip(tmp_path):
+    found = judged(rising(tmp_path, "2 1 3 4 5"))  # its inputs swapped
+    assert not found.stable
+    told = found.found[0]
+    # as a follower: the gain of 1 MHz at its whole output on the right
+    assert 2e6 < told.real < 2.0 * np.pi * 30e6
 
 
 def test_a_stuck_output_at_rest_is_said(tmp_path):

@@ -13,6 +13,7 @@ from cosim.checking.loop_probes import Probe, insert_probes
 from cosim.circuits.decks import Drive, testbench
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.extraction.noise_analysis import by_element, silence
+from cosim.circuits.rest import AtRest
 from cosim.errors import InputError
 from cosim.ngspice.deck import Deck, board_pins
 from cosim.ngspice.simulator import Simulator
@@ -62,8 +63,12 @@ class Bench:
         self.nodes = tuple(dict.fromkeys(a.out_node for a in board.amplifiers))
         rows = [line.text for line in lines]
         rows += testbench(board, drive, dict.fromkeys(drive.sources(), "dc 0 ac 0"))
-        rows.append(".end")
-        simulator.load("\n".join(rows) + "\n", lines=lines, name=str(board.path))
+        self._rest = AtRest(
+            simulator,
+            lambda more: simulator.load(
+                "\n".join([*rows, *more, ".end\n"]), lines=lines, name=str(board.path)
+            ),
+        )
         self._held: dict[str, float] = {}
         #: Elements of whose noise ngspice has no number, as far as `noise` has met them.
         self.mute: set[str] = set()
@@ -86,7 +91,7 @@ class Bench:
         for pin in sorted({*self._held, *volts}):
             value = volts.get(pin, 0.0)
             if value != self._held.get(pin, 0.0):
-                self.simulator.command(f"alter {self._source[pin]} dc = {value!r}")
+                self._rest.alter(f"{self._source[pin]} dc", value)
         self._held = {pin: value for pin, value in volts.items() if value != 0.0}
 
     def operating_point(self) -> dict[str, float]:
@@ -145,15 +150,14 @@ class Bench:
         return Heard(math.sqrt(sum(rms**2 for rms in elements.values())), elements, gain)
 
     def _excited(self, source: str, sweep: str, names: tuple[str, ...]) -> dict[str, Complex]:
-        self.simulator.command(f"alter @{source}[acmag] = 1")
+        self._rest.alter(f"@{source}[acmag]", 1.0)
         try:
             self._run(f"ac {sweep}")
         finally:
-            self.simulator.command(f"alter @{source}[acmag] = 0")
+            self._rest.alter(f"@{source}[acmag]", 0.0)
         return {
             name: np.asarray(self.simulator.vector(name), np.complex128) for name in ("frequency", *names)
         }
 
     def _run(self, analysis: str) -> None:
-        self.simulator.command("destroy all")
-        self.simulator.command(analysis)
+        self._rest.analyse(analysis, lambda: self.simulator.command("destroy all"))

@@ -1,32 +1,97 @@
-"""A board at rest where ngspice finds no operating point as it stands: what a run is helped with as well."""
+"""A deck in ngspice that is helped to an operating point where ngspice finds none as it stands."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TypeVar
+from collections.abc import Callable, Mapping, Sequence
 
 from cosim.errors import NoOperatingPoint
+from cosim.ngspice.simulator import Simulator
 
-__all__ = ["STEPPING", "at_rest"]
+__all__ = ["STEPPING", "AtRest"]
 
 #: ngspice's older stepping, in equal steps, and the conductance that stays across every junction [S].
 STEPPING = ".options gminsteps=20 srcsteps=20 gmin=1e-10"
 
-T = TypeVar("T")
 
+class AtRest:
+    """The circuit that ngspice holds, what was altered of it, and analyses of it.
 
-def at_rest(attempt: Callable[[Sequence[str]], T]) -> tuple[T, str]:
-    """Return what `attempt` makes of a deck's further lines, none if possible, and what they do in words.
+    Parameters
+    ----------
+    simulator
+        ngspice.
+    load
+        Loads the deck with some further lines.
 
-    Raises
-    ------
-    NoOperatingPoint
-        The first one, where they do not help.
+    Attributes
+    ----------
+    aid
+        What helps it, in words; empty as long as nothing is needed.
     """
-    try:
-        return attempt(()), ""
-    except NoOperatingPoint as first:
-        try:
-            return attempt((STEPPING,)), "operating point found with gmin and source stepping, gmin = 1e-10 S"
-        except NoOperatingPoint:
-            raise first from None
+
+    def __init__(self, simulator: Simulator, load: Callable[[Sequence[str]], object]) -> None:
+        self._simulator, self._load = simulator, load
+        self._parameters: dict[str, float] = {}
+        self._altered: dict[str, float] = {}
+        self.aid = ""
+        load(())
+
+    def alter(self, what: str, value: float) -> None:
+        """Give an element, or a parameter of it such as ``@v1[acmag]``, another value."""
+        self._simulator.command(f"alter {what} = {value!r}")
+        self._altered[what] = value
+
+    def parameters(self, values: Mapping[str, float]) -> None:
+        """Give `.param`s other values and read the deck again: all that was altered is undone."""
+        self._parameters |= values
+        self._altered = {}
+        self._read_again()
+
+    def analyse(self, command: str, ready: Callable[[], object] = lambda: None) -> None:
+        """Run an analysis.
+
+        ngspice begins with the last solution it has come to. Where it gets lost from there, or got lost
+        before, it begins again from zero, which is to read the deck again; then with `STEPPING`, which stays.
+
+        Parameters
+        ----------
+        command
+            ngspice's.
+        ready
+            Called before each attempt: what is saved is forgotten when the deck is read.
+
+        Raises
+        ------
+        NoOperatingPoint
+            The first one, where nothing helps; the deck is as it was then.
+        """
+        before = self.aid
+        first: NoOperatingPoint | None = None
+        for prepare in (None, self._read_again, self._stepping):
+            try:
+                if prepare is not None:
+                    prepare()
+                ready()
+                self._simulator.command(command)
+            except NoOperatingPoint as lost:
+                first = first or lost
+            else:
+                return
+        assert first is not None
+        if not before:
+            self.aid = ""
+            self._load(())
+        self._read_again()
+        raise first
+
+    def _stepping(self) -> None:
+        self.aid = "operating point found with gmin and source stepping, gmin = 1e-10 S"
+        self._load((STEPPING,))
+        self._read_again()
+
+    def _read_again(self) -> None:
+        for name, value in self._parameters.items():
+            self._simulator.command(f"alterparam {name} = {value!r}")
+        self._simulator.command("reset")
+        for what, value in self._altered.items():
+            self._simulator.command(f"alter {what} = {value!r}")

@@ -46,7 +46,9 @@ _INSTANCE = re.compile(r"\(instance: x(\S+)\)", re.IGNORECASE)
 _SINGULAR = re.compile(r"singular matrix:\s*check nodes?\s+(\S+(?:\s+and\s+\S+)?)", re.IGNORECASE)
 _STEP = re.compile(r"timestep too small; time = (\S+), timestep = \S+: (.*)", re.IGNORECASE)
 _DC_FAILED = re.compile(
-    r"(DC|Transient) solution failed|Transient op failed|operating point could not", re.IGNORECASE
+    r"(DC|Transient) solution failed|Transient op failed|operating point could not"
+    r"|doAnalyses: .*(too many iterations without convergence|iteration limit reached)",
+    re.IGNORECASE,
 )
 
 
@@ -63,39 +65,33 @@ def worth_quoting(line: str) -> bool:
 def operating_point_problem(
     said: Sequence[str],
     tied: Callable[[str], bool],
+    looped: Callable[[str], bool],
     *,
-    settles: bool = False,
     file: str | None = None,
 ) -> InputError | None:
     """Return what is wrong with the DC operating point, or ``None``.
 
-    ngspice warns of a singular matrix, tries gmin and source stepping, and at last a transient from zero
-    whose state after some time it takes for the operating point, settled or not. After a singular matrix that
-    last resort is taken for what it is: a node without a DC path (which `tied` tells), a loop of voltage
-    sources, or a model in which Newton's method got lost. Without one, and within a model, it is accepted
-    only where a transient analysis goes on from there (`settles`): as an operating point it was seen to be
-    wrong by a factor of three.
+    ngspice warns of a singular matrix, and tries gmin and source stepping. Where they fail, the matrix was
+    singular for a node without a DC path (which `tied` tells), a loop of voltage sources (which `looped`
+    tells of an element in it), or because Newton's method got lost within a model.
     """
-    nodes = list(dict.fromkeys(match[1] for line in said if (match := _SINGULAR.search(line))))
-    desperate = any("Transient op started" in line for line in said)
-    failed = any(_DC_FAILED.search(line) for line in said)
-    if nodes and (desperate or failed):
-        branches = [node for node in nodes if node.endswith("#branch")]
-        if branches:
-            shown = ", ".join(node.removesuffix("#branch") for node in branches)
-            words = f"no DC operating point: loop of voltage sources or inductors through {shown}"
-            return InputError(Problem(words, file=file))
-        floating = [node for node in nodes if not all(map(tied, node.split(" and ")))]
-        if floating:
-            words = f"floating node: {', '.join(floating)} has no DC path to ground"
-            return InputError(Problem(words, file=file))
-        failed = failed or not settles
-    if failed or (desperate and not settles):
-        reason = next((line.strip() for line in said if line.lstrip().lower().startswith("error:")), None)
-        lost = f"the matrix became singular at {', '.join(nodes[:3])}" if nodes else None
-        parts = [part for part in (reason, lost, _last_nodes(said)) if part]
-        return NoOperatingPoint(Problem("no DC operating point: " + "; ".join(parts), file=file))
-    return None
+    if not any(_DC_FAILED.search(line) for line in said):
+        return None
+    named = list(dict.fromkeys(match[1] for line in said if (match := _SINGULAR.search(line))))
+    nodes = [node for both in named for node in both.split(" and ")]
+    loops = [node.removesuffix("#branch") for node in nodes if node.endswith("#branch")]
+    loops = [element for element in loops if looped(element)]
+    if loops:
+        words = f"no DC operating point: loop of voltage sources or inductors through {', '.join(loops)}"
+        return InputError(Problem(words, file=file))
+    floating = [node for node in nodes if not node.endswith("#branch") and not tied(node)]
+    if floating:
+        words = f"floating node: {', '.join(floating)} has no DC path to ground"
+        return InputError(Problem(words, file=file))
+    reason = next((line.strip() for line in said if line.lstrip().lower().startswith("error:")), None)
+    lost = f"the matrix became singular at {', '.join(named[:3])}" if named else None
+    parts = [part for part in (reason, lost, _last_nodes(said)) if part]
+    return NoOperatingPoint(Problem("no DC operating point: " + "; ".join(parts), file=file))
 
 
 def _last_nodes(said: Sequence[str]) -> str:

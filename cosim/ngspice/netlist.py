@@ -8,7 +8,7 @@ from cosim.errors import InputError, Problem, fail
 from cosim.ngspice.lines import Line, assignments, join, tokens
 from cosim.ngspice.safety import DROPPED
 
-__all__ = ["DECLARED", "Block", "Instance", "Netlist", "doubled", "parse"]
+__all__ = ["DECLARED", "Block", "Instance", "Netlist", "doubled", "element_nodes", "parse"]
 
 MOST_NESTED = 40
 """Depth of subcircuits that are defined inside each other."""
@@ -91,23 +91,25 @@ class Block:
         counts: dict[str, int] = dict.fromkeys(self.pins, 1)
         for line in self.body:
             spoken = (name for pair in _VOLTAGE.findall(line.text.lower()) for name in pair if name)
-            for node in (*_nodes(line), *spoken):
+            for node in (*element_nodes(line), *spoken):
                 counts[node] = counts.get(node, 0) + 1
         return [node for node, count in counts.items() if count == 1 and node not in (*self.pins, "0", "gnd")]
 
 
-def _nodes(line: Line) -> list[str]:
+def element_nodes(line: Line) -> list[str]:
     """Return the nodes that an element touches; all its words where its letter does not tell how many."""
     words = [word.lower() for word in tokens(line.text)]
     if words[0].startswith("x"):
         return list(Instance.of(line, 0).nodes)
     count = _TERMINALS.get(words[0][0], len(words))
-    poly = _POLY.match(line.text.lower()) if words[0][0] in "eg" else None
-    if poly is None:  # of E and G with an expression, what stands behind the second node is no node
-        ports = [] if words[0][0] in "eg" and _FORMULA.search(line.text) else words[3 : 1 + count]
-        return [*words[1 : min(3, 1 + count)], *ports]
-    behind = [part for part in _PARTS.split(line.text.lower()[poly.end() :]) if part]
-    return [*words[1:3], *behind[: 2 * int(poly[1])]]
+    if words[0][0] not in "eg":
+        return words[1 : 1 + count]
+    poly = _POLY.match(line.text.lower())
+    if poly is None and _FORMULA.search(line.text):  # what stands behind the second node is no node
+        return words[1:3]
+    ports = 2 if poly is None else 2 * int(poly[1])
+    rest = join(words[3:]) if poly is None else line.text.lower()[poly.end() :]
+    return [*words[1:3], *[part for part in _PARTS.split(rest) if part][:ports]]
 
 
 @dataclass(frozen=True)
@@ -230,7 +232,7 @@ def parse(lines: Iterable[Line], *, is_part: bool = False, lenient: bool = False
             if len(stack) > MOST_NESTED:
                 fail(f"subcircuits are defined inside each other more than {MOST_NESTED} deep",
                      file=line.file, line=line.lineno)  # fmt: skip
-        elif word in (".ends", ".eom"):
+        elif word in (".ends", ".eom") or (lenient and _closes(line, stack)):
             if not stack:
                 slips.append(Problem(f"{word} without .subckt", file=line.file, line=line.lineno))
                 continue
@@ -259,6 +261,11 @@ def parse(lines: Iterable[Line], *, is_part: bool = False, lenient: bool = False
     if slips and not lenient:
         raise InputError(slips)
     return net
+
+
+def _closes(line: Line, stack: list[Block]) -> bool:
+    """Whether an ``.end`` with the name of the open subcircuit stands for its ``.ends``."""
+    return line.keyword == ".end" and bool(stack) and line.text.lower().split()[1:] == [stack[-1].name]
 
 
 def _declare(line: Line, stack: list[Block]) -> list[Problem]:

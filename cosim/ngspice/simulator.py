@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cosim.errors import CosimError, InputError, Problem, SimulationError, StepTooSmall, nearest
 from cosim.ngspice.aliases import Aliases
 from cosim.ngspice.command import spelled
-from cosim.ngspice.dcpath import has_dc_path
+from cosim.ngspice.dcpath import has_dc_path, in_voltage_loop
 from cosim.ngspice.gate import admit
 from cosim.ngspice.library import OLDEST_VERSION, STOP_COMMAND, Init, Library, Source, Sync
 from cosim.ngspice.lines import Line, number
@@ -32,6 +32,11 @@ _HISTORY = 1000
 
 _LENGTH_OFFSET = 56
 """Offset of ``v_length`` in ``struct dvec`` of ngspice 39 (src/include/ngspice/dvec.h), 64-bit."""
+
+_NO_LAST_RESORT = "optran 1 1 1 0 0 0"
+"""Keeps ngspice from its last resort where Newton's method, gmin and source stepping find no operating
+point: a transient from zero, of which it takes whatever it has come to. It may never end (nothing can
+interrupt it), and where it fails the library crashes in the next analysis. Other aids are tried instead."""
 
 _library: Library | None = None
 
@@ -68,6 +73,7 @@ class Simulator:
         self._constants: list[str] = []
         self.notes: deque[str] = deque(maxlen=1000)
         self._run("set nomoremode")
+        self._run(_NO_LAST_RESORT)
 
     @property
     def version(self) -> int:
@@ -355,9 +361,11 @@ class Simulator:
         if not (library.lines or status or library.exited):
             return []
         said = self._said()
-        settles = command.split()[0].lower() == "tran"
         problem = operating_point_problem(
-            said, lambda node: has_dc_path(self._rows, node), settles=settles, file=self._deck
+            said,
+            lambda node: has_dc_path(self._rows, node),
+            lambda element: in_voltage_loop(self._rows, element),
+            file=self._deck,
         )
         if problem is not None:
             raise problem

@@ -5,7 +5,7 @@ import re
 from cosim.errors import Problem
 from cosim.ngspice.lines import Line, strange_character, tokens
 
-__all__ = ["malformed"]
+__all__ = ["balanced", "malformed"]
 
 _PAIRS = {"}": "{", ")": "(", "]": "["}
 _GLUED = re.compile(r"\}[\w.]")
@@ -37,6 +37,11 @@ def malformed(line: Line) -> Problem | None:
     if not reason and line.keyword[:1] in ("r", "c", "l") and len(words) < 4:
         reason = "has no value" if len(words) == 3 else "needs two nodes and a value"
     return Problem(reason, file=line.file, line=line.lineno, value=line.text) if reason else None
+
+
+def balanced(text: str) -> bool:
+    """Whether every brace, bracket and parenthesis has its counterpart."""
+    return _unbalanced(text) is None
 
 
 def _statement(keyword: str, words: list[str]) -> str | None:

@@ -17,7 +17,6 @@ from cosim.circuits.extraction.path_measurement import Paths, Session
 from cosim.circuits.fitting.networks import ROUNDING, Block, fit_block
 from cosim.circuits.fitting.rational_fit import WORST, Modes
 from cosim.circuits.linear_circuit import LinearCircuit, channel_names
-from cosim.circuits.rest import at_rest
 from cosim.errors import CosimError, InputError, Problem
 from cosim.ngspice.deck import Deck
 
@@ -66,9 +65,7 @@ def extract(payload: dict[str, Any], report: Report) -> LinearCircuit:
         if known is not None:
             return known
     report({"stage": "load"})
-    circuit, aid = at_rest(lambda lines: extracted(Session(board, lines), asked))
-    if aid:
-        circuit = replace(circuit, certificate=circuit.certificate | {"aid": aid})
+    circuit = extracted(Session(board), asked)
     if kept:
         cache.store(asked, circuit)
     return circuit
@@ -78,8 +75,11 @@ def extracted(session: Session, asked: cache.Asked, paths: Paths | None = None) 
     """Extract the board as it is in ngspice now; `paths` over `SWEEP` where they are known."""
     file = str(session.board.path)
     if asked.model == "ideal":
-        return _ideal(session, asked, file)
-    return _linear(session, asked, file, session.measure(SWEEP) if paths is None else paths)
+        circuit = _ideal(session, asked, file)
+    else:
+        circuit = _linear(session, asked, file, session.measure(SWEEP) if paths is None else paths)
+    told = {"aid": session.aid} if session.aid else {}
+    return replace(circuit, certificate=circuit.certificate | told)
 
 
 def _ideal(session: Session, asked: cache.Asked, file: str) -> LinearCircuit:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from cosim.circuits.extraction.path_measurement import LOW_HZ, Session
 from cosim.circuits.extraction.testbench import Bench
+from cosim.errors import NoOperatingPoint
 
 __all__ = ["ControlPath", "Offsets", "beyond_rounding", "control_path", "current_limits", "offsets"]
 
@@ -18,6 +20,8 @@ Complex = NDArray[np.complex128]
 #: Command voltages go this many times the converters' range: far enough for any driver that clamps.
 _BEYOND = 5.0
 _STEPS = 40
+#: Where no operating point is found so far out: how far the commands go then, from rest.
+_NEARER = (_BEYOND, 2.0, 1.0)
 #: Offsets below this are rounding: volts relative to full scale, and amperes of a motor.
 _ROUNDING, _ROUNDING_A = 1e-12, 1e-12
 #: Slope relative to that at rest, below which the current no longer rises.
@@ -67,11 +71,15 @@ def current_limits(session: Bench) -> Array:
     """Return the lowest and highest current of each motor at standstill [n, 2] A, infinite where none shows.
 
     From a `.dc` sweep of its command: the current where it stops rising.
+
+    Raises
+    ------
+    NoOperatingPoint
+        Where ngspice finds none within the converters' range either.
     """
-    reach = _BEYOND * session.simulator.constant("dac_v")
     out = np.tile([-np.inf, np.inf], (session.joints, 1))
     for i in range(session.joints):
-        current = session.sweep(f"cmd{i + 1}", reach, _STEPS, f"imot{i + 1}")
+        current = _swept(session, f"cmd{i + 1}", f"imot{i + 1}")
         slope = np.diff(current)
         middle = _STEPS // 2
         flat = np.abs(slope) < _FLAT * np.abs(slope[middle])
@@ -81,6 +89,24 @@ def current_limits(session: Bench) -> Array:
         for knee in knees:
             out[i, int(knee > current[middle])] = knee
     return out
+
+
+def _swept(session: Session, pin: str, output: str) -> Array:
+    """Sweep a command from far below the converters' range to far above it [_STEPS + 1].
+
+    Where ngspice does not find the first point, which is far from rest, it goes from rest to either end, and
+    where vendors' models have no operating point so far out, less far.
+    """
+    full = session.simulator.constant("dac_v")
+    try:
+        return session.sweep(pin, -_BEYOND * full, _BEYOND * full, _STEPS, output)
+    except NoOperatingPoint:
+        for share in _NEARER:
+            ends = (-share * full, share * full)
+            with contextlib.suppress(NoOperatingPoint):
+                low, high = (session.sweep(pin, 0.0, end, _STEPS // 2, output) for end in ends)
+                return np.concatenate([low[::-1], high[1:]])
+        raise
 
 
 def offsets(session: Session) -> Offsets:

@@ -15,6 +15,7 @@ import numpy as np
 
 from cosim.circuits.cache import load_arrays, store_arrays
 from cosim.circuits.decks import SUPPLY_V
+from cosim.circuits.rest import AtRest
 from cosim.errors import CosimError
 from cosim.ngspice.deck import Deck
 from cosim.ngspice.netlist import Block, Netlist, parse
@@ -114,9 +115,8 @@ def _measured(
         f"Xswing {' '.join(at[pin] for pin in block.pins)} {block.name}",
         f"Rswing swing_out 0 {_LOAD_OHM!r}",
         ".save v(swing_out)",
-        ".end",
     ]
-    name = hashlib.sha256("\n".join(["swing 1", board.text, *bench]).encode()).hexdigest()
+    name = hashlib.sha256("\n".join(["swing 2", board.text, *bench]).encode()).hexdigest()
     known = load_arrays(name)
     if known is None:
         known = {}, {"limits": np.array(_limits(simulator, board, bench, reach))}
@@ -131,11 +131,13 @@ def _measured(
 def _limits(simulator: Simulator, board: Deck, bench: list[str], reach: float) -> tuple[float, float]:
     """Return the lowest and the highest output [V]; zeros where no sweep converges."""
     rows = ["cosim swing", *board.text.splitlines()[1:], *bench]
-    seen = [0.0]
+    seen, file = [0.0], str(board.path)
     try:
-        simulator.load("\n".join(rows) + "\n", lines=board.lines, name=str(board.path))
+        alone = AtRest(
+            simulator, lambda more: simulator.load("\n".join([*rows, *more, ".end\n"]), board.lines, file)
+        )
         for end in (reach, -reach):
-            simulator.command(f"dc vswing 0 {end!r} {end / _STEPS!r}")
+            alone.analyse(f"dc vswing 0 {end!r} {end / _STEPS!r}")
             seen += np.asarray(simulator.vector("swing_out"), float).tolist()
             simulator.command("destroy all")
     except CosimError:  # nothing is claimed of a part that does not work alone

@@ -12,6 +12,8 @@ from cosim.circuits.extraction.multipliers import Multiplier, find_multipliers
 from cosim.circuits.extraction.noise_analysis import by_element
 from cosim.circuits.extraction.probes import find_probes
 from cosim.circuits.linear_circuit import channel_names
+from cosim.circuits.rest import AtRest
+from cosim.errors import NoOperatingPoint
 from cosim.ngspice.deck import Deck
 from cosim.ngspice.simulator import Simulator
 
@@ -58,22 +60,24 @@ class Bench:
         pins = drive.sources()
         self._source = {pin: f"v{k:02d}" for k, pin in enumerate(pins)}
         self._outputs = [f"imot{i}" for i in joints]
-        text = "\n".join(
-            [
-                "cosim extraction",
-                *(line.text for line in board.lines[1:]),
-                *testbench(board, drive, dict.fromkeys(pins, "dc 0 ac 0")),
-                *extra,
-                ".save " + " ".join(f"v({node})" for node in self._outputs),
-                ".end",
-            ]
-        )
+        rows = [
+            "cosim extraction",
+            *(line.text for line in board.lines[1:]),
+            *testbench(board, drive, dict.fromkeys(pins, "dc 0 ac 0")),
+            *extra,
+            ".save " + " ".join(f"v({node})" for node in self._outputs),
+        ]
         self.mute: set[str] = set()
         self._saved: tuple[str, ...] = ()
         self._held: dict[str, float] = {}
         self._hz: dict[str, Array] = {}
         self.simulator = Simulator()
-        self.simulator.load(text + "\n", lines=board.lines, name=str(board.path))
+        self._rest = AtRest(
+            self.simulator,
+            lambda more: self.simulator.load(
+                "\n".join([*rows, *more, ".end\n"]), lines=board.lines, name=str(board.path)
+            ),
+        )
         self.v_fs = self.simulator.constant("v_fs")
         self._probes = find_probes(board)
         halves = (self.signals[: self.joints], self.signals[self.joints :])
@@ -81,38 +85,39 @@ class Bench:
         if multipliers:
             self.multipliers = find_multipliers(self, self._probes, self.channels, halves)
 
+    @property
+    def aid(self) -> str:
+        """What helps ngspice to an operating point, in words; empty where nothing is needed."""
+        return self._rest.aid
+
     def hold(self, pins: Mapping[str, float]) -> None:
         """Set the DC voltage of some pins or probes [V]."""
         for pin, volts in pins.items():
             if self._held.get(pin, 0.0) != volts:
-                self.simulator.command(f"alter {self._source.get(pin, pin)} dc = {volts!r}")
+                self._rest.alter(f"{self._source.get(pin, pin)} dc", volts)
                 self._held[pin] = volts
 
     def alter(self, elements: Mapping[str, float]) -> None:
         """Give elements other values, by ngspice's names; a later `parameters` takes them back."""
         for name, value in elements.items():
-            self.simulator.command(f"alter {name} = {value!r}")
+            self._rest.alter(name, value)
 
     def parameters(self, values: Mapping[str, float]) -> None:
         """Give `.param`s other values and read the deck again: all that was altered is undone."""
-        for name, value in values.items():
-            self.simulator.command(f"alterparam {name} = {value!r}")
-        self.simulator.command("reset")
+        self._rest.parameters(values)
         self._saved, self._held = (), {}
 
     def operating_point(self, nodes: Sequence[str]) -> Array:
         """Return DC voltages [V]."""
-        self._save(nodes)
-        self.simulator.command("op")
+        self._analyse("op", nodes)
         found = np.array([float(self.simulator.vector(node)[0]) for node in nodes])
         self.simulator.command("destroy")
         return found
 
-    def sweep(self, pin: str, reach: float, steps: int, node: str) -> Array:
-        """Return the DC voltage of `node` [steps + 1] while `pin` goes from -`reach` to `reach` [V]."""
-        self._save([node])
-        step = 2.0 * reach / steps
-        self.simulator.command(f"dc {self._source[pin]} {-reach!r} {reach!r} {step!r}")
+    def sweep(self, pin: str, begin: float, end: float, steps: int, node: str) -> Array:
+        """Return the DC voltage of `node` [steps + 1] while `pin` goes from `begin` to `end` [V]."""
+        step = (end - begin) / steps
+        self._analyse(f"dc {self._source[pin]} {begin!r} {end!r} {step!r}", [node])
         found = np.asarray(self.simulator.vector(node), float)
         self.simulator.command("destroy")
         return found
@@ -122,14 +127,12 @@ class Bench:
 
         The shape is [F, len(nodes)].
         """
-        self._save(nodes)
-        run = self.simulator.command
         driven = {source: 1.0} if isinstance(source, str) else source
         names = {self._source.get(pin, pin): volts for pin, volts in driven.items()}
         for name, volts in names.items():
-            run(f"alter @{name}[acmag] = {volts!r}")
+            self._rest.alter(f"@{name}[acmag]", volts)
         try:
-            run(f"ac {sweep}")
+            self._analyse(f"ac {sweep}", nodes)
             if sweep not in self._hz:
                 self._hz[sweep] = np.real(self.simulator.vector("frequency")).astype(float)
             self.hz = self._hz[sweep]
@@ -138,14 +141,13 @@ class Bench:
             found[:, alive] = self.simulator.vectors([nodes[k] for k in alive])
         finally:
             for name in names:
-                run(f"alter @{name}[acmag] = 0")
-        run("destroy")
+                self._rest.alter(f"@{name}[acmag]", 0.0)
+        self.simulator.command("destroy")
         return found
 
     def transient(self, step_s: float, length_s: float, node: str) -> tuple[Array, Array]:
         """Return times [s] and the voltage of `node` with steps of at most `step_s`."""
-        self._save([node])
-        self.simulator.command(f"tran {step_s!r} {length_s!r} 0 {step_s!r}")
+        self._analyse(f"tran {step_s!r} {length_s!r} 0 {step_s!r}", [node])
         time, found = (np.asarray(self.simulator.vector(name), float) for name in ("time", node))
         self.simulator.command("destroy")
         return time, found
@@ -153,10 +155,13 @@ class Bench:
     def noise(self, node: str, sweep: str) -> dict[str, Array]:
         """Return what each element adds to the noise of `node` by `.noise` [F] V/sqrt(Hz), by its name."""
         run = self.simulator.command
-        run("delete all")  # `.noise` keeps no vector of its own where some are asked for
+
+        def ready() -> None:
+            run("delete all")  # `.noise` keeps no vector of its own where some are asked for
+            run("destroy all")
+
         self._saved = ()
-        run("destroy all")
-        run(f"noise v({node}) {self._source[self.signals[0]]} {sweep} 1")
+        self._rest.analyse(f"noise v({node}) {self._source[self.signals[0]]} {sweep} 1", ready)
         run("setplot noise1")
         found, none = by_element(self.simulator, "onoise_")
         self.mute |= set(none)
@@ -178,6 +183,23 @@ class Bench:
 
     def _ends(self, part: Multiplier) -> tuple[str, str]:
         return next(probe.nodes for probe in self._probes if probe.source == part.x)
+
+    def _analyse(self, command: str, nodes: Sequence[str]) -> None:
+        """Run an analysis and have it hand over these nodes."""
+        again = False
+
+        def ready() -> None:
+            nonlocal again
+            if again:  # the deck was read anew, and what was saved is forgotten
+                self._saved = ()
+            again = True
+            self._save(nodes)
+
+        try:
+            self._rest.analyse(command, ready)
+        except NoOperatingPoint:
+            self._saved = ()
+            raise
 
     def _save(self, nodes: Sequence[str]) -> None:
         """Have ngspice hand over these nodes only: each costs time at every point."""

@@ -31,6 +31,9 @@ WORST = 1e-3
 _CERTAIN = 1e-5
 #: ... and lies below so many times the fastest point.
 _SURE = 3.0
+#: Poles that stand for powers of s lie so many times the fastest point away: there may be so many of them, as
+#: long as each makes the error smaller by this.
+_FAR, _MOST_FAR, _GAIN = 300.0, 4, 10.0
 #: Paths that differ by less are one.
 _EQUAL = 1e-13
 #: A pole whose share of every path stays below this is spurious.
@@ -184,9 +187,10 @@ def _needed(s: Complex, f: Complex, reweighted: bool) -> Complex:
     every = poles_of(s, f, GOOD, reweighted)
     # so far beyond the fastest point it cannot be told on which side of the axis a pole lies
     every = every[(every.real < 0.0) | (np.abs(every) < _SURE * np.abs(s).max())]
-    poles = every[every.real < 0.0]
+    poles = _with_powers(s, f, every[every.real < 0.0])
     misfit = _misfit(s, f, poles)
-    if len(poles) < len(every) and misfit > GOOD and _misfit(s, f, every) < min(1e-2 * misfit, _CERTAIN):
+    every = poles if (every.real < 0.0).all() else _with_powers(s, f, every)
+    if (every.real >= 0.0).any() and misfit > GOOD and _misfit(s, f, every) < min(1e-2 * misfit, _CERTAIN):
         share = _shares(s, f, every)
         wrong = (every.real >= 0.0) & (share > GOOD)
         raise FitError("a pole lies in the right half plane", every[wrong])
@@ -198,6 +202,22 @@ def _needed(s: Complex, f: Complex, reweighted: bool) -> Complex:
             break
         poles = rest
     return _relocated(s, f, poles)[0]
+
+
+def _with_powers(s: Complex, f: Complex, poles: Complex) -> Complex:
+    """Return the poles, and such far beyond the points that paths may grow towards their end as powers of s.
+
+    A vendor's model whose common-mode gain has a zero and no pole makes such paths. AAA gives them poles far
+    away on either side, of which those on the right are none of the circuit's.
+    """
+    misfit = _misfit(s, f, poles)
+    for _ in range(_MOST_FAR):
+        more = np.append(poles, -_FAR * np.abs(s).max())
+        now = _misfit(s, f, more) if misfit > GOOD else misfit
+        if now * _GAIN > misfit:
+            break
+        poles, misfit = more, now
+    return poles
 
 
 def _relocated(s: Complex, f: Complex, poles: Complex) -> tuple[Complex, float]:

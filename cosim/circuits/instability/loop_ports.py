@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 
 from cosim.ngspice.deck import Deck
 from cosim.ngspice.lines import Line, tokens
-from cosim.ngspice.netlist import Block, Instance, Netlist, parse
+from cosim.ngspice.netlist import Block, Instance, Netlist, element_nodes, parse
 
 __all__ = ["Port", "loop_ports"]
 
 #: Nodes of an element by its letter: what it drives and what it listens to.
-_NODES = {"e": 4, "g": 4, "f": 2, "h": 2, "q": 3, "j": 3, "m": 4, "z": 3, "s": 4, "w": 2, "u": 3, "t": 4}
+_NODES = {"f": 2, "h": 2, "q": 3, "j": 3, "m": 4, "z": 3, "s": 4, "w": 2, "u": 3, "t": 4}
 _VOLTAGE = re.compile(r"\bv\(\s*([^\s,()]+)\s*(?:,\s*([^\s,()]+)\s*)?\)")
 
 
@@ -120,7 +120,7 @@ def _touched(line: Line) -> list[str]:
     """Return the nodes of an active element in lower case; none for a passive one."""
     words = [word.lower() for word in tokens(line.text)]
     kind = words[0][0]
-    if kind == "b":
+    if kind in "beg":
         spoken = [node for pair in _VOLTAGE.findall(line.text.lower()) for node in pair if node]
-        return [*words[1:3], *spoken]
+        return [*(words[1:3] if kind == "b" else element_nodes(line)), *spoken]
     return words[1 : 1 + _NODES.get(kind, 0)]

@@ -33,6 +33,9 @@ Report = Callable[[dict[str, Any]], None]
 _ONCE = "lin 1 1k 1k"
 #: Where a pole is looked for; agreement of two fits of different order.
 _CLOSELY, _BAND_HZ, _AGREE = "dec 20 1m 10g", (1e-3, 1e10), 0.05
+#: Beyond that band nothing is a part's: there a vendor's model is what its last elements make of it, such as
+#: a common-mode gain that rises for ever. Where its poles are looked for [Hz].
+_BEYOND, _BEYOND_HZ = "dec 20 1g 100t", (1e9, 1e14)
 #: The kick: steps of this share of 1/|p|, so many times 1/Re p, the voltage that it makes at once [V].
 _STEP, _FOLDS, _KICK_V = 0.1, 6.0, 1e-4
 #: Steps beyond which a transient is not worth its time: a pole so near to the axis grows that slowly.
@@ -142,15 +145,24 @@ class _Court:
         left = [port for port in chosen if winding[port] > 0]
         left = [port for port in left if self.ports[port].active] or left
         close = seen.joined(Impedances(*self._ask(_CLOSELY)))
-        out = []
+        loops: list[list[int]] = []
         while left:
             first = left[0]
             loop = [p for p in left if p == first or count(seen.of([first, p])) < winding[first] + winding[p]]
             left = [port for port in left if port not in loop]
-            out.append(self._instability(close, loop, condition, volts))
-        if not out:  # nothing but several ports together calms it
-            out.append(self._instability(close, chosen, condition, volts))
+            loops.append(loop)
+        loops = loops or [chosen]  # nothing but several ports together calms it
+        near = [loop for loop in loops if not self._is_beyond(seen, loop)]
+        out = [self._instability(close, loop, condition, volts) for loop in near]
         return sorted(out, key=lambda each: -each.real if np.isfinite(each.real) else np.inf)
+
+    def _is_beyond(self, seen: Impedances, loop: list[int]) -> bool:
+        """Whether all poles of a loop in the right half plane lie beyond the band of any part."""
+        far = Impedances(*self._ask(_BEYOND)).of(loop)
+        fast = 2.0 * np.pi * _BAND_HZ[1]
+        found = (_right(far.hz, far.z[:, k, k], _BEYOND_HZ) for k in range(len(loop)))
+        most = max(sum(2 if p.imag else 1 for p in poles if abs(p) > fast) for poles in found)
+        return most >= count(seen.of(loop)) > 0
 
     def _instability(
         self, seen: Impedances, loop: list[int], condition: str, volts: Mapping[str, float]
@@ -177,7 +189,10 @@ class _Court:
         ]
         bench, self._bench = Bench(self.board, lines, multipliers=False), None
         bench.hold(volts)
-        t, v = bench.transient(step, length, port.node)
+        try:
+            t, v = bench.transient(step, length, port.node)
+        except CosimError:  # it neither grows nor calms down: ngspice comes to no end
+            return False
         moved = np.abs(v - v[0])
         middle, last = moved[(t > 0.3 * length) & (t < 0.5 * length)], moved[t > 0.8 * length]
         return bool(last.max(initial=0.0) > _GROWS * middle.max(initial=0.0) > 0.0)
@@ -195,19 +210,21 @@ def _level(seen: Impedances, port: int, pole: complex) -> float:
 
 def _pole(seen: Impedances, loop: Sequence[int]) -> tuple[int, complex | None]:
     """Return the fastest growing pole that two fits of different order agree on, and a port that shows it."""
-    inside = (seen.hz > _BAND_HZ[0]) & (seen.hz < _BAND_HZ[1])
-    s = 2j * np.pi * seen.hz[inside].astype(complex)
     best: tuple[int, complex | None] = (loop[0], None)
     for port in loop:
-        h = seen.z[inside, port, port]
-        f = (h / np.abs(h).max())[:, None]
-        first, second = (
-            found[(found.real > 0.0) & (np.abs(found) < np.abs(s[-1]))]
-            for found in (poles_of(s, f, 1e-4, True), poles_of(s[::2], f[::2], 1e-9, False))
-        )
-        for pole in first.tolist():
-            apart = np.abs(second - pole)
-            if apart.size and apart.min() <= _AGREE * abs(pole):
-                if best[1] is None or pole.real > best[1].real:
-                    best = (port, pole)
+        for pole in _right(seen.hz, seen.z[:, port, port], _BAND_HZ):
+            if best[1] is None or pole.real > best[1].real:
+                best = (port, pole)
     return best
+
+
+def _right(hz: Array, h: Complex, band_hz: tuple[float, float]) -> list[complex]:
+    """Return the poles in the right half plane, within a band, that two fits of different order agree on."""
+    inside = (hz > band_hz[0]) & (hz < band_hz[1])
+    s = 2j * np.pi * hz[inside].astype(complex)
+    f = (h[inside] / np.abs(h[inside]).max())[:, None]
+    first, second = (
+        found[(found.real > 0.0) & (np.abs(found) < np.abs(s[-1]))]
+        for found in (poles_of(s, f, 1e-4, True), poles_of(s[::2], f[::2], 1e-9, False))
+    )
+    return [p for p in first.tolist() if second.size and np.abs(second - p).min() <= _AGREE * abs(p)]

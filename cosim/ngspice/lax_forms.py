@@ -1,0 +1,45 @@
+"""Forms that PSpice reads although they are not quite as its manual says, put right for ngspice.
+
+Vendors' models were tried on PSpice, which counts no parentheses in a table, takes a comma between nodes for
+a blank and asks for no sign of equality behind `TC`. ngspice counts, takes two nodes with a comma for one,
+and a coefficient for the resistor's value.
+"""
+
+import re
+from dataclasses import replace
+
+from cosim.ngspice.lines import Line, number, tokens
+from cosim.ngspice.syntax import balanced
+
+__all__ = ["put_right"]
+
+_TABLE = re.compile(r"([eg]\S* \S+ \S+ table ?(?:\{[^{}]*\}|'[^']*') ?=?)(.*)", re.IGNORECASE)
+_COMMA = re.compile(r",(?![^(){}']*[)}'])")
+_APART = re.compile(r"[\s(),]+")
+_COEFFICIENTS = re.compile(r"([rcl]\S* \S+ \S+ .*?)\btc ([^\s=,]+)(?:[\s,]+([^\s=,]+))?", re.IGNORECASE)
+
+
+def put_right(line: Line) -> Line:
+    """Return a statement of a PSpice or LTspice file as that program reads it, with a note on a table.
+
+    A table whose parentheses do not match becomes its pairs of numbers, ``x1 a,b part`` becomes
+    ``x1 a b part``, ``tc 1m 2u`` becomes ``tc1=1m tc2=2u``. Where other things than numbers stand, nothing is
+    changed.
+    """
+    text, note = line.text, ""
+    if text[:1] in "xX" and "," in text:
+        text = _COMMA.sub(" ", text)
+    match = _TABLE.fullmatch(text)
+    if match is not None and balanced(match[1]) and not balanced(match[2]):
+        values = [word for word in _APART.split(match[2]) if word]
+        if len(values) % 2 == 0 and values and all(number(word) is not None for word in values):
+            pairs = zip(values[::2], values[1::2], strict=True)
+            text = f"{match[1]} {' '.join(f'({x},{y})' for x, y in pairs)}"
+            note = "the parentheses of the table do not match: its pairs are read"
+    match = _COEFFICIENTS.match(text)
+    if match is not None and len(tokens(match[1])) > 3:
+        found = [word for word in match.groups()[1:] if word is not None]
+        if all(number(word) is not None for word in found):
+            stated = " ".join(f"tc{k}={word}" for k, word in enumerate(found, 1))
+            text = f"{match[1]}{stated}{text[match.end() :]}"
+    return line if text == line.text else replace(line, text=text, note=note or line.note)
