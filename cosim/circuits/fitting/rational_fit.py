@@ -208,8 +208,11 @@ def _with_powers(s: Complex, f: Complex, poles: Complex) -> Complex:
     """Return the poles, and such far beyond the points that paths may grow towards their end as powers of s.
 
     A vendor's model whose common-mode gain has a zero and no pole makes such paths. AAA gives them poles far
-    away on either side, of which those on the right are none of the circuit's.
+    away on either side, of which those on the right are none of the circuit's. What only grows is a
+    differentiator, which no state space holds.
     """
+    if (np.argmax(np.abs(f), axis=0) == len(s) - 1).all():
+        return poles
     misfit = _misfit(s, f, poles)
     for _ in range(_MOST_FAR):
         more = np.append(poles, -_FAR * np.abs(s).max())
