@@ -34,9 +34,8 @@ _LENGTH_OFFSET = 56
 """Offset of ``v_length`` in ``struct dvec`` of ngspice 39 (src/include/ngspice/dvec.h), 64-bit."""
 
 _NO_LAST_RESORT = "optran 1 1 1 0 0 0"
-"""Keeps ngspice from its last resort where Newton's method, gmin and source stepping find no operating
-point: a transient from zero, of which it takes whatever it has come to. It may never end (nothing can
-interrupt it), and where it fails the library crashes in the next analysis. Other aids are tried instead."""
+"""Keeps ngspice from its last resort where it finds no operating point: a transient from zero, which may
+never end (nothing can interrupt it), and if it fails the next analysis crashes. Others are tried instead."""
 
 _library: Library | None = None
 

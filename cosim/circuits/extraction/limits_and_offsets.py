@@ -91,7 +91,7 @@ def current_limits(session: Bench) -> Array:
     return out
 
 
-def _swept(session: Session, pin: str, output: str) -> Array:
+def _swept(session: Bench, pin: str, output: str) -> Array:
     """Sweep a command from far below the converters' range to far above it [_STEPS + 1].
 
     Where ngspice does not find the first point, which is far from rest, it goes from rest to either end, and

@@ -15,6 +15,14 @@ import scipy  # loads its parts when they are used
 from numpy.typing import NDArray
 
 from cosim.circuits.fitting.aaa import poles_of
+from cosim.circuits.fitting.pole_chains import (
+    NEAR,
+    chain_basis,
+    chain_matrices,
+    chained,
+    least_squares,
+    states_of,
+)
 from cosim.circuits.linear_circuit import rational
 
 __all__ = ["GOOD", "WORST", "FitError", "Modes", "fit"]
@@ -38,8 +46,6 @@ _FAR, _MOST_FAR, _GAIN = 300.0, 4, 10.0
 _EQUAL = 1e-13
 #: A pole whose share of every path stays below this is spurious.
 _SPURIOUS = 1e-12
-#: Poles nearer to each other than this (relative) share a chain instead of having residues of their own.
-_NEAR = 0.01
 #: Paths weaker than this share of the strongest path to the same output are fitted to that share's measure.
 _WEAK = 1e-6
 #: Error that fewer copies of a chain may make before C and D are found again; what serves best is kept.
@@ -140,9 +146,9 @@ def _fit(s: Complex, h: Complex, reweighted: bool) -> Modes:
     scale[scale == 0.0] = 1.0
     f = (h / scale).reshape(size, rows * columns)
     poles = _needed(s, f[:, _distinct(f)], reweighted)
-    chains = _chains(poles)
-    basis = _basis(s, chains)
-    weights = _least_squares(basis, f).reshape(-1, rows, columns)
+    chains = chained(poles)
+    basis = chain_basis(s, chains)
+    weights = least_squares(basis, f).reshape(-1, rows, columns)
     peaks = np.abs(basis).max(axis=0)
     found: list[Modes] = []
     for rank in _RANK:
@@ -165,7 +171,7 @@ def _polished(s: Complex, f: Complex, modes: Modes, scale: Array) -> Modes:
     c, d = np.zeros((rows, len(modes.a))), np.zeros((rows, columns))
     for row in range(rows):
         here = (known / scale[row, :, None]).reshape(-1, known.shape[2]).astype(complex)
-        found = _least_squares(here, f[:, row].reshape(-1, 1))[:, 0]
+        found = least_squares(here, f[:, row].reshape(-1, 1))[:, 0]
         c[row], d[row] = found[: len(modes.a)], found[len(modes.a) :]
     fitted = rational(s, modes.a, modes.b, c, d) / scale
     return replace(modes, c=c, d=d, error=np.abs(fitted - f).max(axis=0))
@@ -233,8 +239,8 @@ def _relocated(s: Complex, f: Complex, poles: Complex) -> tuple[Complex, float]:
     """
     best, misfit = poles, _misfit(s, f, poles)
     for _ in range(_MOVES):
-        chains = _chains(best)
-        basis = _basis(s, chains)
+        chains = chained(best)
+        basis = chain_basis(s, chains)
         size = basis.shape[1]
         rows: list[Array] = []
         right: list[Array] = []
@@ -247,7 +253,7 @@ def _relocated(s: Complex, f: Complex, poles: Complex) -> tuple[Complex, float]:
         moved: list[complex] = []
         at = 0
         for chain in chains:
-            a, b = _blocks(chain)
+            a, b = chain_matrices(chain)
             zeros = np.linalg.eigvals(a - b[:, None] * shift[at : at + len(a)])
             moved += zeros[zeros.imag >= 0.0].tolist()
             at += len(a)
@@ -259,83 +265,22 @@ def _relocated(s: Complex, f: Complex, poles: Complex) -> tuple[Complex, float]:
 
 
 def _misfit(s: Complex, f: Complex, poles: Complex) -> float:
-    basis = _basis(s, _chains(poles))
-    return float(np.abs(basis @ _least_squares(basis, f) - f).max())
+    basis = chain_basis(s, chained(poles))
+    return float(np.abs(basis @ least_squares(basis, f) - f).max())
 
 
 def _shares(s: Complex, f: Complex, poles: Complex) -> Array:
     """Return how much of any path each pole makes at most; within a chain all count as much."""
-    chains = _chains(poles)
-    basis = _basis(s, chains)
-    weights = np.abs(_least_squares(basis, f)).max(axis=1) * np.abs(basis).max(axis=0)
+    chains = chained(poles)
+    basis = chain_basis(s, chains)
+    weights = np.abs(least_squares(basis, f)).max(axis=1) * np.abs(basis).max(axis=0)
     out, at = np.zeros(len(poles)), 1
     for chain in chains:
-        size = sum(_states(pole) for pole in chain)
-        last = _states(chain[-1])  # the end of a chain is what its poles make together
+        size = sum(states_of(pole) for pole in chain)
+        last = states_of(chain[-1])  # the end of a chain is what its poles make together
         for pole in chain:
             out[poles == pole] = weights[at + size - last : at + size].max()
         at += size
-    return out
-
-
-def _states(pole: complex) -> int:
-    return 2 if pole.imag else 1
-
-
-def _chains(poles: Complex) -> list[list[complex]]:
-    """Group poles that lie near to each other, by ascending magnitude."""
-    chains: list[list[complex]] = []
-    for pole in poles[np.argsort(np.abs(poles))].tolist():
-        near = [c for c in chains if any(abs(pole - other) < _NEAR * abs(pole) for other in c)]
-        merged = [other for chain in near for other in chain] + [pole]
-        chains = [chain for chain in chains if chain not in near] + [merged]
-    return chains
-
-
-def _basis(s: Complex, chains: list[list[complex]]) -> Complex:
-    """Return 1 and the states of the chains driven by 1; shape [F, 1 + states]."""
-    columns = [np.ones(len(s), complex)]
-    for chain in chains:
-        drive = np.ones(len(s), complex)
-        for pole in chain:
-            size = abs(pole)
-            if pole.imag:
-                drive = drive * size**2 / (s * s - 2.0 * pole.real * s + size**2)
-                columns += [drive, drive * s / size]
-            else:
-                drive = drive * size / (s - pole.real)
-                columns.append(drive)
-    return np.stack(columns, axis=1)
-
-
-def _blocks(chain: list[complex]) -> tuple[Array, Array]:
-    """Return A and B of a chain, whose states `_basis` evaluates."""
-    size = sum(_states(pole) for pole in chain)
-    a, b = np.zeros((size, size)), np.zeros(size)
-    at, previous = 0, None
-    for pole in chain:
-        rate = abs(pole)
-        if pole.imag:
-            a[at : at + 2, at : at + 2] = [[0.0, rate], [-rate, 2.0 * pole.real]]
-            driven = at + 1
-        else:
-            a[at, at] = pole.real
-            driven = at
-        if previous is None:
-            b[driven] = rate
-        else:
-            a[driven, previous] = rate
-        previous = at
-        at += _states(pole)
-    return a, b
-
-
-def _least_squares(basis: Complex, f: Complex) -> Array:
-    """Return real weights [1 + states, paths] that make `basis @ weights` nearest to `f`."""
-    left = np.concatenate([basis.real, basis.imag])
-    right = np.concatenate([f.real, f.imag])
-    size = np.abs(left).max(axis=0)
-    out: Array = np.linalg.lstsq(left / size, right, rcond=1e-15)[0] / size[:, None]
     return out
 
 
@@ -349,9 +294,9 @@ def _realise(chains: list[list[complex]], weights: Array, peaks: Array, scale: A
     poles: list[complex] = []
     at = 1
     for chain in chains:
-        a, b = _blocks(chain)
+        a, b = chain_matrices(chain)
         states = slice(at, at + len(a))
-        if len(chain) == 1 and chain[0].imag > _NEAR * abs(chain[0]):
+        if len(chain) == 1 and chain[0].imag > NEAR * abs(chain[0]):
             part = _oscillators(chain[0], weights[states], scale, rank)
         else:
             part = _copies(a, b, weights[states], peaks[states, None, None], scale, rank)
