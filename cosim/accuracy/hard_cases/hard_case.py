@@ -1,0 +1,220 @@
+"""What a hard case is, and the bench on which its scenes run."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.accuracy.estimate import estimator
+from cosim.assets import netlists_folder
+from cosim.caution import collected
+from cosim.errors import CosimError
+from cosim.ngspice.child import Child, start_early
+from cosim.plan import resolve
+from cosim.runner import run
+from cosim.scene import load_scene
+from cosim.staging import scratch_folder
+
+__all__ = [
+    "ALL",
+    "OWN",
+    "RADIUS",
+    "Bench",
+    "HardCase",
+    "Outcome",
+    "Ran",
+    "board",
+    "crossings",
+    "merge",
+    "slider",
+]
+
+Array = NDArray[np.float64]
+Tables = Mapping[str, Any]
+
+#: Circuit models: every one, and those of our own loop.
+ALL, OWN = ("ideal", "linear", "spice"), ("ideal", "linear")
+#: Radius of the carriage's drum [m].
+RADIUS = 0.1333
+
+
+@dataclass(frozen=True)
+class HardCase:
+    """A scene whose answer theory knows.
+
+    Attributes
+    ----------
+    name : of the case; several cases of one kind differ behind the comma
+    row : number in the project's list of hard cases
+    what : what is found, with its unit
+    expected : from theory, in that unit
+    bound : model -> largest difference from it, in that unit; the models it runs on
+    reason : where the bound comes from
+    find : what finds it, on a bench and a model
+    slow : whether it takes more than some seconds
+    """
+
+    name: str
+    row: int
+    what: str
+    expected: float
+    bound: Mapping[str, float]
+    reason: str
+    find: Callable[[Bench, str], float]
+    slow: bool = False
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a case on one model.
+
+    Attributes
+    ----------
+    case, model : what ran
+    got : what was found; None where it failed
+    failed : the error, in words
+    seconds : wall time
+    """
+
+    case: HardCase
+    model: str
+    got: float | None
+    failed: str
+    seconds: float
+
+    @property
+    def number(self) -> bool:
+        """Whether what was found is a number."""
+        return self.got is not None and math.isfinite(self.got)
+
+    @property
+    def held(self) -> bool:
+        """Whether the answer is right; what is no number is wrong."""
+        return self.got is not None and abs(self.got - self.case.expected) <= self.case.bound[self.model]
+
+
+@dataclass(frozen=True)
+class Ran:
+    """What is left of a run: signals and samples by name, measures as `cosim.results.Run` has them."""
+
+    signals: Mapping[str, Array]
+    samples: Mapping[str, Array]
+    measures: Mapping[str, Mapping[str, Any]]
+
+
+class Bench:
+    """Runs scenes in a process of its own, which may read the folder of their laws; nothing is kept."""
+
+    def __init__(self) -> None:
+        self._place = scratch_folder("hard-cases")
+        self._folder = self._place.__enter__()
+        self._child = self._started()
+
+    def _started(self) -> Child:
+        return start_early("cosim.loop.early_imports", reads=[self._folder])
+
+    def __enter__(self) -> Bench:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._child.close()
+        self._place.__exit__(None, None, None)
+
+    def outcome(self, case: HardCase, model: str) -> Outcome:
+        """Run a case on one model."""
+        begun = time.perf_counter()
+        try:
+            got, failed = float(case.find(self, model)), ""
+        except CosimError as error:
+            got, failed = None, str(error).splitlines()[0]
+        return Outcome(case, model, got, failed, time.perf_counter() - begun)
+
+    def run(self, tables: Tables, model: str, law: str = "", *, estimate: bool = False) -> Ran:
+        """Run a scene given as tables, its law as the text of ``law.py``; measures with errors if asked."""
+        if not self._child.alive:
+            self._child = self._started()
+        file, out = self._folder / "scene.toml", self._folder / "run"
+        (self._folder / "law.py").write_text(law, encoding="utf-8")
+        file.write_text(toml(merge(tables, {"solver": {"model": model}})), encoding="utf-8")
+        with collected(forward=False):
+            plan = resolve(load_scene(file))
+            errors = estimator(plan, self._child) if estimate else None
+            found = run(plan, out, formats=(), child=self._child, errors=errors)
+        signals = {name: np.array(found.signals[name]) for name in found.signals}
+        return Ran(signals, dict(found.samples), dict(found.measures))
+
+
+def toml(tables: Tables) -> str:
+    """Return tables as the text of a TOML file: JSON's numbers, words, truth values and lists are TOML's."""
+    lines: list[str] = []
+
+    def write(table: Tables, path: tuple[str, ...]) -> None:
+        if path:
+            lines.append(f"[{'.'.join(path)}]")
+        lines.extend(f"{k} = {json.dumps(v)}" for k, v in table.items() if not isinstance(v, Mapping))
+        for key, value in table.items():
+            if isinstance(value, Mapping):
+                write(value, (*path, key))
+
+    write(tables, ())
+    return "\n".join(lines) + "\n"
+
+
+def merge(base: Tables, top: Tables) -> dict[str, Any]:
+    """Return tables of `top` over those of `base`; None takes a key away."""
+    out = dict(base)
+    for key, value in top.items():
+        if value is None:
+            out.pop(key, None)
+        elif isinstance(value, Mapping):
+            out[key] = merge(out.get(key, {}), value)
+        else:
+            out[key] = value
+    return out
+
+
+def board(joints: int) -> str:
+    """Return the path of a board that comes with the program."""
+    return str(Path(netlists_folder()) / f"board{joints}.cir")
+
+
+def slider(**top: Any) -> dict[str, Any]:
+    """Return a carriage of 0.2 kg in free space, every effect off, tolerances tight; `top` over it."""
+    base: dict[str, Any] = {
+        "title": "hard case",
+        "duration_s": 0.5,
+        "device": {
+            "board": board(1),
+            "linkage": "slider",
+            "slider": {"radius_m": RADIUS, "mass_kg": 0.2, "direction": [0.0, 1.0], "origin_m": [0.0, 0.0]},
+            "start": {"q_rad": [0.0]},
+        },
+        "computer": {"period_s": 0.1, "method": "continuous", "analog_stiffness_n_per_m": 100.0},
+        "solver": {"coupling_tolerance_rad": 1e-12},
+    }
+    return merge(base, top)
+
+
+def crossings(t: Array, q: Array, v: Array, level: float) -> Array:
+    """Return the instants at which a motion passes a level, of the cubic between its rows."""
+    found = []
+    for k in np.flatnonzero((q[:-1] - level) * (q[1:] - level) < 0.0):
+        h = t[k + 1] - t[k]
+        rise = (q[k + 1] - q[k]) / h
+        cubic = [
+            (v[k] + v[k + 1] - 2 * rise) / h**2,
+            (3 * rise - 2 * v[k] - v[k + 1]) / h,
+            v[k],
+            q[k] - level,
+        ]
+        inside = [x.real for x in np.roots(cubic) if abs(x.imag) < 1e-9 * h and -1e-9 * h <= x.real <= h]
+        found += [t[k] + x for x in inside[:1]]
+    return np.array(found)

@@ -1,0 +1,166 @@
+"""Hard cases of sampling: growth and its border, relays, first penetration, quantisation, the clock."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.optimize import brentq
+
+from cosim.accuracy.hard_cases.hard_case import ALL, OWN, RADIUS, Bench, HardCase, slider
+
+__all__ = ["CASES"]
+
+_HELD = f"""
+from cosim.loop.userlaw import Command
+class Held:
+    def control(self, sample):
+        return Command(torque_n_m=-{1e3 * RADIUS**2!r} * sample.q_rad)
+"""
+_RELAY = """
+import numpy as np
+from cosim.loop.userlaw import Command
+class Relay:
+    def control(self, sample):
+        return Command(torque_n_m=-0.02 * np.sign(sample.q_rad))
+"""
+#: Gain of an ideal op-amp is 1e9; over noise gains of 18 and a few others it leaves so much of a torque.
+_IDEAL_GAIN = 1e-7
+
+
+def _modulus(bench: Bench, model: str, period: float, viscosity: float) -> float:
+    """Largest eigenvalue of a sample of k = 1e3 N/m on m = 1 kg, from the states at the samples."""
+    count = 12
+    tables = slider(
+        duration_s=count * period,
+        device={
+            "slider": {"mass_kg": 1.0, "viscous_n_m_s": viscosity * RADIUS**2}, "start": {"q_rad": [0.001]},
+        },
+        computer={"period_s": period, "law": "law.py:Held"},
+        effects={"viscous": viscosity > 0.0},
+    )  # fmt: skip
+    found = bench.run(tables, model, _HELD)
+    t = np.asarray(found.signals["time"])
+    at = np.searchsorted(t, np.arange(count) * period - 1e-11)
+    states = np.array([np.asarray(found.signals["q1"])[at], np.asarray(found.signals["v1"])[at] * period])
+    size = np.abs(states[:, :-1]).max(axis=0)
+    step = np.linalg.lstsq((states[:, :-1] / size).T, (states[:, 1:] / size).T, rcond=None)[0]
+    return float(np.abs(np.linalg.eigvals(step)).max())
+
+
+def _growth(period: float, bench: Bench, model: str) -> float:
+    return _modulus(bench, model, period, 0.0)
+
+
+def _border(period: float) -> float:
+    """Return the viscosity [N s/m] at which the exact map of a sample has an eigenvalue on the circle."""
+
+    def beyond(b: float) -> float:
+        block = expm(np.array([[0, 1, 0], [0, -b, -1e3], [0, 0, 0]]) * period)
+        return float(np.abs(np.linalg.eigvals(block[:2, :2] + np.outer(block[:2, 2], [1, 0]))).max()) - 1.0
+
+    low = 0.25 * 1e3 * period
+    return float(brentq(beyond, low, 4 * low, xtol=1e-14, rtol=1e-14))
+
+
+def _flips(period: float) -> Any:
+    def find(bench: Bench, model: str) -> float:
+        share = 1e-6 if model in OWN else 1e-4
+        low, high = (_modulus(bench, model, period, _border(period) * (1 + s * share)) for s in (-1, 1))
+        return float(low > 1.0 > high)
+
+    return find
+
+
+def _relay(bench: Bench, model: str) -> float:
+    """Swing of x' = -2 sgn(x_k), T = 0.1 s, by a carriage that takes 1 ms to follow."""
+    tau, b = 1e-3, 0.01
+    tables = slider(
+        duration_s=2.0, computer={"law": "law.py:Relay"}, effects={"viscous": True},
+        device={"slider": {"mass_kg": tau * b / RADIUS**2, "viscous_n_m_s": b}, "start": {"q_rad": [0.05]}},
+        solver={"max_step_s": 2e-4},
+    )  # fmt: skip
+    signals = bench.run(tables, model, _RELAY).signals
+    return float(np.ptp(np.asarray(signals["q1"])[np.asarray(signals["time"]) > 0.5]))
+
+
+def _first_seen(bench: Bench, model: str) -> float:
+    """Mean over phases of the depth that the computer first sees, over v T."""
+    speed, period, phases = 0.2, 0.025, 4
+    seen = []
+    for k in range(phases):
+        gap = speed * period * (1 + (k + 0.5) / phases)
+        tables = slider(
+            duration_s=2.9 * period, computer={"period_s": period},
+            wall={"point_m": [0.0, -gap], "normal": [0.0, 1.0]},
+            device={"start": {"v_rad_per_s": [-speed / RADIUS]}},
+        )  # fmt: skip
+        samples = bench.run(tables, model).samples
+        depth = float(samples["pen"][int(np.argmax(np.asarray(samples["contact"])))])
+        seen.append(depth if 0.0 <= depth <= speed * period else math.nan)
+    return float(np.mean(seen)) / (speed * period)
+
+
+def _ticks(bench: Bench, model: str) -> float:
+    """Return how many samples of 100 s are not at k T to the last bit."""
+    tables = slider(duration_s=100.0, device={"start": {"v_rad_per_s": [1e-3]}}, solver={"max_step_s": 0.1})
+    times = np.asarray(bench.run(tables, model).samples["time"])
+    return float(np.count_nonzero(times != np.arange(len(times)) * 0.1)) + abs(len(times) - 1000.0)
+
+
+def _quantised(share: float) -> HardCase:
+    """Return the case of a push between two steps of a wall: friction holds it, or it never rests."""
+    step = RADIUS * 2 * math.pi / (500 * 8.0)  # one count at the tip, decoding 1, gear of the board
+    friction, b, period = 0.02, 0.2, 1e-3
+    wall = share * 2 * friction / step
+
+    def find(bench: Bench, model: str) -> float:
+        tables = slider(
+            duration_s=0.6,
+            device={
+                "slider": {"viscous_n_m_s": b * RADIUS**2, "coulomb_n_m": friction * RADIUS,
+                           "coulomb_speed_rad_per_s": 1e-4},
+                "start": {"q_rad": [-20 * step / RADIUS]},
+            },
+            computer={
+                "period_s": period, "method": "discrete", "discrete_stiffness_n_per_m": wall,
+                "analog_stiffness_n_per_m": 0.0, "encoder": {"pulses_per_rev": 500, "decoding": 1},
+            },
+            wall={"point_m": [0.0, 0.0], "normal": [0.0, 1.0]},
+            operator={
+                "type": "hand", "mass_kg": 0.0, "stiffness_n_per_m": 0.0, "damping_n_s_per_m": 0.0,
+                "waypoints_s_m": [[0.0, 0.0, 0.0]], "force_s_n": [[0.0, 0.0, -wall * step * 20.5]],
+            },
+            effects={"viscous": True, "coulomb": True, "encoder": True},
+            solver={"coupling_tolerance_rad": 1e-7},
+        )  # fmt: skip
+        samples = bench.run(tables, model).samples
+        late = np.asarray(samples["time"]) > 0.3
+        return float(np.count_nonzero(np.diff(np.asarray(samples["pen"])[late])) > 10)
+
+    return HardCase(
+        f"quantised wall, K = {share:g} of 2 f_c/D", 31, "cycles for ever (1) or rests (0)",
+        float(share > 1.0), dict.fromkeys(ALL, 0.0), "one side of the border is rest, the other is not", find,
+    )  # fmt: skip
+
+
+_PERIODS = (0.003, 0.1)
+CASES = (
+    *(HardCase(f"undamped sampled spring, T = {1e3 * T:g} ms", 21, "growth a sample",
+               math.sqrt(1 + 1e3 * T**2 / 2), dict.fromkeys(ALL, _IDEAL_GAIN * 3),
+               "parabolas between samples are exact; op-amp gains of 1e9 leave 1e-7",
+               partial(_growth, T)) for T in _PERIODS),
+    *(HardCase(f"border of the sampled spring, T = {1e3 * T:g} ms", 22,
+               "verdict flips at b (1 -+ 1e-6), spice 1e-4", 1.0, dict.fromkeys(ALL, 0.0),
+               "the exact border of the map of one sample", _flips(T)) for T in _PERIODS),
+    HardCase("sampled relay", 23, "peak to peak [rad]", 2.0 * (0.1 - 2e-3 * math.log(2)),
+             dict.fromkeys(ALL, 2e-5), "rows 0.2 ms apart miss the top by M h^2/(8 tau), 1e-5", _relay),
+    HardCase("wall seen at samples", 24, "mean first depth over v T", 0.5, dict.fromkeys(ALL, 1e-9),
+             "free flight at constant speed: rounding", _first_seen),
+    HardCase("clock of 1000 periods", 29, "samples beside k T", 0.0, dict.fromkeys(ALL, 0.0),
+             "integer ticks: the very float", _ticks),
+    *(_quantised(share) for share in (0.9, 1.1)),
+)  # fmt: skip

@@ -1,0 +1,85 @@
+"""Every hard case on every model; and that the command tells a miss."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from cosim.accuracy.hard_cases import case_table
+from cosim.accuracy.hard_cases.case_table import CASES, chosen
+from cosim.accuracy.hard_cases.hard_case import ALL, Bench, HardCase, Outcome
+from cosim.cli import main
+from cosim.errors import InputError, SimulationError
+
+EVERY = [
+    pytest.param(case, model, id=f"{case.row}-{case.name}-{model}",
+                 marks=pytest.mark.slow if case.slow else ())
+    for case in CASES for model in case.bound
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def bench():
+    with Bench() as made:
+        yield made
+
+
+@pytest.mark.parametrize(("case", "model"), EVERY)
+def test_hard_case(bench: Bench, case: HardCase, model: str) -> None:
+    found = bench.outcome(case, model)
+    assert found.failed == ""
+    assert found.held, f"{found.got!r}, expected {case.expected!r} to {case.bound[model]:g}: {case.reason}"
+
+
+def test_every_case_says_what_it_is() -> None:
+    assert len({case.name for case in CASES}) == len(CASES)
+    for case in CASES:
+        assert 1 <= case.row <= 60
+        assert case.what
+        assert case.reason
+        assert set(case.bound) <= set(ALL)
+        assert case.bound
+
+
+def test_a_miss_is_told_and_no_number_is_one() -> None:
+    case = CASES[0]
+    (model,) = [next(iter(case.bound))]
+    good = Outcome(case, model, case.expected + 0.5 * case.bound[model], "", 0.0)
+    assert good.held
+    for got in (case.expected + 2 * case.bound[model], float("nan"), float("inf"), None):
+        assert not replace(good, got=got).held
+
+
+def test_cases_are_chosen_by_name_and_number() -> None:
+    assert {case.row for case in chosen(["bouncing"], slow=False)} == {17}
+    assert {case.row for case in chosen(["22", "54"], slow=False)} == {22, 54}
+    assert not any(case.slow for case in chosen([], slow=False))
+    assert len(chosen([], slow=True)) == len(CASES)
+    with pytest.raises(InputError, match="nearest is bouncing ball"):
+        chosen(["bouncing bal, first impact"], slow=False)
+
+
+def test_the_command_ends_with_1_on_a_miss(tmp_path, monkeypatch, capsys) -> None:
+    def broken(bench: Bench, model: str) -> float:
+        raise SimulationError("it broke")
+
+    cases = [
+        HardCase("right", 1, "a number", 2.0, {"ideal": 0.1}, "none", lambda bench, model: 2.05),
+        HardCase("wrong", 2, "a number", 2.0, {"ideal": 0.01}, "none", lambda bench, model: 2.05),
+        HardCase("broken", 3, "a number", 2.0, {"spice": 0.01}, "none", broken),
+        HardCase("no number", 4, "a number", 2.0, {"spice": 0.01}, "none", lambda bench, model: float("nan")),
+    ]
+    monkeypatch.setattr(case_table, "CASES", tuple(cases))
+    assert main(["hard-cases", "right", "-o", str(tmp_path / "page")]) == 0
+    assert "1 of 1 hold" in capsys.readouterr().out
+    assert "holds" in (tmp_path / "page" / "report.html").read_text()
+    assert main(["hard-cases", "-o", str(tmp_path / "page")]) == 1
+    said = capsys.readouterr().out
+    assert "1 of 4 hold" in said
+    assert "failed: broken, spice: it broke" in said
+    assert said.count("MISS") == 3
+    assert main(["hard-cases", "--json"]) == 1
+    told = json.loads(capsys.readouterr().out)["cases"]
+    assert [row["held"] for row in told] == [True, False, False, False]
+    assert [row["got"] for row in told] == [2.05, 2.05, None, None]
+    assert main(["hard-cases", "nonesuch"]) == 2
