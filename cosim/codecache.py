@@ -6,13 +6,14 @@ cache its first function.
 """
 
 import hashlib
+import os
 import pickle
 from pathlib import Path
 from typing import Any, Self
 
 from numba.core import caching
 
-from cosim.numba_cache import ROOT, cache_folder, code_folder
+from cosim.numba_cache import PARENTS, ROOT, cache_folder, code_folder
 
 __all__ = ["SourceTreeLocator"]
 
@@ -54,7 +55,23 @@ class SourceTreeLocator(caching._CacheLocator):  # type: ignore[misc]
 
 
 class _CheckedFile(caching.IndexDataCacheFile):  # type: ignore[misc]
-    """Index and data of one function behind their check sums; what does not match was never there."""
+    """Index and data of one function behind their check sums; what does not match was never there.
+
+    In a child process the parent's files are looked at first.
+    """
+
+    def __init__(self, cache_path: str, filename_base: str, source_stamp: object) -> None:
+        super().__init__(cache_path=cache_path, filename_base=filename_base, source_stamp=source_stamp)
+        above = os.environ.get(PARENTS)
+        self._parents: _CheckedFile | None = None
+        if above is not None and Path(cache_path).parent != Path(above):
+            place = str(Path(above) / Path(cache_path).name)
+            self._parents = _CheckedFile(place, filename_base, source_stamp)
+
+    def load(self, key: Any) -> Any:
+        """Return the compiled code for a signature, or None."""
+        found = self._parents.load(key) if self._parents is not None else None
+        return found if found is not None else super().load(key)
 
     def _load_index(self) -> dict[Any, str]:
         try:

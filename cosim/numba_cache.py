@@ -11,7 +11,7 @@ import re
 from functools import cache
 from pathlib import Path
 
-__all__ = ["LOCATORS", "ROOT", "cache_folder", "code_folder", "is_warm"]
+__all__ = ["LOCATORS", "PARENTS", "ROOT", "cache_folder", "children_folder", "code_folder", "is_warm"]
 
 ROOT = Path(__file__).resolve().parent.parent
 #: numba's setting ``NUMBA_CACHE_LOCATOR_CLASSES``: ours for our own sources, its own for a user's.
@@ -19,6 +19,8 @@ LOCATORS = (
     "cosim.codecache.SourceTreeLocator, UserProvidedCacheLocator, InTreeCacheLocator, UserWideCacheLocator, "
     "IPythonCacheLocator, ZipCacheLocator"
 )
+#: Names the parent's folder to a child process, which reads its code and writes none there.
+PARENTS = "COSIM_PARENTS_CODE"
 #: Packages with compiled functions, and modules that every run needs compiled.
 _FOLDERS = ("mech", "cosim/loop")
 _ALWAYS = ("cosim.loop.computer", "mech.kernels")
@@ -36,6 +38,14 @@ def cache_folder() -> str:
     return str(base / "cosim" / "code")
 
 
+def children_folder() -> str:
+    """Return the folder for what ngspice's child processes compile, beside the parent's.
+
+    They handle what strangers wrote: they may read the parent's code, and the parent never loads theirs.
+    """
+    return f"{cache_folder()}-children"
+
+
 def code_folder(module: str) -> Path:
     """Return the folder of a module's compiled code, which need not exist."""
     stamp = hashlib.sha256()
@@ -45,8 +55,9 @@ def code_folder(module: str) -> Path:
 
 
 def is_warm() -> bool:
-    """Return whether code of these sources was compiled on this machine before."""
-    return all(code_folder(module).is_dir() for module in _ALWAYS)
+    """Return whether code of these sources was compiled on this machine before, by whomever."""
+    folders = [code_folder(module) for module in _ALWAYS]
+    return all(each.is_dir() or (Path(children_folder()) / each.name).is_dir() for each in folders)
 
 
 def _closure(module: str) -> set[str]:

@@ -91,6 +91,8 @@ def attempts(payload: dict[str, str], report: Any) -> dict[str, str]:
         "a new folder": lambda: (place / "owned.d").mkdir(),
         "no more file": lambda: os.unlink(secret),
         "a file moved out": lambda: _moved(place),
+        "code that the parent loads": lambda: _code_of_the_parent("owned.nbi"),
+        "a folder of such code": lambda: _code_of_the_parent("owned/owned.nbi"),
         "other rights": lambda: os.chmod(secret, 0o777),
         "a device": lambda: os.mknod(OUTBOX / "null", 0o020666, os.makedev(1, 3)),
     }
@@ -102,6 +104,12 @@ def attempts(payload: dict[str, str], report: Any) -> dict[str, str]:
         except OSError as error:
             found[name] = type(error).__name__
     return found
+
+
+def _code_of_the_parent(name: str) -> None:
+    file = Path(os.environ["COSIM_PARENTS_CODE"]) / name
+    file.parent.mkdir(exist_ok=True)
+    file.write_text("x")
 
 
 def _moved(place: Path) -> None:

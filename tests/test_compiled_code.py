@@ -21,9 +21,9 @@ print(expm1(1.0 + 0.0j).real, sum(expm1.stats.cache_misses.values()))
 """
 
 
-def call(place: Path, cache: Path) -> tuple[float, int]:
+def call(place: Path, cache: Path, **more: str) -> tuple[float, int]:
     """Call it from the sources in `place`, in a process of its own."""
-    env = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(place)}
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(place), **more}
     done = subprocess.run(
         [sys.executable, "-c", CALL], cwd=cache, env=env, capture_output=True, text=True, check=False
     )
@@ -62,6 +62,18 @@ def test_damaged_code_is_compiled_anew(warm: Path, tmp_path: Path, ending: str, 
     files[0].write_bytes(damage(whole))
     assert call(ROOT, cache) == (pytest.approx(math.expm1(1.0), rel=1e-15), 1)
     assert call(ROOT, cache)[1] == 0
+
+
+def test_a_child_reads_its_parents_code_and_the_parent_never_a_childs(warm: Path, tmp_path: Path) -> None:
+    child, parent = tmp_path / "code-children", tmp_path / "code"
+    child.mkdir()
+    assert call(ROOT, child, COSIM_PARENTS_CODE=str(warm))[1] == 0
+    assert not list(child.rglob("*.nbc"))
+    # a parent that has nothing: the child compiles for itself, and the parent again
+    parent.mkdir()
+    assert call(ROOT, child, COSIM_PARENTS_CODE=str(parent))[1] == 1
+    assert call(ROOT, child, COSIM_PARENTS_CODE=str(parent))[1] == 0
+    assert call(ROOT, parent)[1] == 1
 
 
 def test_a_moved_installation_keeps_its_code(warm: Path, tmp_path: Path) -> None:

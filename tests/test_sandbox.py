@@ -25,6 +25,7 @@ NEEDS_LANDLOCK = {
     "a secret file", "a secret by a link", "a secret by /proc", "the parent's environment", "names of users",
     "the user's home", "a list of processes", "a new file", "more in a file", "a shorter file",
     "a new folder", "no more file", "a file moved out", "a device",
+    "code that the parent loads", "a folder of such code",
 }  # fmt: skip
 ATTEMPTS = """
 import json, sys, tempfile

@@ -62,15 +62,25 @@ def _compile(
 
 
 def _short_run(settings: tuple[str, ...]) -> None:
-    """Run a scene whose results are nobody's, and so are doubts about them."""
+    """Run a scene whose results are nobody's, and so are doubts about them.
+
+    Our own loop runs in this process, too, before the child's: studies need it here, where no code that a
+    child has compiled is loaded; and the child loads this.
+    """
+    from cosim.analysis.extracted import circuit_of
     from cosim.assets import scenes_folder
+    from cosim.loop.linear.run_linear import prepare
     from cosim.plan import resolve
     from cosim.runner import run
     from cosim.scene import load_scene
 
     with collected(forward=False), tempfile.TemporaryDirectory(prefix="cosim-warm-") as folder:
         scene = load_scene(scenes_folder() / "slope.toml", ["duration_s=0.05", *settings])
-        run(resolve(scene), Path(folder) / "run")
+        plan = resolve(scene)
+        if plan.model == "linear":
+            circuit, constants = circuit_of(plan, reduced=True)
+            prepare(scene, constants, circuit, record=True).run()
+        run(plan, Path(folder) / "run")
 
 
 COMMAND = Command("warm", "compile ahead what the first run would compile", _arguments, _run)

@@ -28,7 +28,7 @@ from cosim.caution import warn
 from cosim.errors import SimulationError
 from cosim.ngspice import child_messages
 from cosim.ngspice.worker import HEAD
-from cosim.numba_cache import cache_folder
+from cosim.numba_cache import PARENTS, cache_folder, children_folder
 from cosim.staging import disk_errors, make_scratch
 
 __all__ = ["Child", "call", "start_early"]
@@ -349,11 +349,11 @@ def _command(descriptor: int, modules: Sequence[str], allowed: Mapping[str, list
 
 def _allowed(folder: Path, env: Mapping[str, str], reads: Sequence[Path]) -> dict[str, list[str]]:
     """Return the files of a child: its own folder, the caches and the user's Python files."""
-    caches = [str(Path(env["XDG_CACHE_HOME"]) / "cosim"), env["NUMBA_CACHE_DIR"]]
-    for cache in caches:  # a rule needs a folder that is there
+    caches = [str(Path(env["XDG_CACHE_HOME"]) / "cosim" / "circuits"), env["NUMBA_CACHE_DIR"]]
+    for cache in (*caches, env[PARENTS]):  # a rule needs a folder that is there
         with contextlib.suppress(OSError):  # where nothing can be written, nothing is kept
             os.makedirs(cache, exist_ok=True)
-    return {"reads": [str(each) for each in reads], "writes": [str(folder), *caches]}
+    return {"reads": [env[PARENTS], *map(str, reads)], "writes": [str(folder), *caches]}
 
 
 def _environment(folder: Path) -> dict[str, str]:
@@ -361,7 +361,8 @@ def _environment(folder: Path) -> dict[str, str]:
     env = {name: value for name, value in os.environ.items() if name in _KEPT or name.startswith("NUMBA_")}
     home = Path(os.environ.get("HOME") or Path.home())
     env.setdefault("XDG_CACHE_HOME", str(home / ".cache"))
-    env["NUMBA_CACHE_DIR"] = cache_folder()  # in the user's own home, which a new HOME must not hide
+    # in the user's own home, which a new HOME must not hide; the parent loads nothing that a child compiled
+    env["NUMBA_CACHE_DIR"], env[PARENTS] = children_folder(), cache_folder()
     env["HOME"], env["TMPDIR"] = str(folder / "home"), str(folder / "tmp")
     env["PYTHONPATH"] = os.pathsep.join(_modules())
     env["COSIM_NGSPICE_ECHO"] = "1"
