@@ -9,12 +9,13 @@ import time
 import zlib
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed, wait
+from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Self, TextIO
 
-from cosim.errors import fail
+from cosim.errors import SimulationError, fail
 from cosim.staging import disk_errors
 
 Progress = Callable[[int, int, str], None]
@@ -119,6 +120,16 @@ class Points:
             for key, argument in missing.items():
                 self.get(key, partial(compute, argument))
             return [self._known[key] for key in arguments]
+        try:
+            self._in_parallel(compute, missing, count)
+        except BrokenProcessPool as error:
+            raise SimulationError(
+                "a process that computes points was ended from outside (too little memory?); finished points "
+                "are kept: the same command goes on there"
+            ) from error
+        return [self._known[key] for key in arguments]
+
+    def _in_parallel(self, compute: Callable[[Any], Any], missing: Mapping[str, Any], count: int) -> None:
         # spawn: a fork would copy the threads of numerical libraries in whatever state they are
         with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
             under_way: dict[Future[Any], str] = {}
@@ -137,7 +148,6 @@ class Points:
                         self._on_progress(self._done, self._total, key)
             finally:
                 pool.shutdown(wait=False, cancel_futures=True)
-        return [self._known[key] for key in arguments]
 
     def _keep(self, key: str, value: Any, seconds: float) -> None:
         self._write({"key": key, "value": value, "seconds": seconds, "crc": _crc(key, value, seconds)})

@@ -11,7 +11,7 @@ import pytest
 from cosim.assets import scenes_folder
 from cosim.checkpoint import Points
 from cosim.cli import main
-from cosim.errors import InputError, StorageError
+from cosim.errors import InputError, SimulationError, StorageError
 from cosim.staging import Staging, make_scratch, scratch_folder, whole_file
 
 DROP = str(scenes_folder() / "drop.toml")
@@ -106,6 +106,14 @@ def test_a_full_disk_is_an_error_in_words(tmp_path):
         points.get("0", lambda: 0)
     with pytest.raises(StorageError, match="No space left"):
         points.__exit__()
+
+
+def test_a_worker_that_is_ended_from_outside_is_an_error_in_words(tmp_path):
+    """What the others finished before is kept."""
+    with Points(tmp_path / "points.jsonl", "one") as points:
+        with pytest.raises(SimulationError, match="ended from outside"):
+            points.map(os._exit, {"a": 1, "b": 1}, workers=2)
+        assert points.map(abs, {"c": -1, "d": -2}, workers=2) == [1, 2]
 
 
 def test_a_bad_point_of_a_sweep_is_a_row(tmp_path, capsys):
