@@ -32,6 +32,11 @@ class Caution:
         What was seen, with its numbers and units, as a short sentence without a full stop.
     advice
         What to do about it, as a short sentence without a full stop.
+
+    Examples
+    --------
+    >>> print(Caution('amplifier-clipped', 'x1 clips for 3 ms', 'lower the gain'))
+    x1 clips for 3 ms: lower the gain
     """
 
     code: str
@@ -89,6 +94,13 @@ def collected(label: str = "", *, forward: bool = True) -> Iterator[list[Caution
         Stands before each text that is passed on, to tell one of several runs from the others.
     forward
         Whether the cautions are told to whoever collects around this block, at its end.
+
+    Examples
+    --------
+    >>> with collected() as heard:
+    ...     warn(Caution('odd', 'looks odd', 'look again'))
+    >>> [caution.code for caution in heard]
+    ['odd']
     """
     heard: list[Caution] = []
     token = _heard.set(heard)

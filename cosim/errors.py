@@ -37,6 +37,11 @@ class Problem:
         Range or choices in words, for example ``"> 0"`` or ``"discrete, continuous"``.
     line
         Line number in `file`, counted from 1.
+
+    Examples
+    --------
+    >>> print(Problem('must be positive', 'a.toml', 'computer.period_s', -1.0, 's', '> 0', 12))
+    a.toml:12: computer.period_s = -1.0 s: must be positive (allowed: > 0 s)
     """
 
     message: str
@@ -77,7 +82,13 @@ class Problem:
 
 
 class CosimError(Exception):
-    """Base of every error that the program raises on purpose."""
+    """Base of every error that the program raises on purpose.
+
+    Examples
+    --------
+    >>> CosimError('it failed').as_dict()
+    {'error': 'CosimError', 'message': 'it failed'}
+    """
 
     exit_code = 1
 
@@ -93,6 +104,12 @@ class InputError(CosimError):
     ----------
     problems
         One problem, several, or a plain sentence.
+
+    Examples
+    --------
+    >>> error = InputError(Problem('no such key', key='colour'))
+    >>> error.exit_code, str(error), error.problems[0].key
+    (2, 'colour: no such key', 'colour')
     """
 
     exit_code = 2
@@ -114,7 +131,13 @@ class InputError(CosimError):
 
 
 class StorageError(InputError):
-    """A place cannot be written: no other input would help, so a series of runs ends here."""
+    """A place cannot be written: no other input would help, so a series of runs ends here.
+
+    Examples
+    --------
+    >>> issubclass(StorageError, InputError)
+    True
+    """
 
 
 class SimulationError(CosimError):
@@ -130,6 +153,11 @@ class SimulationError(CosimError):
         Simulated time reached [s].
     last_words
         What ngspice printed last.
+
+    Examples
+    --------
+    >>> str(SimulationError('the device ran away', time_s=0.25)), SimulationError.exit_code
+    ('the device ran away (at t = 0.25 s)', 1)
     """
 
     def __init__(
@@ -197,6 +225,11 @@ def nearest(key: str, allowed: Iterable[str]) -> str | None:
     """Return the allowed name most like `key`, or ``None`` when none is alike.
 
     Letter case is ignored, as in SPICE.
+
+    Examples
+    --------
+    >>> nearest('perid_s', ['period_s', 'method'])
+    'period_s'
     """
     names = {name.lower(): name for name in allowed}
     close = difflib.get_close_matches(key.lower(), names, n=1, cutoff=0.5)

@@ -39,6 +39,14 @@ class Plan:
     choice : how the effects were chosen, JSON-ready, where they were (``effects = "auto"``)
     cautions : what is doubtful about scene and board before anything runs
     trust : whether control blocks and file access may pass
+
+    Examples
+    --------
+    >>> from cosim.assets import scenes_folder
+    >>> from cosim.scene import load_scene
+    >>> plan = resolve(load_scene(scenes_folder() / 'slope.toml', ['solver.model=spice']))
+    >>> plan.model, plan.board.joints
+    ('spice', 2)
     """
 
     scene: Scene
@@ -208,6 +216,13 @@ def resolve(scene: Scene, *, trust: bool = False, board: Deck | None = None) -> 
     ------
     InputError
         For a board that does not fit the scene, or effects that its model cannot carry.
+
+    Examples
+    --------
+    >>> from cosim.assets import scenes_folder
+    >>> from cosim.scene import load_scene
+    >>> resolve(load_scene(scenes_folder() / 'slope.toml')).board.joints
+    2
     """
     with collected() as cautions:
         plan = _resolved(scene, trust, board)

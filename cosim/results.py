@@ -82,6 +82,15 @@ class Run:
         What a person should doubt about the result.
     said
         Lines that the user's own law and measures printed.
+
+    Examples
+    --------
+    >>> from cosim.assets import scenes_folder
+    >>> import cosim
+    >>> scene = cosim.load_scene(scenes_folder() / 'press.toml', ['duration_s=0.05'])
+    >>> run = cosim.run(scene, estimate=False)
+    >>> run.measures['peak_force']['unit'], Run.load(run.signals.path.parent).scene == run.scene
+    ('N', True)
     """
 
     scene: Scene

@@ -9,5 +9,11 @@ _STEERING = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2
 
 
 def printable(text: str) -> str:
-    """Return text with every steering character written out, as JSON does."""
+    """Return text with every steering character written out, as JSON does.
+
+    Examples
+    --------
+    >>> printable('red'), len(printable(chr(27)))  # six characters that say which one it was
+    ('red', 6)
+    """
     return _STEERING.sub(lambda match: f"\\u{ord(match[0]):04x}", text)

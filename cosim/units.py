@@ -24,7 +24,13 @@ _BARE = {"N", "A", "V", "W", "Hz"}
 
 
 def signal_unit(name: str) -> str:
-    """Return the unit of a signal; a node of the board is a voltage."""
+    """Return the unit of a signal; a node of the board is a voltage.
+
+    Examples
+    --------
+    >>> signal_unit('q1'), signal_unit('imot2'), signal_unit('xdiff1.out')
+    ('rad', 'A', 'V')
+    """
     if "." in name:
         return "V"
     plain = name.rstrip("0123456789")
@@ -34,22 +40,46 @@ def signal_unit(name: str) -> str:
 
 
 def sample_unit(name: str) -> str:
-    """Return the unit of a column of the computer's samples; gains and commands are at the joints."""
+    """Return the unit of a column of the computer's samples; gains and commands are at the joints.
+
+    Examples
+    --------
+    >>> sample_unit('ksp12'), sample_unit('pen')
+    ('N m/rad', 'm')
+    """
     return _SAMPLES.get(name.rstrip("0123456789"), "")
 
 
 def heading(name: str, unit: str) -> str:
-    """Return a column's heading: ``peak_force [N]``."""
+    """Return a column's heading: ``peak_force [N]``.
+
+    Examples
+    --------
+    >>> heading('peak_force', 'N')
+    'peak_force [N]'
+    """
     return f"{name} [{unit}]" if unit else name
 
 
 def name_of(heading: str) -> str:
-    """Return the name in a column's heading, with or without a unit."""
+    """Return the name in a column's heading, with or without a unit.
+
+    Examples
+    --------
+    >>> name_of('peak_force [N]')
+    'peak_force'
+    """
     return heading.partition(" [")[0]
 
 
 def unit_in(heading: str) -> str:
-    """Return the unit in a column's heading, nothing where it has none."""
+    """Return the unit in a column's heading, nothing where it has none.
+
+    Examples
+    --------
+    >>> unit_in('peak_force [N]'), unit_in('tick')
+    ('N', '')
+    """
     return heading.partition(" [")[2].removesuffix("]")
 
 
@@ -64,6 +94,11 @@ def quantity(value: float, unit: str = "", digits: int = 3) -> str:
         Its unit; a prefix is put before simple units only (m, s, N, A, V, J, W, rad, Hz).
     digits
         Significant digits.
+
+    Examples
+    --------
+    >>> quantity(0.00429, 'm'), quantity(0.876, 'N'), quantity(1e5, 'N/m')
+    ('4.29 mm', '0.876 N', '100000 N/m')
     """
     if not math.isfinite(value):
         return "not known"
@@ -116,12 +151,24 @@ def measured(value: float, error: float, unit: str = "") -> str:
 
 
 def signed(value: float, unit: str = "", digits: int = 3) -> str:
-    """Return a change as `quantity` writes it, a rise with its plus: ``+4.29 mm``."""
+    """Return a change as `quantity` writes it, a rise with its plus: ``+4.29 mm``.
+
+    Examples
+    --------
+    >>> signed(0.00429, 'm'), signed(-2.0, 'N')
+    ('+4.29 mm', '-2 N')
+    """
     return ("+" if value > 0.0 else "") + quantity(value, unit, digits)
 
 
 def scale(largest: float, unit: str) -> tuple[float, str]:
-    """Return the factor and the unit with prefix in which an axis up to `largest` reads well (10 mJ, 1e3)."""
+    """Return the factor and the unit with prefix in which an axis up to `largest` reads well (10 mJ, 1e3).
+
+    Examples
+    --------
+    >>> scale(0.012, 'J')
+    (1000.0, 'mJ')
+    """
     if not 0.0 < largest < math.inf:
         return 1.0, unit
     # From 0.3 on the bare unit is kept: 0.5 N reads better than 500 mN.
@@ -130,7 +177,13 @@ def scale(largest: float, unit: str) -> tuple[float, str]:
 
 
 def figures(value: float, digits: int) -> str:
-    """Return a number with so many significant digits; whole numbers as they are."""
+    """Return a number with so many significant digits; whole numbers as they are.
+
+    Examples
+    --------
+    >>> figures(3.14159, 3), figures(1200.0, 3), figures(1.5e-7, 2)
+    ('3.14', '1200', '1.5e-07')
+    """
     if value == 0.0:
         return "0"
     if float(value).is_integer() and abs(value) < 1e7:

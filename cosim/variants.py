@@ -82,6 +82,11 @@ def parse_settings(texts: Iterable[str]) -> tuple[Setting, ...]:
     ------
     InputError
         For a text without a name or a value, and for a name given twice.
+
+    Examples
+    --------
+    >>> [(s.name, s.values) for s in parse_settings(['R12=8.2k,10k', 'seed=3'])]
+    [('R12', ('8.2k', '10k')), ('seed', ('3',))]
     """
     settings: list[Setting] = []
     problems: list[Problem] = []
@@ -101,7 +106,13 @@ def parse_settings(texts: Iterable[str]) -> tuple[Setting, ...]:
 
 
 def split_values(text: str) -> list[str]:
-    """Split at commas outside of brackets, braces and quotes: a point ``[0.1, 0.2]`` is one value."""
+    """Split at commas outside of brackets, braces and quotes: a point ``[0.1, 0.2]`` is one value.
+
+    Examples
+    --------
+    >>> split_values('[0.1, 0.2],[0.3, 0.4]')
+    ['[0.1, 0.2]', '[0.3, 0.4]']
+    """
     values, depth, quote = [""], 0, ""
     for char in text:
         if quote:
@@ -120,7 +131,13 @@ def split_values(text: str) -> list[str]:
 
 
 def variants(settings: Sequence[Setting]) -> list[Variant]:
-    """Return every combination of the values, the last setting changing fastest."""
+    """Return every combination of the values, the last setting changing fastest.
+
+    Examples
+    --------
+    >>> [variant.label for variant in variants(parse_settings(['R12=1k,2k', 'seed=3,4']))]
+    ['R12=1k seed=3', 'R12=1k seed=4', 'R12=2k seed=3', 'R12=2k seed=4']
+    """
     several = {s.name for s in settings if len(s.values) > 1} or {s.name for s in settings}
     found = []
     for chosen in product(*(s.values for s in settings)):

@@ -40,6 +40,14 @@ class Chain(Linkage):
     ------
     ParameterError
         With every refused parameter.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> arm = Chain(lengths_m=(0.1, 0.1), masses_kg=(0.1, 0.1), coms_m=(0.05, 0.05),
+    ...             inertias_kg_m2=(1e-4, 1e-4))
+    >>> np.round(arm.forward([0.0, np.pi / 2]), 12).tolist()  # m
+    [0.1, 0.1]
     """
 
     lengths_m: Sequence[float]

@@ -33,6 +33,11 @@ class Slider(Linkage):
     ------
     ParameterError
         With every refused parameter.
+
+    Examples
+    --------
+    >>> Slider(radius_m=0.01, mass_kg=0.1).forward([2.0]).tolist()  # m
+    [0.02, 0.0]
     """
 
     radius_m: float

@@ -45,6 +45,13 @@ def held_mass(mass: float, viscosity: float, period: float) -> float:
 
     With tau = m/b and E = exp(-T/tau) it is b (1 - E)/(tau (1 - E) - T E): a root of the map of one period on
     the unit circle.
+
+    Examples
+    --------
+    A mass of 0.1 kg with 1 N s/m at 1 ms: near 2 b/T, for b T/m is small.
+
+    >>> round(held_mass(0.1, 1.0, 1e-3) / (2 * 1.0 / 1e-3), 2)
+    1.0
     """
     tau = mass / viscosity
     gone = -math.expm1(-period / tau)
@@ -55,6 +62,11 @@ def colgate_schenkel(viscosity: float, period: float, damping: float = 0.0) -> f
     """Return the largest passive stiffness 2 (b - |B|)/T of K x + B v, v by backward difference [1]_ [N/m].
 
     Zero where the virtual damping alone is too much.
+
+    Examples
+    --------
+    >>> colgate_schenkel(0.5, 1e-3), colgate_schenkel(0.5, 1e-3, 0.2)
+    (1000.0, 600.0)
     """
     return max(2.0 * (viscosity - abs(damping)) / period, 0.0)
 
@@ -63,6 +75,11 @@ def gil_hulin(viscosity: float, period: float, damping: float = 0.0, delay: floa
     """Return the rule of thumb (b + B)/(T/2 + t_d) for the border [2]_ [N/m].
 
     It holds where b T/m and B T/m are far below one.
+
+    Examples
+    --------
+    >>> gil_hulin(0.5, 1e-3), gil_hulin(0.5, 1e-3, delay=5e-4)
+    (1000.0, 500.0)
     """
     return (viscosity + damping) / (0.5 * period + delay)
 
@@ -75,6 +92,11 @@ def abbott_okamura(viscosity: float, period: float, coulomb: float, resolution: 
     coulomb, resolution
         Friction f_c [N] and step Delta of the position [m], both at the tip; without steps the second part is
         infinite, with steps and no friction it is zero.
+
+    Examples
+    --------
+    >>> abbott_okamura(0.5, 1e-3, 0.0, 1e-5), abbott_okamura(0.5, 1e-3, 0.01, 1e-5)
+    (0.0, 1000.0)
     """
     rough = 2.0 * coulomb / resolution if resolution > 0.0 else math.inf
     return min(2.0 * viscosity / period, rough)
@@ -110,13 +132,25 @@ class Diolaiti:
 def diolaiti(
     stiffness: float, viscosity: float, period: float, coulomb: float, resolution: float, delay: float = 0.0
 ) -> Diolaiti:
-    """Return a wall's place in the plane of [4]_; units as in `abbott_okamura`."""
+    """Return a wall's place in the plane of [4]_; units as in `abbott_okamura`.
+
+    Examples
+    --------
+    >>> diolaiti(500.0, 0.5, 1e-3, 0.01, 1e-5).region
+    'rests'
+    """
     sigma = coulomb / (stiffness * resolution) if resolution > 0.0 else math.inf
     return Diolaiti(viscosity / (stiffness * period), sigma, 0.5 + delay / period)
 
 
 def beta_stiffness(viscosity: float, period: float, delay: float = 0.0) -> float:
-    """Return the stiffness [N/m] at which beta is at its border: b/(T/2 + t_d) [4]_."""
+    """Return the stiffness [N/m] at which beta is at its border: b/(T/2 + t_d) [4]_.
+
+    Examples
+    --------
+    >>> beta_stiffness(0.5, 1e-3)
+    1000.0
+    """
     return viscosity / (0.5 * period + delay)
 
 
@@ -161,5 +195,10 @@ def switching_energy(stiffness: float, speed: float, period: float) -> float:
     """Return the most that switching on a spring at a sample, up to a period late, injects: K (v T)^2/2 [J].
 
     Switching off late takes as much away, averaged over the phase of the samples.
+
+    Examples
+    --------
+    >>> switching_energy(1000.0, 0.1, 1e-3)
+    5e-06
     """
     return 0.5 * stiffness * (speed * period) ** 2

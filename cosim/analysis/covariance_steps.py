@@ -91,6 +91,13 @@ def stationary(step: Array, added: Array) -> Array:
     ------
     ValueError
         When the spectral radius of S is not below one.
+
+    Examples
+    --------
+    x_k+1 = x_k/2 + w with E w^2 = 3: the variance is 3/(1 - 1/4).
+
+    >>> stationary(np.array([[0.5]]), np.array([[3.0]])).round(12).tolist()
+    [[4.0]]
     """
     if not np.abs(np.linalg.eigvals(step)).max(initial=0.0) < 1.0:
         raise ValueError("a map that is not stable has no stationary covariance")
@@ -123,7 +130,15 @@ def repeated(step: Array, added: Array, count: int) -> tuple[Array, Array, Array
 
 
 def summed(step: Array, p: Array, count: int) -> Array:
-    """Return the sum over k < count of S^k P S^kT."""
+    """Return the sum over k < count of S^k P S^kT.
+
+    Examples
+    --------
+    1 + 1/4 + 1/16.
+
+    >>> summed(np.array([[0.5]]), np.array([[1.0]]), 3).tolist()
+    [[1.3125]]
+    """
     total, run = np.zeros_like(p), np.array(p)
     power, shift = step, np.eye(len(step))
     while count:

@@ -76,7 +76,7 @@ def contact(scene: ContactLike, *, trust: bool = False, child: Child | None = No
     --------
     >>> from cosim.assets import scenes_folder
     >>> contact(scenes_folder() / "press.toml").circuit.joints
-    1
+    2
     """
     if isinstance(scene, Contact):
         return scene
@@ -125,10 +125,11 @@ def noise(scene: ContactLike, *, trust: bool = False, child: Child | None = None
     Examples
     --------
     >>> from cosim.assets import scenes_folder
+    >>> from cosim.scene import load_scene
     >>> quiet = load_scene(scenes_folder() / "press.toml")
     >>> loud = quiet.with_values({"effects.pot_noise": "white", "device.potentiometer.noise_rad": 1e-5})
     >>> half = loud.with_values({"device.potentiometer.noise_rad": 5e-6})
-    >>> force = [noise(each).potentiometers.force_rms_n for each in (loud, half)]
+    >>> force = [noise(each).as_dict()["force_noise_rms_n"] for each in (loud, half)]
     >>> round(force[0] / force[1], 9)
     2.0
     """

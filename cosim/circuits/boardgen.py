@@ -55,7 +55,13 @@ _BLOCKS = ("angle", "diffamp", "differentiator", "vca", "summer")
 
 
 def pin_names(n: int) -> list[str]:
-    """Return the pins of a board with ``n`` joints, in the order the generator writes them."""
+    """Return the pins of a board with ``n`` joints, in the order the generator writes them.
+
+    Examples
+    --------
+    >>> pin_names(1)
+    ['pot1', 'vel1', 'u1', 'ksp11', 'ksd11', 'cmd1', 'imot1', 'vcc', 'vee']
+    """
     joints = [str(j) for j in range(1, n + 1)]
     pairs = [f"{i}{j}" for i, j in product(joints, joints)]
     groups = [("pot", joints), ("vel", joints), ("u", joints), ("ksp", pairs), ("ksd", pairs)]

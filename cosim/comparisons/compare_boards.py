@@ -224,7 +224,7 @@ def _prepared(scene_file: SceneLike, asked: Asked, trust: bool) -> tuple[Plan, S
         return plan, Subject(board, board, kind, result.scene, Question((board,))), result
     plan = resolve(load_scene(scene_file, asked.overrides), trust=trust)
     variant = Variant((), asked.overrides, asked.label)
-    return plan, load_subject(str(scene_file), variant, None, None, trust=trust), None
+    return plan, load_subject(scene_file, variant, None, None, trust=trust), None
 
 
 def _side(label: str, plan: Plan, subject: Subject, result: Run, child: Child | None) -> Side:

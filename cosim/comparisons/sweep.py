@@ -71,6 +71,11 @@ def parse_range(text: str) -> Setting:
     ------
     InputError
         For anything else.
+
+    Examples
+    --------
+    >>> parse_range('R12=1k:3k:3').values, parse_range('seed=1,2').values
+    (('1000', '2000', '3000'), ('1', '2'))
     """
     name, _, written = text.partition("=")
     parts = [part.strip() for part in written.split(":")]

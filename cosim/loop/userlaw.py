@@ -34,6 +34,20 @@ class Sample:
     wall_point_m, wall_normal : [2] the wall of the scene
     scene : all that the scene states, such as ``sample.scene.computer.period_s``
     board : the board's design constants, such as ``sample.board.k_fs``
+
+    Examples
+    --------
+    A law that pushes the tip out of the wall with 100 N/m.
+
+    >>> class Law:
+    ...     def control(self, sample: Sample) -> Command:
+    ...         depth = (sample.wall_point_m - sample.tip_m) @ sample.wall_normal
+    ...         force = 100.0 * max(depth, 0.0) * sample.wall_normal
+    ...         return Command(torque_n_m=sample.jacobian.T @ force)
+    >>> here = Sample(0, 0.0, *(np.zeros(1),) * 2, np.array([-0.01, 0.0]), np.array([[1.0], [0.0]]),
+    ...               np.zeros(2), np.array([1.0, 0.0]), scene=None, board=None)
+    >>> Law().control(here).torque_n_m.tolist()  # N m
+    [1.0]
     """
 
     tick: int
@@ -56,6 +70,11 @@ class Command:
     ----------
     u_rad : [n] equilibria; stiffness, damping : [n, n] N m/rad and N m s/rad, row = motor, column = joint
     torque_n_m : [n] direct command at the joints
+
+    Examples
+    --------
+    >>> Command(torque_n_m=[0.01, 0.0]).stiffness  # what is left out is zero
+    0.0
     """
 
     u_rad: ArrayLike | None = None

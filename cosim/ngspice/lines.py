@@ -221,6 +221,11 @@ def number(text: str) -> float | None:
     """Return the value of a SPICE number such as ``8.2k``, ``3MEG`` or ``100nF``; ``None`` if it is none.
 
     ``M`` is milli and ``MEG`` mega; a unit after the scale is ignored.
+
+    Examples
+    --------
+    >>> number('8.2k'), number('3MEG'), number('1M'), number('ten')
+    (8200.0, 3000000.0, 0.001, None)
     """
     match = _NUMBER.fullmatch(text.strip())
     if match is None:

@@ -61,6 +61,11 @@ def section(name: str) -> list[Key]:
     ------
     InputError
         For a name that there is not.
+
+    Examples
+    --------
+    >>> [key.unit for key in section('computer.period_s')]
+    ['s']
     """
     every = keys()
     found = [key for key in every if not name or key.path == name or key.path.startswith(f"{name}.")]

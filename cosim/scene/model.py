@@ -18,7 +18,16 @@ from cosim.variants import Setting
 
 
 class Scene(SceneTables):
-    """A checked scene; attributes are the tables of the file (see `cosim.scene.schema`)."""
+    """A checked scene; attributes are the tables of the file (see `cosim.scene.schema`).
+
+    Examples
+    --------
+    >>> from cosim.assets import scenes_folder
+    >>> from cosim.scene import load_scene
+    >>> scene = load_scene(scenes_folder() / 'slope.toml')
+    >>> scene.joints, len(scene.digest())
+    (2, 64)
+    """
 
     _file: Path | None = PrivateAttr(default=None)
     _origin: Origin = PrivateAttr(default=Origin(()))

@@ -18,27 +18,57 @@ _DIGITS = 12
 
 
 def decimal(value: float) -> float:
-    """Return a value rounded to 12 significant digits."""
+    """Return a value rounded to 12 significant digits.
+
+    Examples
+    --------
+    >>> decimal(0.1 + 0.2)
+    0.3
+    """
     return float(f"{value:.{_DIGITS}g}")
 
 
 def milli(value: float) -> float:
-    """Return a stated value in thousandths of its unit: 20.3 [ms] for 0.0203 [s]."""
+    """Return a stated value in thousandths of its unit: 20.3 [ms] for 0.0203 [s].
+
+    Examples
+    --------
+    >>> milli(0.0203)
+    20.3
+    """
     return decimal(1e3 * value)
 
 
 def percent(share: float) -> float:
-    """Return a stated share in per cent: 7 for 0.07, which times 100 is 7.000000000000001."""
+    """Return a stated share in per cent: 7 for 0.07, which times 100 is 7.000000000000001.
+
+    Examples
+    --------
+    >>> percent(0.07)
+    7.0
+    """
     return decimal(100.0 * share)
 
 
 def even(low: float, high: float, count: int) -> Array:
-    """Return `count` values at even distances, both ends among them; shape (count,), unit of the ends."""
+    """Return `count` values at even distances, both ends among them; shape (count,), unit of the ends.
+
+    Examples
+    --------
+    >>> even(0.0, 0.3, 4).tolist()
+    [0.0, 0.1, 0.2, 0.3]
+    """
     return _decimals(np.linspace(low, high, count))
 
 
 def geometric(low: float, high: float, count: int) -> Array:
-    """Return `count` values at even ratios, both ends among them; shape (count,), unit of the ends."""
+    """Return `count` values at even ratios, both ends among them; shape (count,), unit of the ends.
+
+    Examples
+    --------
+    >>> geometric(1.0, 100.0, 3).tolist()
+    [1.0, 10.0, 100.0]
+    """
     return _decimals(np.geomspace(low, high, count))
 
 
