@@ -17,15 +17,17 @@ from numpy.typing import NDArray
 from cosim.catalogue import MEASURES, Need
 from cosim.caution import collected
 from cosim.circuits.draws.models import Draws
+from cosim.circuits.extraction.alter import altered
 from cosim.circuits.fitting.rational_fit import FitError
 from cosim.comparisons.board_measures import BoardMeasures, Lacking
 from cosim.comparisons.measuring import all_measures, check_measures
 from cosim.errors import CosimError, InputError, Problem, SimulationError
 from cosim.ngspice.child import Child
+from cosim.ngspice.placed_values import Placed
 from cosim.plan import Plan
 from cosim.runner import run
 from cosim.staging import scratch_folder
-from cosim.tolerance.drawn_plan import nominal, of_board, with_numbers
+from cosim.tolerance.drawn_plan import MOTOR_CONSTANT, motor_constant, nominal, of_board, with_numbers
 
 __all__ = ["Batch"]
 
@@ -88,6 +90,8 @@ class Batch:
         self._child: Child | None = None
         self.failures: dict[int, str] = {}
         with_numbers(plan.scene, keys, self._nominal)
+        self._motor = motor_constant(plan, keys)
+        self._placed = Placed.of(plan.board, [keys[k] for k in of_board(keys)])
         self._runs = [name for name in self.names if MEASURES[name].needs is Need.RUN]
 
     def measures(self, values: Array) -> Array:
@@ -154,11 +158,9 @@ class Batch:
 
     def plan_of(self, values: Sequence[float] | Array) -> Plan:
         """Return the plan of one sample."""
-        from cosim.ngspice.placed_values import Placed
-
-        places = of_board(self.keys)
-        placed = Placed.of(self._plan.board, [self.keys[k] for k in places])
-        board = placed.deck([float(values[k]) for k in places])
+        board = self._placed.deck([float(values[k]) for k in of_board(self.keys)])
+        if self._motor is not None:
+            board = altered(board, {MOTOR_CONSTANT: repr(float(values[self._motor]))})
         scene = with_numbers(self._plan.scene, self.keys, [float(value) for value in values])
         return replace(self._plan, board=board, scene=scene)
 
@@ -242,12 +244,13 @@ def measured(payload: Mapping[str, Any], report: Report) -> tuple[Array, dict[in
     plan: Plan = payload["plan"]
     keys, values, names = payload["keys"], payload["values"], payload["names"]
     draws = _draws(plan, keys, payload["nominal"])
+    motor = motor_constant(plan, keys)
     report({"time_s": 0.0})
     table = np.full((len(values), len(names)), np.nan)
     failed: dict[int, str] = {}
     for k, row in enumerate(values):
         try:
-            table[k] = _one(plan, draws, keys, names, row.tolist())
+            table[k] = _one(plan, draws, keys, names, row.tolist(), motor)
         except FitError as reason:
             failed[k] = _words(SimulationError(f"no `linear` model: {reason}"))
         except CosimError as reason:
@@ -268,14 +271,23 @@ def _draws(plan: Plan, keys: Sequence[str], nominal: Sequence[float]) -> Draws:
 
 
 def _one(
-    plan: Plan, draws: Draws, keys: Sequence[str], names: Sequence[str], values: Sequence[float]
+    plan: Plan,
+    draws: Draws,
+    keys: Sequence[str],
+    names: Sequence[str],
+    values: Sequence[float],
+    motor: int | None,
 ) -> list[float]:
     """Return the measures of one sample."""
     scene = with_numbers(plan.scene, keys, values)
     on_board = [values[k] for k in of_board(keys)]
     solver = scene.solver
     circuit = draws.at(on_board)  # of a run on `spice` too: who is unstable is told
-    plan = replace(plan, scene=scene, board=draws.deck(on_board))
+    constants = plan.stated()
+    if motor is not None:
+        constants = replace(constants, motor_k=values[motor])
+    # what is asked of the plan is the board's design, but for its motor
+    plan = replace(plan, scene=scene, board=draws.deck(on_board), _asked={"stated": constants})
     found: dict[str, float] = {}
     runs = [name for name in names if MEASURES[name].needs is Need.RUN]
     if runs:
@@ -283,8 +295,8 @@ def _one(
         from cosim.measures import standard
 
         small = draws.at(on_board, solver.band_hz, solver.reduction_tolerance)
-        result = held_run(scene, plan.stated(), small)
-        rows = standard(scene, plan.stated(), result.signals, result.samples, [], result.ledger)
+        result = held_run(scene, constants, small)
+        rows = standard(scene, constants, result.signals, result.samples, [], result.ledger)
         found |= {name: float(row["value"]) for name, row in rows.items()}
     of = BoardMeasures(plan, _Here(), circuit)
     for name in names:

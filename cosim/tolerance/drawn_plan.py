@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cosim.circuits.draws.admittances import nominal_values
+from cosim.errors import InputError, Problem
 from cosim.plan import Plan
 from cosim.scene import Scene
 from cosim.scene.numbers import number_of, with_number
 
-__all__ = ["SCENE", "nominal", "of_board", "with_numbers"]
+__all__ = ["SCENE", "motor_constant", "nominal", "of_board", "with_numbers"]
 
 #: How the key of a number of the scene begins.
 SCENE = "scene:"
+#: Parameter of a motor that its board states as a design number as well.
+MOTOR_CONSTANT = "motor_k"
 
 
 def of_board(keys: Sequence[str]) -> list[int]:
@@ -34,6 +37,23 @@ def nominal(plan: Plan, keys: Sequence[str]) -> list[float]:
     return [
         board[k] if k in board else number_of(scene, key.removeprefix(SCENE)) for k, key in enumerate(keys)
     ]
+
+
+def motor_constant(plan: Plan, keys: Sequence[str]) -> int | None:
+    """Return the place of the motor's own torque constant, which turns current into torque as well.
+
+    Raises
+    ------
+    InputError
+        Where it is one of several motors: all joints of a device share one constant.
+    """
+    found = [k for k, key in enumerate(keys) if key.endswith(f":{MOTOR_CONSTANT}")]
+    if found and plan.scene.joints > 1:
+        raise InputError(
+            Problem("the torque constants of single motors vary on devices of one joint only", key=keys[k])
+            for k in found
+        )
+    return found[0] if found else None
 
 
 def with_numbers(scene: Scene, keys: Sequence[str], values: Sequence[float]) -> Scene:

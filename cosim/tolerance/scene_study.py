@@ -22,12 +22,12 @@ from cosim.comparisons.measuring import check_measures
 from cosim.errors import InputError, fail
 from cosim.plan import Plan, resolve
 from cosim.scene import load_scene
+from cosim.tolerance.batch import Batch
 from cosim.tolerance.corner_search import Corner, corner
 from cosim.tolerance.cube_points import Method, sampling
 from cosim.tolerance.findings import Findings, find
 from cosim.tolerance.monte_carlo import Measurer, Study, draw, pilot_size
 from cosim.tolerance.recipe import Recipe
-from cosim.tolerance.slow_batch import Batch
 from cosim.tolerance.spec import Spec
 from cosim.tolerance.trim import Trimmed, trims
 from cosim.tolerance.variables import tolerances
@@ -92,7 +92,8 @@ class Prepared:
         """Return what measures devices, trimmed where the scene asks for it."""
         told = trims(self.plan.scene)
         needed = tuple(dict.fromkeys((*names, *(trim.measure for trim in told))))
-        found: Measurer = Batch(self.plan, self.tolerances.keys, needed, model)
+        designed = self.tolerances.nominal.tolist()
+        found: Measurer = Batch(self.plan, self.tolerances.keys, needed, model, designed)
         for trim in told:
             found = Trimmed(found, needed, trim, _columns(trim.resistor, self.tolerances))
         return found if needed == tuple(names) else _Some(found, len(names))

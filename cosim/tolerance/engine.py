@@ -1,0 +1,207 @@
+"""The engine of a Monte Carlo: samples in chunks, by several processes, kept as they are finished.
+
+A sample depends on the study and on its number alone. So it does not matter who measures it, with which
+others, or in which attempt: an interrupted study goes on where it was, and ends with the same bytes.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.errors import fail
+from cosim.staging import disk_errors
+from cosim.tolerance.sample_store import Samples
+from cosim.tolerance.worker_pool import Chunk, Lost, cores, pooled
+
+__all__ = ["Job", "Work", "merge", "run", "shard"]
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int, str], None]
+
+#: What a chunk should take [s]: long enough for its receipt to cost nothing.
+_CHUNK_S = 2.0
+_MOST_TOGETHER = 4096
+
+
+class Work(Protocol):
+    """Measures samples by their numbers; made once in each process."""
+
+    def __call__(self, first: int, count: int) -> tuple[Array, Mapping[int, str]]:
+        """Return measures (count, measures), and row -> why it has none."""
+        ...
+
+
+@dataclass(frozen=True)
+class Job:
+    """A study as its processes know it; it is sent to each.
+
+    Attributes
+    ----------
+    digest
+        Names all that its samples depend on.
+    names
+        Measures.
+    n
+        Samples.
+    make
+        Called once in each process: what measures.
+    """
+
+    digest: str
+    names: tuple[str, ...]
+    n: int
+    make: Callable[[], Work]
+
+
+@dataclass(frozen=True)
+class _Maker:
+    """Makes what measures chunks of a job and keeps them in a folder, in a process of the pool."""
+
+    job: Job
+    folder: Path
+    first: int
+    last: int
+
+    def __call__(self) -> Callable[[Chunk], float]:
+        work, job = self.job.make(), self.job
+        samples = Samples(self.folder, job.digest, job.names, self.first, self.last)
+
+        def measured(chunk: Chunk) -> float:
+            begun = time.perf_counter()
+            table, failed = work(chunk.first, chunk.count)
+            samples.keep(chunk.first, table, failed)
+            return time.perf_counter() - begun
+
+        return measured
+
+
+def run(
+    job: Job,
+    folder: Path,
+    *,
+    workers: int | None = None,
+    chunk: int | None = None,
+    part: tuple[int, int] = (1, 1),
+    on_progress: Progress | None = None,
+) -> Samples:
+    """Measure all samples of a study, or of a shard of it, that are not there yet.
+
+    Parameters
+    ----------
+    folder
+        Keeps the samples.
+    workers
+        Processes; one for each processor by default.
+    chunk
+        Samples that are measured together; as many as take some seconds by default.
+    part
+        (i, n): the i-th of n shards, i from 1.
+
+    Raises
+    ------
+    InputError
+        For a folder that holds another study, or in which another process works.
+    """
+    first, last = shard(job.n, part)
+    samples = Samples(folder, job.digest, job.names, first, last)
+    with _alone(folder):
+        missing = samples.missing()
+        left = sum(behind - begin for begin, behind in missing)
+        if left:
+            sizes = _Sizes(chunk)
+            count = min(workers or cores(), left)
+            done = last - first - left
+            for finished, answer in pooled(
+                _Maker(job, folder, first, last), sizes.chunks(missing, count), count
+            ):
+                if isinstance(answer, Lost):
+                    lacking = np.full((1, len(job.names)), np.nan)
+                    samples.keep(finished.first, lacking, {0: f"the sample {answer.why}"})
+                else:
+                    sizes.took(finished.count, answer)
+                done += finished.count
+                if on_progress is not None:
+                    on_progress(done, last - first, "samples")
+        samples.finish()
+    return samples
+
+
+def shard(n: int, part: tuple[int, int]) -> tuple[int, int]:
+    """Return the samples of the i-th of so many shards, as (first, behind the last).
+
+    Raises
+    ------
+    InputError
+        For a shard that there is not.
+    """
+    i, of = part
+    if not 1 <= i <= of or of > n:
+        fail("is no shard of the study", key="--shard", value=f"{i}/{of}", allowed=f"1/{of} to {of}/{of}")
+    return (i - 1) * n // of, i * n // of
+
+
+def merge(job: Job, folder: Path, shards: Sequence[Path]) -> Samples:
+    """Put shards together.
+
+    Raises
+    ------
+    InputError
+        For a folder of another study, and where samples are missing.
+    """
+    samples = Samples(folder, job.digest, job.names, 0, job.n)
+    with _alone(folder):
+        for each in shards:
+            samples.take(each)
+        gaps = samples.missing()
+        if gaps:
+            some = ", ".join(f"{first} to {behind - 1}" for first, behind in gaps[:3])
+            fail(f"samples are missing: {some}", key="--merge", value=" ".join(map(str, shards)))
+        samples.finish()
+    return samples
+
+
+class _Sizes:
+    """How many samples a chunk has: asked for, or as many as take some seconds."""
+
+    def __init__(self, asked: int | None) -> None:
+        self._asked, self._now = asked, asked or 1
+
+    def took(self, count: int, seconds: float) -> None:
+        """Learn from a chunk."""
+        if self._asked is None:
+            wanted = int(count * _CHUNK_S / max(seconds, 1e-3))
+            self._now = min(max(wanted, 1), 4 * max(count, self._now), _MOST_TOGETHER)
+
+    def chunks(self, missing: Sequence[tuple[int, int]], workers: int) -> Iterator[Chunk]:
+        """Yield chunks; near the end they shrink, so that no process waits for another."""
+        left = sum(behind - first for first, behind in missing)
+        for first, behind in missing:
+            at = first
+            while at < behind:
+                size = self._now if self._asked else max(min(self._now, left // (2 * workers)), 1)
+                count = min(size, behind - at)
+                yield Chunk(at, count)
+                at += count
+                left -= count
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Make sure that no other process works in the folder; the lock goes with this one."""
+    with disk_errors(folder), (folder / "lock").open("a") as stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            fail(
+                "another process of cosim works here; choose another folder or wait for it", file=str(folder)
+            )
+        yield

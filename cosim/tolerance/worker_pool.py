@@ -1,0 +1,144 @@
+"""Processes that work through chunks of samples; one that dies is replaced, and the others go on."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from multiprocessing import get_context
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from typing import Any
+
+from cosim.errors import CosimError
+
+__all__ = ["Chunk", "Lost", "pooled"]
+
+#: Makes what works in a process: called once there, then its result with each chunk.
+Maker = Callable[[], Callable[["Chunk"], Any]]
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Samples `first` to ``first + count - 1``; `again`: they took a process with them before."""
+
+    first: int
+    count: int
+    again: bool = False
+
+    def halves(self) -> list[Chunk]:
+        """Return its samples one by one: one of them is to blame."""
+        return [Chunk(k, 1, self.again) for k in range(self.first, self.first + self.count)]
+
+
+@dataclass(frozen=True)
+class Lost:
+    """What comes back of a sample that took two processes with it."""
+
+    why: str
+
+
+class _Worker:
+    def __init__(self, make: Maker) -> None:
+        context = get_context("spawn")  # a fork would copy the threads of numerical libraries
+        self.pipe, theirs = context.Pipe()
+        self.process: BaseProcess = context.Process(target=_serve, args=(theirs, make), daemon=False)
+        self.process.start()
+        theirs.close()
+        self.chunk: Chunk | None = None
+
+    def give(self, chunk: Chunk) -> None:
+        self.chunk = chunk
+        self.pipe.send(chunk)
+
+    def close(self) -> None:
+        """End the process."""
+        self.pipe.close()
+        self.process.join(2.0)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join()
+
+
+def _serve(pipe: Connection, make: Maker) -> None:
+    """Work until the parent closes its end, or is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+    try:
+        work = make()
+        while True:
+            chunk = pipe.recv()
+            try:
+                answer: Any = work(chunk)
+            except CosimError as error:
+                answer = error
+            pipe.send(answer)
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        return
+
+
+def pooled(
+    make: Maker, chunks: Sequence[Chunk] | Iterator[Chunk], workers: int
+) -> Iterator[tuple[Chunk, Any]]:
+    """Yield each chunk with what its work returned, as they are finished.
+
+    A chunk whose process died is done again sample by sample; a sample that takes a second process with it
+    comes back as `Lost`.
+
+    Raises
+    ------
+    CosimError
+        What the work raised.
+    """
+    source, waiting = iter(chunks), deque[Chunk]()
+    pool: list[_Worker] = []
+
+    def following() -> Chunk | None:
+        return waiting.popleft() if waiting else next(source, None)
+
+    try:
+        while True:
+            for worker in pool:
+                if worker.chunk is None and (chunk := following()) is not None:
+                    worker.give(chunk)
+            while len(pool) < workers and (chunk := following()) is not None:
+                pool.append(_Worker(make))
+                pool[-1].give(chunk)
+            busy = [worker for worker in pool if worker.chunk is not None]
+            if not busy:
+                return
+            ready = wait([worker.pipe for worker in busy])
+            for worker in [each for each in busy if each.pipe in ready]:
+                chunk = worker.chunk
+                assert chunk is not None
+                try:
+                    answer = worker.pipe.recv()
+                except (EOFError, OSError):
+                    pool.remove(worker)
+                    worker.close()
+                    if chunk.count > 1:
+                        waiting.extend(chunk.halves())
+                    elif not chunk.again:
+                        waiting.append(Chunk(chunk.first, 1, again=True))
+                    else:
+                        yield chunk, Lost(_ended(worker.process))
+                    continue
+                worker.chunk = None
+                if isinstance(answer, CosimError):
+                    raise answer
+                yield chunk, answer
+    finally:
+        for worker in pool:
+            worker.close()
+
+
+def _ended(process: BaseProcess) -> str:
+    code = process.exitcode
+    how = signal.Signals(-code).name if code is not None and code < 0 else f"exit code {code}"
+    return f"took its process with it twice ({how})"
+
+
+def cores() -> int:
+    """Return the number of processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

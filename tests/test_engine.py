@@ -1,0 +1,123 @@
+"""The engine of a Monte Carlo: the same bytes, whoever measures a sample and however it is interrupted."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from engine_jobs import job
+
+from cosim.errors import InputError
+from cosim.tolerance.engine import Job, merge, run, shard
+
+HERE = Path(__file__).parent
+N = 203
+
+
+def undisturbed(folder, n=N, **more):
+    samples = run(job(folder, n, **more), folder / "mc", workers=1, chunk=n)
+    return (samples.folder / "samples.parquet").read_bytes(), samples
+
+
+def times_measured(folder):
+    """Return how often each sample was measured."""
+    counts = np.zeros(N, int)
+    for line in (folder / "log").read_text().splitlines():
+        first, count = map(int, line.split())
+        counts[first : first + count] += 1
+    return counts
+
+
+@pytest.mark.parametrize(("workers", "chunk"), [(1, 1), (2, 7), (3, None)])
+def test_workers_and_chunks_leave_the_same_bytes(tmp_path, workers, chunk):
+    truth, samples = undisturbed(tmp_path / "truth", failing=(3, 100))
+    other = run(job(tmp_path / "other", N, failing=(3, 100)), tmp_path / "other" / "mc",
+                workers=workers, chunk=chunk)  # fmt: skip
+    assert (other.folder / "samples.parquet").read_bytes() == truth
+    assert (times_measured(tmp_path / "other") == 1).all()
+    assert not list((other.folder / "parts").iterdir())
+    measures, failures = samples.read()
+    assert failures == {3: "no circuit", 100: "no circuit"}
+    assert np.isnan(measures[[3, 100]]).all()
+    assert np.isfinite(np.delete(measures, [3, 100], axis=0)).all()
+
+
+def test_a_sample_that_takes_its_process_with_it_fails_alone(tmp_path):
+    samples = run(job(tmp_path, 40, deadly=(17,)), tmp_path / "mc", workers=2, chunk=8)
+    measures, failures = samples.read()
+    assert list(failures) == [17]
+    assert "SIGKILL" in failures[17]
+    assert np.flatnonzero(np.isnan(measures).any(axis=1)).tolist() == [17]
+
+
+def test_shards_that_are_merged_leave_the_same_bytes(tmp_path):
+    truth, _ = undisturbed(tmp_path / "truth")
+    folders = []
+    for i in range(1, 4):
+        folders.append(tmp_path / f"shard{i}")
+        run(job(tmp_path / "shards", N), folders[-1], workers=1, part=(i, 3))
+    whole = job(tmp_path / "merged", N)
+    with pytest.raises(InputError, match="samples are missing: 67 to 134"):
+        merge(whole, tmp_path / "merged" / "mc", [folders[0], folders[2]])
+    merged = merge(whole, tmp_path / "merged" / "mc", folders[::-1])
+    assert (merged.folder / "samples.parquet").read_bytes() == truth
+    assert [shard(10, (i, 3)) for i in (1, 2, 3)] == [(0, 3), (3, 6), (6, 10)]
+
+
+def test_what_is_not_ours_is_left_alone(tmp_path):
+    mine = job(tmp_path, 10)
+    run(mine, tmp_path / "mc", workers=1)
+    before = (tmp_path / "mc" / "samples.parquet").read_bytes()
+    with pytest.raises(InputError, match="holds another study"):
+        run(Job("other", mine.names, 10, mine.make), tmp_path / "mc", workers=1)
+    with pytest.raises(InputError, match="no samples of this study"):
+        merge(mine, tmp_path / "mc", [tmp_path / "nowhere"])
+    with pytest.raises(InputError, match="is no shard"):
+        run(mine, tmp_path / "mc", part=(4, 3))
+    assert (tmp_path / "mc" / "samples.parquet").read_bytes() == before
+
+
+def test_a_damaged_part_is_measured_again(tmp_path):
+    truth, _ = undisturbed(tmp_path / "truth")
+    parts = tmp_path / "mc" / "parts"
+    parts.mkdir(parents=True)
+    (parts / "000000000010-5.parquet").write_bytes(b"PAR1 cut off")
+    other = run(job(tmp_path, N), tmp_path / "mc", workers=1, chunk=50)
+    assert (other.folder / "samples.parquet").read_bytes() == truth
+
+
+def interrupted(folder, kill_after_s, whom):
+    """Start a slow study in a process of its own and kill it, or one of its workers."""
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    command = [sys.executable, str(HERE / "engine_jobs.py"), str(folder), str(N), "0.03", "2"]
+    process = subprocess.Popen(command, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    time.sleep(kill_after_s)
+    if whom == "worker":
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        if children:
+            os.kill(int(children[-1]), signal.SIGKILL)
+        assert process.wait(60) == 0
+    else:
+        process.send_signal(whom)
+        process.wait(60)
+
+
+@pytest.mark.parametrize("whom", [signal.SIGKILL, signal.SIGINT, "worker"])
+def test_an_interrupted_study_goes_on_and_ends_with_the_same_bytes(tmp_path, whom):
+    truth, _ = undisturbed(tmp_path / "truth")
+    folder = tmp_path / "killed"
+    for wait_s in (2.0, 4.0):
+        interrupted(folder, wait_s, whom)
+    time.sleep(0.3)  # a worker that outlives its parent ends with its chunk
+    kept = {path.name for path in (folder / "mc" / "parts").glob("*.parquet")}
+    other = run(job(folder, N), folder / "mc", workers=2, chunk=9)
+    assert (other.folder / "samples.parquet").read_bytes() == truth
+    counts = times_measured(folder)
+    # what a part held was not measured again
+    for name in kept:
+        first, count = map(int, name.removesuffix(".parquet").split("-"))
+        assert (counts[first : first + count] == 1).all()
