@@ -10,7 +10,7 @@ from cosim.commands.command import Command, trust_arguments
 if TYPE_CHECKING:
     from cosim.tolerance.findings import Findings
     from cosim.tolerance.intervals import Estimate
-    from cosim.tolerance.scene_study import Asked, Prepared
+    from cosim.tolerance.scene_study import Asked, Prepared, Processes
     from cosim.tolerance.varying import Tolerances
 
 #: Lines of the bill that are printed; the file has all.
@@ -46,6 +46,10 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--worst-case", action="store_true", help="search the worst device within all limits")
     parser.add_argument("--list", action="store_true", help="print what varies, and draw nothing")
     parser.add_argument("--sample", type=int, metavar="I", help="measure sample I of the study alone")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one a processor)")
+    parser.add_argument("--chunk", type=int, metavar="N", help="samples measured together")
+    parser.add_argument("--shard", metavar="I/N", help="measure the I-th of N shards only, for array jobs")
+    parser.add_argument("--merge", nargs="+", default=[], metavar="FOLDER", help="put shards together")
     trust_arguments(parser)
     parser.add_argument(
         "-o", "--out", metavar="FOLDER", help="folder for tables, record and page (default: out/mc)"
@@ -55,7 +59,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.caution import collected
     from cosim.commands.progress import progress
-    from cosim.tolerance.scene_study import check_folder, monte_carlo, prepare
+    from cosim.tolerance.scene_study import check_folder, measure_shard, monte_carlo, prepare
     from cosim.tolerance.spec import parse_specs
 
     prepared = prepare(_asked(args, parse_specs(args.spec)))
@@ -66,13 +70,38 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     out = Path(args.out) if args.out else Path("out/mc")
     digest = prepared.digest()
     check_folder(out, digest)
+    processes = _processes(args, out)
+    if args.shard:
+        with progress("mc") as show:
+            said = measure_shard(prepared, processes, _shard(args.shard), show)
+        return {"folder": str(out), "done": said}, f"wrote {out}: {said}"
     with collected() as cautions, progress("mc") as show:
-        found = monte_carlo(prepared, show)
+        found = monte_carlo(prepared, show, processes)
     from reports.monte_carlo import write_monte_carlo
 
     page = write_monte_carlo(found, out, replay(args), digest, cautions)
     result = found.as_dict() | {"page": str(page)}
     return result, "\n".join([*_text(found), f"wrote {page}"])
+
+
+def _processes(args: argparse.Namespace, out: Path) -> "Processes":
+    from cosim.errors import fail
+    from cosim.tolerance.scene_study import Processes
+
+    for name in ("workers", "chunk"):
+        value = getattr(args, name)
+        if value is not None and value < 1:
+            fail("must be at least one", key=f"--{name}", value=value, allowed=">= 1")
+    return Processes(out, args.workers, args.chunk, tuple(map(Path, args.merge)))
+
+
+def _shard(text: str) -> tuple[int, int]:
+    from cosim.errors import fail
+
+    i, slash, of = text.partition("/")
+    if not (slash and i.strip().isdigit() and of.strip().isdigit()):
+        fail("is no shard", key="--shard", value=text, allowed="I/N, such as 1/8 to 8/8")
+    return int(i), int(of)
 
 
 def _asked(args: argparse.Namespace, specs: tuple[Any, ...]) -> "Asked":

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,14 +29,12 @@ Progress = Callable[[int, int, str], None]
 #: What a chunk should take [s]: long enough for its receipt to cost nothing.
 _CHUNK_S = 2.0
 _MOST_TOGETHER = 4096
+#: After so long [s] it is known what a sample takes, and with so much left [s] further processes pay.
+_PATIENCE_S, _WORTH_S = 3.0, 10.0
 
 
-class Work(Protocol):
-    """Measures samples by their numbers; made once in each process."""
-
-    def __call__(self, first: int, count: int) -> tuple[Array, Mapping[int, str]]:
-        """Return measures (count, measures), and row -> why it has none."""
-        ...
+#: Measures samples (first, count): measures (count, measures), and row -> why it has none.
+Work = Callable[[int, int], tuple[Array, Mapping[int, str]]]
 
 
 @dataclass(frozen=True)
@@ -100,7 +97,8 @@ def run(
     folder
         Keeps the samples.
     workers
-        Processes; one for each processor by default.
+        Processes; 1 is this one. By default one for each processor, where a study takes so long that their
+        start pays.
     chunk
         Samples that are measured together; as many as take some seconds by default.
     part
@@ -113,26 +111,48 @@ def run(
     """
     first, last = shard(job.n, part)
     samples = Samples(folder, job.digest, job.names, first, last)
-    with _alone(folder):
-        missing = samples.missing()
-        left = sum(behind - begin for begin, behind in missing)
-        if left:
-            sizes = _Sizes(chunk)
-            count = min(workers or cores(), left)
-            done = last - first - left
-            for finished, answer in pooled(
-                _Maker(job, folder, first, last), sizes.chunks(missing, count), count
-            ):
-                if isinstance(answer, Lost):
-                    lacking = np.full((1, len(job.names)), np.nan)
-                    samples.keep(finished.first, lacking, {0: f"the sample {answer.why}"})
-                else:
-                    sizes.took(finished.count, answer)
-                done += finished.count
-                if on_progress is not None:
-                    on_progress(done, last - first, "samples")
+    with _alone(samples):
+        if workers is None or workers == 1:
+            _here(_Maker(job, folder, first, last), samples, _Sizes(chunk), workers is None, on_progress)
+        if samples.missing():
+            _pooled(job, samples, workers or cores(), _Sizes(chunk), on_progress)
         samples.finish()
     return samples
+
+
+def _here(
+    make: _Maker, samples: Samples, sizes: _Sizes, hand_over: bool, on_progress: Progress | None
+) -> None:
+    """Measure in this process: to the end, or until it shows that others are worth their start."""
+    missing, total = samples.missing(), samples.last - samples.first
+    left = sum(behind - begin for begin, behind in missing)
+    if not left:
+        return
+    measure, begun, count = make(), time.perf_counter(), 0
+    for chunk in sizes.chunks(missing, 1):
+        sizes.took(chunk.count, measure(chunk))
+        count += chunk.count
+        if on_progress is not None:
+            on_progress(total - left + count, total, "samples")
+        taken = time.perf_counter() - begun
+        if hand_over and taken > _PATIENCE_S and (left - count) * taken / count > _WORTH_S and cores() > 1:
+            return
+
+
+def _pooled(job: Job, samples: Samples, workers: int, sizes: _Sizes, on_progress: Progress | None) -> None:
+    missing, total = samples.missing(), samples.last - samples.first
+    left = sum(behind - begin for begin, behind in missing)
+    count, done = min(workers, left), total - left
+    maker = _Maker(job, samples.folder, samples.first, samples.last)
+    for finished, answer in pooled(maker, sizes.chunks(missing, count), count):
+        if isinstance(answer, Lost):
+            lacking = np.full((1, len(job.names)), np.nan)
+            samples.keep(finished.first, lacking, {0: f"the sample {answer.why}"})
+        else:
+            sizes.took(finished.count, answer)
+        done += finished.count
+        if on_progress is not None:
+            on_progress(done, total, "samples")
 
 
 def shard(n: int, part: tuple[int, int]) -> tuple[int, int]:
@@ -158,7 +178,7 @@ def merge(job: Job, folder: Path, shards: Sequence[Path]) -> Samples:
         For a folder of another study, and where samples are missing.
     """
     samples = Samples(folder, job.digest, job.names, 0, job.n)
-    with _alone(folder):
+    with _alone(samples):
         for each in shards:
             samples.take(each)
         gaps = samples.missing()
@@ -195,13 +215,14 @@ class _Sizes:
 
 
 @contextmanager
-def _alone(folder: Path) -> Iterator[None]:
+def _alone(samples: Samples) -> Iterator[None]:
     """Make sure that no other process works in the folder; the lock goes with this one."""
-    with disk_errors(folder), (folder / "lock").open("a") as stream:
+    with disk_errors(samples.folder), samples.study_file.open("rb") as stream:
         try:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             fail(
-                "another process of cosim works here; choose another folder or wait for it", file=str(folder)
+                "another process of cosim works here: wait, or choose another folder",
+                file=str(samples.folder),
             )
         yield

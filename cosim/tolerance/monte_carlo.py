@@ -19,7 +19,7 @@ from cosim.tolerance.intervals import Estimate
 from cosim.tolerance.spec import Spec
 from cosim.tolerance.varying import Tolerances
 
-__all__ = ["QUANTILES", "Measurer", "Study", "Summary", "draw", "summary", "yields"]
+__all__ = ["QUANTILES", "Engine", "Measurer", "Study", "Summary", "draw", "summary", "yields"]
 
 Array = NDArray[np.float64]
 #: Shares of devices below the quantiles that are told.
@@ -38,6 +38,14 @@ class Measurer(Protocol):
 
     def measures(self, values: Array) -> Array:
         """Return the measures of samples."""
+
+
+class Engine(Protocol):
+    """Measures all samples of a study, wherever."""
+
+    def __call__(self, on_progress: Callable[[int, int, str], None] | None) -> tuple[Array, dict[int, str]]:
+        """Return measures (n, measures), and sample -> why it has none."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -100,8 +108,9 @@ def draw(
     model: str,
     *,
     on_progress: Callable[[int, int, str], None] | None = None,
+    engine: Engine | None = None,
 ) -> Study:
-    """Measure all samples.
+    """Measure all samples: here one chunk after the other, or by an engine that has its own processes.
 
     Raises
     ------
@@ -116,20 +125,10 @@ def draw(
         )
     nominal = batch.measures(tolerances.nominal[None, :])[0]
     _check_nominal(names, nominal, batch.failures)
-    results = np.full((sampling.n, len(names)), np.nan)
-    failures: dict[int, str] = {}
-    at, together = 0, 1
-    while at < sampling.n:
-        count = min(together, sampling.n - at)
-        started = time.perf_counter()
-        values = tolerances.values(sampling.uniforms(at, count))
-        results[at : at + count] = batch.measures(values)
-        failures |= {at + k: why for k, why in batch.failures.items()}
-        at += count
-        if on_progress is not None:
-            on_progress(at, sampling.n, "samples")
-        taken = time.perf_counter() - started
-        together = min(max(int(count * _CHUNK_S / max(taken, 1e-3)), 1), 4 * count, _MOST_TOGETHER)
+    if engine is None:
+        results, failures = _one_by_one(tolerances, sampling, len(names), batch, on_progress)
+    else:
+        results, failures = engine(on_progress)
     if failures:
         first = min(failures)
         warn(
@@ -143,6 +142,30 @@ def draw(
     return Study(
         tolerances, sampling, model, tuple(names), nominal, results, failures, time.perf_counter() - begun
     )
+
+
+def _one_by_one(
+    tolerances: Tolerances,
+    sampling: Sampling,
+    count: int,
+    batch: Measurer,
+    on_progress: Callable[[int, int, str], None] | None,
+) -> tuple[Array, dict[int, str]]:
+    results = np.full((sampling.n, count), np.nan)
+    failures: dict[int, str] = {}
+    at, together = 0, 1
+    while at < sampling.n:
+        count = min(together, sampling.n - at)
+        started = time.perf_counter()
+        values = tolerances.values(sampling.uniforms(at, count))
+        results[at : at + count] = batch.measures(values)
+        failures |= {at + k: why for k, why in batch.failures.items()}
+        at += count
+        if on_progress is not None:
+            on_progress(at, sampling.n, "samples")
+        taken = time.perf_counter() - started
+        together = min(max(int(count * _CHUNK_S / max(taken, 1e-3)), 1), 4 * count, _MOST_TOGETHER)
+    return results, failures
 
 
 def _check_nominal(names: Sequence[str], nominal: Array, failures: Mapping[int, str]) -> None:

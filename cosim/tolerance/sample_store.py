@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -55,13 +56,18 @@ class Samples:
         self._parts = folder / PARTS
         about = {"digest": digest, "names": list(names), "first": first, "last": last}
         with disk_errors(folder):
-            self._parts.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(parents=True, exist_ok=True)
             known = _read(folder / STUDY)
             if known is not None and known != about:
                 fail("holds another study; choose another folder with -o, or remove it", file=str(folder))
             if known is None:
                 with whole_file(folder / STUDY) as file:
                     file.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+
+    @property
+    def study_file(self) -> Path:
+        """The file that names the study."""
+        return self.folder / STUDY
 
     def keep(self, first: int, table: Array, failed: Mapping[int, str]) -> None:
         """Keep measures (n, measures) of samples from `first` on, with row -> why it has none."""
@@ -70,8 +76,10 @@ class Samples:
         columns |= {name: np.ascontiguousarray(table[:, k]) for k, name in enumerate(self.names)}
         rows = pa.table(columns | {"failed": pa.array(words, pa.string())}, schema=self._schema())
         place = self._parts / f"{first:012d}-{len(table)}.parquet"
-        with disk_errors(self.folder), whole_file(place) as file:
-            pq.write_table(rows, file)
+        with disk_errors(self.folder):
+            self._parts.mkdir(exist_ok=True)
+            with whole_file(place) as file:
+                pq.write_table(rows, file)
 
     def _schema(self) -> pa.Schema:
         measures = [(name, pa.float64()) for name in self.names]
@@ -112,8 +120,7 @@ class Samples:
                 for table in _regrouped(self._ordered()):
                     writer.write_table(table, row_group_size=_GROUP)
         with disk_errors(self.folder):
-            for _, _, path in self._listed():
-                path.unlink()
+            shutil.rmtree(self._parts, ignore_errors=True)
         return target
 
     def take(self, other: Path) -> None:
@@ -131,8 +138,10 @@ class Samples:
         for table in tables:
             first = table["sample"][0].as_py()
             place = self._parts / f"{first:012d}-{len(table)}.parquet"
-            with disk_errors(self.folder), whole_file(place) as file:
-                pq.write_table(table.cast(self._schema()), file)
+            with disk_errors(self.folder):
+                self._parts.mkdir(exist_ok=True)
+                with whole_file(place) as file:
+                    pq.write_table(table.cast(self._schema()), file)
 
     def _ordered(self) -> Iterator[Any]:
         """Yield the parts in order, no sample twice."""
@@ -144,7 +153,7 @@ class Samples:
 
     def _listed(self) -> list[tuple[int, int, Path]]:
         found = []
-        for path in self._parts.iterdir():
+        for path in self._parts.iterdir() if self._parts.is_dir() else ():
             match = _PART.fullmatch(path.name)
             if match is not None:
                 found.append((int(match[1]), int(match[2]), path))

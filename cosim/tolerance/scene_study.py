@@ -24,16 +24,20 @@ from cosim.plan import Plan, resolve
 from cosim.scene import load_scene
 from cosim.tolerance.batch import Batch
 from cosim.tolerance.corner_search import Corner, corner
-from cosim.tolerance.cube_points import Method, sampling
+from cosim.tolerance.cube_points import Method, Sampling, sampling
+from cosim.tolerance.engine import Job, merge, run
 from cosim.tolerance.findings import Findings, find
-from cosim.tolerance.monte_carlo import Measurer, Study, draw, pilot_size
+from cosim.tolerance.monte_carlo import Engine, Measurer, Study, draw, pilot_size
 from cosim.tolerance.recipe import Recipe
 from cosim.tolerance.spec import Spec
 from cosim.tolerance.trim import Trimmed, trims
 from cosim.tolerance.variables import tolerances
 from cosim.tolerance.varying import Tolerances
 
-__all__ = ["RECORD", "Asked", "Prepared", "check_folder", "monte_carlo", "one_sample", "prepare"]
+__all__ = [
+    "RECORD", "Asked", "Prepared", "Processes", "check_folder", "measure_shard", "monte_carlo", "one_sample",
+    "prepare",
+]  # fmt: skip
 
 RECORD = "mc.json"
 Array = NDArray[np.float64]
@@ -98,6 +102,11 @@ class Prepared:
             found = Trimmed(found, needed, trim, _columns(trim.resistor, self.tolerances))
         return found if needed == tuple(names) else _Some(found, len(names))
 
+    def job(self, how: Sampling) -> Job:
+        """Return the study as the engine takes it."""
+        text = json.dumps([self.digest(), how.as_dict()], sort_keys=True)
+        return Job(hashlib.sha256(text.encode()).hexdigest(), self.names, how.n, _Work(self, how))
+
     def digest(self) -> str:
         """SHA-256 of all that the samples depend on."""
         scene, asked = self.plan.scene, self.asked
@@ -106,6 +115,57 @@ class Prepared:
             *self.names, asked.method, str(asked.n), asked.until, str(self.seed),
         )  # fmt: skip
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class _Work:
+    """Makes what measures samples of a study in a process of the engine."""
+
+    prepared: Prepared
+    how: Sampling
+
+    def __call__(self) -> Callable[[int, int], tuple[Array, Mapping[int, str]]]:
+        batch = self.prepared.batch(self.prepared.names, self.prepared.plan.model)
+
+        def work(first: int, count: int) -> tuple[Array, Mapping[int, str]]:
+            values = self.prepared.tolerances.values(self.how.uniforms(first, count))
+            return batch.measures(values), dict(batch.failures)
+
+        return work
+
+
+@dataclass(frozen=True)
+class Processes:
+    """How the engine measures: see `cosim.tolerance.engine.run`; `shards` are folders to be merged."""
+
+    folder: Path
+    workers: int | None = None
+    chunk: int | None = None
+    shards: tuple[Path, ...] = ()
+
+    def of(self, job: Job) -> Engine:
+        """Return what measures a job."""
+
+        def engine(on_progress: Progress | None) -> tuple[Array, dict[int, str]]:
+            if self.shards:
+                return merge(job, self.folder, self.shards).read()
+            found = run(job, self.folder, workers=self.workers, chunk=self.chunk, on_progress=on_progress)
+            return found.read()
+
+        return engine
+
+
+def measure_shard(
+    prepared: Prepared, processes: Processes, part: tuple[int, int], on_progress: Progress | None = None
+) -> str:
+    """Measure one of n shards of a study and keep its samples; return what was done, in words."""
+    how, _ = sampled(prepared, prepared.batch(prepared.names, prepared.plan.model), on_progress)
+    found = run(
+        prepared.job(how), processes.folder, workers=processes.workers, chunk=processes.chunk, part=part,
+        on_progress=on_progress,
+    )  # fmt: skip
+    failed = len(found.read()[1])
+    return f"samples {found.first} to {found.last - 1} of {how.n}, {failed} of them without measures"
 
 
 def prepare(asked: Asked) -> Prepared:
@@ -140,8 +200,10 @@ def prepare(asked: Asked) -> Prepared:
     return Prepared(asked, plan, _with_trimmers(plan, found), names, seed)
 
 
-def monte_carlo(prepared: Prepared, on_progress: Progress | None = None) -> Findings:
-    """Draw, measure and work out.
+def monte_carlo(
+    prepared: Prepared, on_progress: Progress | None = None, processes: Processes | None = None
+) -> Findings:
+    """Draw, measure and work out; in this process alone, or by the engine, which keeps the samples.
 
     Raises
     ------
@@ -150,13 +212,27 @@ def monte_carlo(prepared: Prepared, on_progress: Progress | None = None) -> Find
     """
     asked, model = prepared.asked, prepared.plan.model
     batch = prepared.batch(prepared.names, model)
-    notes = []
-    n = asked.n
+    how, notes = sampled(prepared, batch, on_progress)
+    engine = processes.of(prepared.job(how)) if processes is not None else None
+    study = draw(
+        prepared.tolerances, how, prepared.names, batch, model, on_progress=on_progress, engine=engine
+    )
+    corners = _corners(prepared, study, on_progress)
+    return find(study, asked.specs, wanted=asked.wanted, corners=corners, notes=notes)
+
+
+def sampled(
+    prepared: Prepared, batch: Measurer, on_progress: Progress | None = None
+) -> tuple[Sampling, list[str]]:
+    """Return which samples are taken, by a pilot where a precision is asked for, and what to say of it."""
+    asked, n, notes = prepared.asked, prepared.asked.n, list[str]()
     count = len(prepared.tolerances.variables)
     if asked.until:
         until = _until(asked)
         first = sampling("plain", _PILOT, count, _pilot_seed(prepared.seed))
-        pilot = draw(prepared.tolerances, first, prepared.names, batch, model, on_progress=on_progress)
+        pilot = draw(
+            prepared.tolerances, first, prepared.names, batch, prepared.plan.model, on_progress=on_progress
+        )
         n = pilot_size(until, pilot, asked.specs)
         if n > _MOST:
             fail(f"{asked.until} would take {n} samples", key="--until", value=asked.until)
@@ -164,9 +240,7 @@ def monte_carlo(prepared: Prepared, on_progress: Progress | None = None) -> Find
     how = sampling(asked.method, n, count, prepared.seed)
     if how.n != n:
         notes.append(f"{how.n} samples instead of {n}: {how.replicates} randomisations of {how.each}")
-    study = draw(prepared.tolerances, how, prepared.names, batch, model, on_progress=on_progress)
-    corners = _corners(prepared, study, on_progress)
-    return find(study, asked.specs, wanted=asked.wanted, corners=corners, notes=notes)
+    return how, notes
 
 
 def one_sample(prepared: Prepared, number: int) -> tuple[Study, Array]:
