@@ -1,6 +1,10 @@
 """A device's project to break: the netlists as shipped and a short scene of the two-joint arm on a wall."""
 
+import os
 import shutil
+import subprocess
+import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -78,6 +82,28 @@ class Project:
         """Let the class Law of a Python file with this text control the device."""
         (self.folder / "law.py").write_text(text, encoding="utf-8")
         self.edit("scene.toml", 'method = "combined"', 'method = "combined"\nlaw = "law.py:Law"')
+
+    def start(self, setting: str, after: int = 0) -> "subprocess.Popen[str]":
+        """Run the scene in a process of its own; return when `after` runs are done and one writes rows."""
+        scratch = self.folder.parent / "scratch"
+        scratch.mkdir()
+        process = subprocess.Popen(
+            [sys.executable, "-m", "cosim.cli", "run", "scene.toml", "-o", "out", "--set", setting],
+            cwd=self.folder,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "TMPDIR": str(scratch)},
+        )
+        end = time.monotonic() + 300
+        while time.monotonic() < end:
+            assert process.poll() is None, process.communicate()
+            rows = [path for path in scratch.glob("cosim-ngspice.*/out/rows.f64") if path.stat().st_size]
+            if rows and len(list(self.folder.glob("out/*/run.json"))) == after:
+                return process
+            time.sleep(0.02)
+        process.kill()
+        raise AssertionError("no run wrote rows within five minutes")
 
 
 def lay_out(folder: Path) -> Project:

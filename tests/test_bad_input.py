@@ -8,8 +8,6 @@ import re
 import shutil
 import signal
 import subprocess
-import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -351,23 +349,7 @@ int ngSpice_Command(char *c) { return 0; }
 
 def interrupted(project: Project, setting: str, after: int, how: signal.Signals) -> subprocess.Popen[str]:
     """Start runs in a process of their own, and interrupt the one behind `after` finished ones."""
-    scratch = project.folder.parent / "scratch"
-    scratch.mkdir()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "cosim.cli", "run", "scene.toml", "-o", "out", "--set", setting],
-        cwd=project.folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "TMPDIR": str(scratch)},
-    )
-    end = time.monotonic() + 300
-    while time.monotonic() < end:
-        assert process.poll() is None, process.communicate()
-        rows = [path for path in scratch.glob("cosim-ngspice.*/out/rows.f64") if path.stat().st_size]
-        if rows and len(list(project.folder.glob("out/*/run.json"))) == after:
-            break
-        time.sleep(0.02)
+    process = project.start(setting, after)
     process.send_signal(how)
     return process
 

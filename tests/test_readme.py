@@ -44,6 +44,16 @@ def test_the_tour_begins_as_typed(tmp_path):
     assert (tmp_path / "mydevice/out/slope/report/report.html").is_file()
 
 
+def shorten(scenes, seconds):
+    """Let the scenes of the tour last so long."""
+    for name in ("press", "slope"):
+        text, count = re.subn(
+            r"(?m)^duration_s = \S+", f"duration_s = {seconds}", (scenes / f"{name}.toml").read_text()
+        )
+        assert count == 1
+        (scenes / f"{name}.toml").write_text(text)
+
+
 @pytest.mark.parametrize("lines", BLOCKS[1:], ids=lambda lines: lines[-1][:40])
 def test_the_tour_goes_on(lines, tmp_path, monkeypatch, capsys):
     """Each line in turn; its own commands without a new process for each."""
@@ -51,6 +61,9 @@ def test_the_tour_goes_on(lines, tmp_path, monkeypatch, capsys):
         pytest.skip("the ngspice program is not installed")
     new_project(tmp_path / "mydevice", 2)
     monkeypatch.chdir(tmp_path / "mydevice")
+    tries = "cosim run scenes/press.toml" in lines[0]
+    if not tries:  # that a command works needs no long run
+        shorten(Path("scenes"), 0.4)
     for line in lines:
         program, *words = shlex.split(line)
         if program == "cosim":
@@ -58,7 +71,7 @@ def test_the_tour_goes_on(lines, tmp_path, monkeypatch, capsys):
         else:
             shell([line], tmp_path / "mydevice")
     tried = STIFFNESS.search(capsys.readouterr().out)
-    if "cosim run scenes/press.toml" in lines[0]:
+    if tries:
         assert tried is not None
         small, larger, smallest = (float(value) for value in tried.groups())
         # 24.5k, 24.3k, 20k: the tour says that it falls as the resistor grows

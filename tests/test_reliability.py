@@ -146,17 +146,11 @@ def test_a_hang_is_told_from_slow_work(project: Project, monkeypatch: pytest.Mon
 
 
 def test_killed_parent_leaves_no_child(project: Project) -> None:
-    process = subprocess.Popen(
-        [sys.executable, "-m", "cosim.cli", "run", "scene.toml", "--set", "duration_s=5000"],
-        cwd=project.folder,
-    )
-    end = time.monotonic() + 30
-    while not list(project.folder.glob("out/.scene.*/rows.f64")) and time.monotonic() < end:
-        time.sleep(0.02)
+    process = project.start("duration_s=5000")
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
     assert children
     process.kill()
-    process.wait()
+    process.communicate()
     end = time.monotonic() + 5
     while any(Path(f"/proc/{pid}").exists() for pid in children) and time.monotonic() < end:
         time.sleep(0.02)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -132,7 +132,12 @@ class Candidates:
 
     def possible(self, settings: Settings) -> list[Rung]:
         """Return those of them that can be switched on now: nothing that they require is off."""
-        return [rung for rung in self.above(settings) if not self._objection(self.with_(settings, rung))]
+        return list(self._possible(settings))
+
+    def _possible(self, settings: Settings) -> Iterator[Rung]:
+        for rung in self.above(settings):
+            if not self._objection(self.with_(settings, rung)):  # a plan each: no more than are asked for
+                yield rung
 
     def everything(self) -> Settings:
         """Return the settings with the finest possible rung of every effect.
@@ -140,8 +145,8 @@ class Candidates:
         Where two effects exclude one another, the one that stands first in the registry is in.
         """
         settings = self.null
-        while left := self.possible(settings):
-            settings = self.with_(settings, left[0])
+        while (rung := next(self._possible(settings), None)) is not None:
+            settings = self.with_(settings, rung)
         return settings
 
     def plan(self, settings: Settings) -> Plan:
