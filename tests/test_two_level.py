@@ -1,0 +1,114 @@
+"""Estimators over two models, and of rare failures, against closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import special, stats
+
+from cosim.tolerance.rare_failures import count_failures, nearest_failures
+from cosim.tolerance.two_level import moments, pilot_of
+
+D = 6
+SLOPE = np.array([1.0, -2.0, 0.5, 0.25, 1.5, -0.75])
+
+
+def normal(u):
+    return special.ndtri(u)
+
+
+def linear(u):
+    return 100.0 + normal(u) @ SLOPE
+
+
+def bent(u):
+    """The linear one and a little more: mean and variance are known."""
+    z = normal(u)
+    return linear(u) + 0.05 * (z[:, 0] ** 2 - 1.0) + 0.1 * z[:, 1] * z[:, 2]
+
+
+TRUE_SPREAD = math.sqrt((SLOPE**2).sum() + 2.0 * 0.05**2 + 0.1**2)
+
+
+def test_two_levels_are_unbiased_and_their_interval_holds():
+    found = [
+        moments(linear, bent, D, dear_samples=64, seed=s, cost_ratio=1e-3, pilot_samples=16)
+        for s in range(100)
+    ]
+    means, spreads = np.array([f.mean for f in found]), np.array([f.spread for f in found])
+    assert abs(means.mean() - 100.0) < 4.0 * means.std() / math.sqrt(100)
+    assert abs(spreads.mean() - TRUE_SPREAD) < 4.0 * spreads.std() / math.sqrt(100) + 1e-3
+    inside = sum(f.mean_low <= 100.0 <= f.mean_high for f in found)
+    inside_spread = sum(f.spread_low <= TRUE_SPREAD <= f.spread_high for f in found)
+    # 95 % of 100, less three times a binomial's own scatter
+    assert inside >= 88
+    assert inside_spread >= 88
+    plain = math.sqrt((SLOPE**2).sum() / 64.0)
+    assert means.std() < plain / 15.0
+
+
+def test_a_cheap_model_that_says_nothing_is_left_aside_with_a_word():
+    found = moments(lambda u: normal(u)[:, 5], lambda u: normal(u)[:, 0], D, dear_samples=400, seed=1,
+                    cost_ratio=0.01)  # fmt: skip
+    assert "plain sampling" in found.word
+    assert found.cheap == 0
+    assert found.mean_low < 0.0 < found.mean_high
+    assert found.spread_low < 1.0 < found.spread_high
+    assert pilot_of(np.ones(10), np.arange(10.0), 0.1).correlation == 0.0
+    with pytest.raises(ValueError, match="eight"):
+        pilot_of(np.ones(3), np.ones(3), 0.1)
+
+
+def hyperplane(beta, d):
+    a = np.ones(d) / math.sqrt(d)
+    return lambda u: beta - u @ a
+
+
+#: Margin, dimension, failure rate in closed form.
+CASES = {
+    "hyperplane": (hyperplane(5.0, 10), 10, special.ndtr(-5.0)),
+    "sphere": (lambda u: 5.5 - np.linalg.norm(u, axis=1), 3, float(stats.chi2.sf(5.5**2, 3))),
+    "two regions": (lambda u: np.minimum(4.5 - u[:, 0], 4.8 + u[:, 1]), 4,
+                    special.ndtr(-4.5) + special.ndtr(-4.8) - special.ndtr(-4.5) * special.ndtr(-4.8)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_rare_failures_are_counted_by_300_samples(case):
+    margin, d, truth = CASES[case]
+    places = nearest_failures(margin, d, seed=1)
+    off = [
+        abs(
+            count_failures(margin, nearest_failures(margin, d, seed=s), samples=300, seed=s).rate / truth
+            - 1.0
+        )
+        for s in range(50)
+    ]
+    assert np.median(off) <= 0.25
+    assert len(places.at) == {"hyperplane": 1, "two regions": 2}.get(case, len(places.at))
+
+
+def test_one_place_alone_misses_the_other_region():
+    margin, d, truth = CASES["two regions"]
+    # the dear model fails a little later than the cheap one
+    dear = lambda u: margin(u) + 0.1  # noqa: E731
+    exact = special.ndtr(-4.6) + special.ndtr(-4.9)
+    found = [
+        count_failures(dear, nearest_failures(margin, d, seed=s), samples=300, seed=s) for s in range(30)
+    ]
+    rates = np.array([f.rate for f in found])
+    assert abs(rates.mean() / exact - 1.0) < 4.0 * rates.std() / math.sqrt(30) / exact
+    assert all(f.effective > 10.0 and not f.word for f in found)
+    assert truth > 0.0
+
+
+def test_what_cannot_fail_within_its_tolerances_is_said_so():
+    def cut(u):  # every value is cut at three standard deviations: the sum stays below
+        return 9.1 - np.clip(u, -3.0, 3.0)[:, :3].sum(axis=1)
+
+    places = nearest_failures(cut, 3)
+    assert places.distance == math.inf
+    assert places.first_order == 0.0
+    found = count_failures(cut, places, samples=300, seed=1)
+    assert found.rate == 0.0
+    assert "impossible" in found.word
