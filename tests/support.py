@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from cosim.circuits.decks import lockstep_deck
-from cosim.errors import CosimError
+from cosim.errors import CosimError, SimulationError
 from cosim.loop.spice import run_spice as simulation
 from cosim.ngspice.child import Child, start_early
 from cosim.ngspice.simulator import Simulator
@@ -152,6 +152,17 @@ def simulate_without_pole(payload: dict[str, Any], report: Any) -> dict[str, Any
         return simulation.simulate(payload, report)
     finally:
         simulation.back_emf_viscosity = kept
+
+
+def simulate_unheard(payload: dict[str, Any], report: Any) -> dict[str, Any]:
+    """In a child: a run that fails in what ngspice itself tells of the time, not in a step."""
+
+    def heard(progress: dict[str, Any]) -> None:
+        if progress.get("time_s", 0.0) > 0.0 and "points" not in progress:
+            raise SimulationError("nobody listens")
+        report(progress)
+
+    return simulation.simulate(payload, heard)
 
 
 class Arm:

@@ -382,6 +382,15 @@ def test_without_the_bound_the_same_rotor_goes_wrong(tmp_path: Path) -> None:
         unbounded(1e-10)
 
 
+def test_a_run_ends_whose_time_nobody_takes(tmp_path: Path) -> None:
+    """Told while ngspice prints, where its newer versions take no command: the next step stops it."""
+    plan = resolve(scene_of(tmp_path, slider(duration_s=1e5, computer={"period_s": 0.1})))
+    payload = {name: getattr(plan, name) for name in ("scene", "board", "recorded", "watched", "tolerances")}
+    payload |= {"folder": OUTBOX, "predicted_points": math.inf}
+    with pytest.raises(SimulationError, match="nobody listens"):
+        call("support:simulate_unheard", payload, time_limit_s=120.0)
+
+
 def test_divergence_is_an_error(tmp_path: Path) -> None:
     # A sampled spring far beyond its stability border grows 50 times a sample: no prediction survives that.
     with pytest.raises(SimulationError, match=r"diverged|ran away") as caught:

@@ -150,9 +150,13 @@ class Library:
             rows = ffi.cast("SendData *", wanted) if wanted else self._no_data
             self._data, self._stays = wanted, stays
             self.api.ngSpice_Init(self._text, ffi.NULL, self._exit, rows, self._init, self._thread, pointer)
-        self.api.ngSpice_Init_Sync(
-            voltage, ffi.cast("GetISRCData *", voltage), self._sync(sync), ffi.NULL, pointer
-        )
+        self._stop_waits = False
+        self._sources, self._user = voltage, pointer
+        self._attach_steps(self._sync(sync))
+
+    def _attach_steps(self, steps: Any) -> None:
+        currents = self.ffi.cast("GetISRCData *", self._sources)
+        self.api.ngSpice_Init_Sync(self._sources, currents, steps, self.ffi.NULL, self._user)
 
     def _source(self, source: int | Source | None) -> Any:
         if source is None:
@@ -214,6 +218,12 @@ class Library:
         """Ask the running analysis to stop at its next point; safe inside a callback."""
         self.api.ngSpice_Command(STOP_COMMAND)
 
+    def _stop_at_next_step(self) -> None:
+        """Stop from where no command is taken; compiled steps, which cannot tell it, end with this one."""
+        self._stop_waits = True
+        if self._compiled_steps:
+            self._attach_steps(self._no_sync)
+
     def _on_text(self, message: Any, ident: int, user: Any) -> int:
         text = self.ffi.string(message).decode("utf-8", "replace")
         reference = _REFERENCE.search(text)
@@ -223,9 +233,7 @@ class Library:
                     self.on_time(float(reference[1]))
             except BaseException as error:
                 self.failure = self.failure or error
-                self._stop_waits = not self._compiled_steps
-                if self._compiled_steps:
-                    self.stop()
+                self._stop_at_next_step()
             return 0
         text = self.restore(text)
         if text in self.lines[-2:]:  # a failing B-source repeats itself thousands of times
