@@ -23,3 +23,8 @@ def _processes(request):
     kept_processes.keep(request.node.get_closest_marker("own_process") is None)
     yield
     kept_processes.keep(False)
+
+
+def pytest_collection_modifyitems(items):
+    """Begin with what takes long: a worker that came to it last would be waited for by all."""
+    items.sort(key=lambda item: item.get_closest_marker("long") is None)

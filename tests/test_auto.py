@@ -168,6 +168,7 @@ def value_of(share, scene):
     return 10.0 + sum(share.get((e.name, str(e.value(scene))), 0.0) for e in EFFECTS)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(5, 9))
 def test_whatever_the_effects_do_the_choice_meets_the_tolerance(device, seed):
     share, seen = device
@@ -181,6 +182,7 @@ def test_whatever_the_effects_do_the_choice_meets_the_tolerance(device, seed):
     assert len(set(seen)) == len(seen) == plan.choice["runs"]  # nothing is run twice
 
 
+@pytest.mark.long
 def test_the_same_question_has_the_same_answer(device):
     share, _ = device
     rng = np.random.default_rng(5)
@@ -191,6 +193,7 @@ def test_the_same_question_has_the_same_answer(device):
     assert again == first
 
 
+@pytest.mark.long
 def test_many_small_effects_that_add_up_are_found(device):
     share, _ = device
     candidates = Candidates(DROP, (*FREE, "tolerance.peak_force=0.01"))
@@ -242,6 +245,7 @@ def test_plan_shows_what_would_be_tried_and_runs_nothing(capsys, monkeypatch):
     assert "may matter" in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_a_chosen_run_is_a_scene_of_its_own(tmp_path, capsys):
     out = tmp_path / "out"
     asked = ["run", str(DROP), "--set", FREE[0], "--set", "effects={auto=true, pot_noise='none'}"]

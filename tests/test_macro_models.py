@@ -1,6 +1,7 @@
 """Boards with op-amps made up at random in the vendors' manner: transistors, diodes, B sources inside."""
 
 import numpy as np
+import pytest
 from extraction_boards import STATED, differences, extract, shipped
 
 from cosim.circuits.fitting.rational_fit import GOOD
@@ -66,6 +67,7 @@ MODELS, EXACT = 24, 18
 BETWEEN = 10.0
 
 
+@pytest.mark.long
 def test_random_macro_models(tmp_path):
     exact = 0
     for seed in range(MODELS):

@@ -209,6 +209,7 @@ damper = true
 """
 
 
+@pytest.mark.long
 def test_the_maps_hold_what_theory_says(tmp_path):
     file = tmp_path / "maps.toml"
     file.write_text(SMALL.format(scene=SCENES / "drop.toml"), encoding="utf-8")

@@ -239,6 +239,7 @@ def test_many_of_a_kind_are_told_in_short() -> None:
     assert [(len(told), more) for told, more in grouped(many)] == [(3, 7), (1, 0)]
 
 
+@pytest.mark.long
 def test_terminal_json_file_page_and_strict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     far = ["run", str(PRESS), "--model", "linear", "--set", "wall.point_m=[0.07,0.01]", "-o"]
     assert cli.main([*far, str(tmp_path / "a")]) == 0

@@ -38,6 +38,7 @@ def shell(lines, folder):
     return done.stdout
 
 
+@pytest.mark.long
 def test_the_tour_begins_as_typed(tmp_path):
     assert FIRST[0].startswith("cosim new ")
     shell([*FIRST, *BLOCKS[0]], tmp_path)
@@ -54,6 +55,7 @@ def shorten(scenes, seconds):
         (scenes / f"{name}.toml").write_text(text)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("lines", BLOCKS[1:], ids=lambda lines: lines[-1][:40])
 def test_the_tour_goes_on(lines, tmp_path, monkeypatch, capsys):
     """Each line in turn; its own commands without a new process for each."""

@@ -408,6 +408,7 @@ def test_values_alike_in_their_folders_names_do_not_overwrite_each_other(project
     assert len(list((project.folder / "out").glob("*/run.json"))) == 3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("joints", [1, 3, 6])
 def test_new_boards_run_without_an_edit(tmp_path: Path, joints: int) -> None:
     folder = tmp_path / "device"

@@ -101,6 +101,7 @@ def test_apparent_stiffness_is_what_pressing_finds(compensated):
 NORMAL = np.array([-1.0, 1.0]) / np.sqrt(2.0)
 
 
+@pytest.mark.long
 def test_the_compensating_law_holds_the_stiffness_in_runs():
     """What the circuit shows within a period, against the formula; 20 mN on 100 N/m move it by 0.2 mm."""
     spec = load_study(SCENES / "paper" / "7_footnote2.toml", ("effects.opamp=ideal", "effects.vca=ideal"))
