@@ -1,4 +1,10 @@
-"""The floors of the house: a room imports only from floors below it."""
+"""The floors of the house: a room imports only from floors below it.
+
+Run as a script it draws them into ARCHITECTURE.md.
+"""
+
+from itertools import pairwise
+from pathlib import Path
 
 #: Floor of a module, by the longest prefix that fits.
 FLOORS = {
@@ -47,3 +53,55 @@ FLOORS = {
 }
 #: Floors whose rooms may import from one another.
 TOGETHER = (0, 1, 2, 5, 7)
+#: What a room is for, in a few words: the rooms of the picture in ARCHITECTURE.md.
+WORDS = {
+    "mech": "linkages, friction, operators; no circuit",
+    "cosim.scene": "scene files, checked",
+    "cosim.ngspice": "decks, safety, the child process",
+    "cosim.circuits": "extraction, fits, instability; no mechanics",
+    "cosim.results": "a run on disk",
+    "cosim.loop": "computer, events, two time loops",
+    "cosim.effects": "what a scene may switch on",
+    "cosim.plan": "scene and board, resolved",
+    "cosim.plausibility": "what nobody can have meant",
+    "cosim.measures": "figures of a run",
+    "cosim.runner": "plan -> run",
+    "cosim.export": "plain ngspice decks",
+    "cosim.checking": "a board judged",
+    "cosim.analysis": "theory of a held contact",
+    "cosim.comparisons": "many runs of one scene",
+    "cosim.studies": "the paper's studies",
+    "cosim.tolerance": "Monte Carlo",
+    "cosim.accuracy": "accuracy against time",
+    "cosim.api": "functions of the front door",
+    "reports": "figures and pages",
+    "cosim.commands": "the command line",
+}
+_BEGIN, _END = "<!-- floors: written by `python tests/floors.py` -->", "<!-- end of floors -->"
+
+
+def picture() -> str:
+    """Return the floors as a Mermaid flowchart, the highest first."""
+    lines = ["```mermaid", "flowchart TB"]
+    floors = sorted({FLOORS[name] for name in WORDS}, reverse=True)
+    for floor in floors:
+        lines.append(f'  subgraph F{floor}["floor {floor}"]')
+        lines += [
+            f'    {name.replace(".", "_")}["{name}<br/>{words}"]'
+            for name, words in WORDS.items()
+            if FLOORS[name] == floor
+        ]
+        lines.append("  end")
+    lines += [f"  F{above} --> F{below}" for above, below in pairwise(floors)]
+    return "\n".join([*lines, "```"])
+
+
+def with_picture(text: str) -> str:
+    """Return the page with the picture as it is now."""
+    before, _, rest = text.partition(_BEGIN)
+    return f"{before}{_BEGIN}\n{picture()}\n{_END}{rest.partition(_END)[2]}"
+
+
+if __name__ == "__main__":
+    PAGE = Path(__file__).resolve().parents[1] / "ARCHITECTURE.md"
+    PAGE.write_text(with_picture(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

@@ -5,7 +5,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from floors import FLOORS, TOGETHER
+from floors import FLOORS, TOGETHER, WORDS, with_picture
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -80,6 +80,15 @@ def test_a_library_has_one_home(library, home):
     for name, path in FOUND:
         if any(target.split(".")[0] == library for target in imports(name, path)):
             assert name == home or name.startswith(home + "."), f"{name} imports {library}"
+
+
+def test_the_picture_of_the_floors_is_current():
+    """`python tests/floors.py` writes it; every room of the table that is a package has its words."""
+    text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+    assert with_picture(text) == text
+    packages = {name for name in FLOORS if (ROOT / name.replace(".", "/")).is_dir()} - {"cosim"}
+    assert packages <= set(WORDS)
+    assert set(WORDS) <= set(FLOORS)
 
 
 def test_no_module_name_occurs_twice():

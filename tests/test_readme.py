@@ -80,6 +80,17 @@ def test_the_tour_goes_on(lines, tmp_path, monkeypatch, capsys):
         assert larger < small < smallest
 
 
+@pytest.mark.filterwarnings("ignore::cosim.caution.Doubt")
+def test_the_python_of_the_readme_runs(tmp_path, monkeypatch):
+    (text,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    new_project(tmp_path / "mydevice", 2)
+    monkeypatch.chdir(tmp_path / "mydevice")
+    names = {}
+    exec(text, names)
+    assert names["run"].scene.device.values == {"r_sum_spring": "24k"}
+    assert names["force"].shape == names["run"].signals["time"].shape
+
+
 def test_what_the_readme_names_exists():
     for target in re.findall(r"^make (\w+)", README, re.M):
         assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(), re.M), target
