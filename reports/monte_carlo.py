@@ -172,7 +172,7 @@ def _distribution(found: "Findings", name: str, column: Array) -> Drawn:
     legend(bars, columns=3)
     ordered = np.sort(column)
     at = stats.norm.ppf((np.arange(1, len(ordered) + 1) - 0.375) / (len(ordered) + 0.25))
-    normal.plot(at, ordered, ".", color=FORCE, markersize=3.0, label="samples")
+    normal.plot(at, ordered, ".", color=FORCE, markersize=3.0, rasterized=True, label="samples")
     ends = np.array([at[0], at[-1]])
     normal.plot(
         ends,
@@ -250,7 +250,9 @@ def _scatter(found: "Findings", name: str) -> Drawn:
     drawing, grid = figure(2.9, columns=len(order), sharey=True)
     column = study.column(name)
     for axes, j in zip(grid[0], order, strict=True):
-        axes.plot(z[:_POINTS, j], column[:_POINTS], ".", color=FORCE, markersize=2.5, alpha=0.6)
+        axes.plot(
+            z[:_POINTS, j], column[:_POINTS], ".", color=FORCE, markersize=2.5, alpha=0.6, rasterized=True
+        )
         ends = np.array([z[:, j].min(), z[:, j].max()])
         axes.plot(ends, surface.mean + surface.linear[j] * ends, color=JOINTS[1])
         axes.set_xlabel(f"{surface.names[j]} [sd]")

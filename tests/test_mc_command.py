@@ -1,0 +1,98 @@
+"""`cosim mc` from the command line: end to end, replayed, and what it refuses."""
+
+import csv
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+from support import SCENES
+
+from cosim import cli
+from cosim.tolerance.calls import extracted_calls
+
+PRESS = str(SCENES / "press.toml")
+ASKED = ["mc", PRESS, "--model", "linear", "--measure", "curl", "--spec", "least_stiffness > -0.0001"]
+
+
+def call(capsys: pytest.CaptureFixture[str], *words: str, code: int = 0) -> str:
+    assert cli.main([*words]) == code
+    said = capsys.readouterr()
+    return said.out if code == 0 or "--json" in words else said.err
+
+
+def test_a_study_its_files_and_one_of_its_devices_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "mc"
+    told = json.loads(call(capsys, *ASKED, "-n", "52", "-o", str(out), "--json"))
+    assert told["sampling"]["n"] == 52
+    with (out / "samples.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["sample"] for row in rows] == [str(k) for k in range(52)]
+    curl = np.array([float(row["curl [N/m]"]) for row in rows])
+    mean = told["measures"]["curl"]["mean"]
+    assert mean["value"] == pytest.approx(curl.mean())
+    assert mean["high"] - mean["low"] == pytest.approx(
+        2 * stats.t.ppf(0.975, 51) * curl.std(ddof=1) / np.sqrt(52)
+    )
+    passed = sum(int(row["pass"]) for row in rows)
+    share = told["yields"]["least_stiffness >= -0.0001 N m/rad"]
+    exact = stats.binomtest(passed, 52).proportion_ci(method="exact")
+    assert (share["low"], share["high"]) == pytest.approx((exact.low, exact.high))
+    # by symmetry of the two joints' windings, which make the curl between them
+    shares = {line["name"]: line["share"]["curl"]["value"] for line in told["bill"]}
+    assert {line["name"] for line in told["bill"][:6]} >= {"xdrv1.xmotor:motor_r", "xdrv2.xmotor:motor_r"}
+    assert sum(shares.values()) == pytest.approx(1.0, abs=0.35)
+    worst = told["worst"]["curl"][0]
+    page = (out / "report.html").read_text()
+    assert f"--sample {worst[0]}<" in page
+    again = json.loads(call(capsys, *ASKED, "--sample", str(worst[0]), "--json"))
+    assert again["measures"]["curl"] == worst[1]
+    # the same call is the same study; another one does not write over it
+    call(capsys, *ASKED, "-n", "52", "-o", str(out), "--seed", "2", code=2)
+    assert (out / "samples.csv").is_file()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["-n", "0"], "no number of samples"),
+        (["--measure", "curll"], "nearest is curl"),
+        (["--spec", "curll > 3"], "nearest is curl"),
+        (["--spec", "curl in 3..3"], "empty range"),
+        (["--spec", "curl about 3"], "is no specification"),
+        (["--until", "yield +- 0.5%"], "needs a --spec"),
+        (["--until", "k_max +- 5 N/m"], "not asked for"),
+        (["--yield", "99"], "is no yield"),
+        (["--set", "tolerance.mass=150%"], "more tolerance than value"),
+        (["--set", "tolerance.components.rsp99=1%"], "nearest is rsp"),
+        (["--set", "tolerance.trim.rsp11=curl of 3"], "is no trim"),
+        (["--set", "tolerance.mass=lot=-1%"], "negative"),
+        (["--sampling", "sobol", "--sample", "100000"], "no sample of the study"),
+    ],
+)
+def test_slips_are_told_at_once(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert said in call(capsys, "mc", PRESS, *words, code=2)
+
+
+def test_ngspices_own_loop_draws_the_same(tmp_path: Path) -> None:
+    """A divider of two agauss resistors, 10,000 draws of either, by Kolmogorov and Smirnov."""
+    if shutil.which("ngspice") is None:
+        pytest.skip("the ngspice program is not installed")
+    value = "agauss(1k,100,3)"
+    deck = tmp_path / "loop.cir"
+    deck.write_text(
+        f"loop\nV1 in 0 1\nR1 in out {{{value}}}\nR2 out 0 {{{value}}}\n.control\nsetseed 7\nrepeat 10000\n"
+        "reset\nop\nprint v(out)\ndestroy all\nend\nquit\n.endc\n.end\n"
+    )
+    done = subprocess.run(["ngspice", "-b", deck], capture_output=True, text=True, timeout=300, check=False)
+    theirs = np.array([float(v) for v in re.findall(r"^v\(out\) = (\S+)", done.stdout, re.M)])
+    assert len(theirs) == 10_000
+    nominal, shape = extracted_calls(value)[1]["drawn__1"]
+    r = nominal + shape.inverse(np.random.default_rng(3).random((10_000, 2)))
+    assert stats.ks_2samp(theirs, r[:, 1] / r.sum(axis=1)).pvalue > 1e-3
