@@ -9,7 +9,7 @@ from scipy import stats
 
 from cosim.errors import InputError
 from cosim.tolerance import intervals
-from cosim.tolerance.bill import bill, bought
+from cosim.tolerance.bill import best_pair, bill, bought
 from cosim.tolerance.corner_search import corner
 from cosim.tolerance.cube_points import Method, sampling
 from cosim.tolerance.distributions import Shape
@@ -220,6 +220,8 @@ def test_the_bill_names_what_to_buy() -> None:
     assert gain.low <= within(1.25 + 1.0) - within(5.25) <= gain.high
     both = bought(found, {NAME: surface}, specs, {"r1": 0.001, "r0": 0.001})
     assert both.low <= within(0.25 + 0.05) <= both.high
+    pair = best_pair(found, {NAME: surface}, specs)
+    assert pair == (("r1", "r0"), both)
     assert lines[0].loosest == 0.01  # what it is: any looser one costs yield
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +15,13 @@ from cosim.tolerance.monte_carlo import Study
 from cosim.tolerance.sensitivity import Surface, deviations
 from cosim.tolerance.spec import Spec
 
-__all__ = ["GRADES", "Line", "bill"]
+__all__ = ["GRADES", "Line", "best_pair", "bill", "bought", "grade_text"]
 
 Array = NDArray[np.float64]
 #: Tolerances in which components are sold.
 GRADES = (0.0005, 0.001, 0.0025, 0.005, 0.01, 0.02, 0.05, 0.10, 0.20)
+#: Leading resistors of which pairs are tried.
+_CANDIDATES = 6
 
 
 @dataclass(frozen=True)
@@ -127,6 +130,34 @@ def bought(
         for s in specs
     }
     return share(_passed(specs, values), study.sampling)
+
+
+def best_pair(
+    study: Study, surfaces: Mapping[str, Surface], specs: Sequence[Spec], grade: float = 0.001
+) -> tuple[tuple[str, str], Estimate] | None:
+    """Return the two resistors that raise the yield most when both are bought at `grade`, and that yield.
+
+    ``None`` where there are no two, or no specification of a measure with a surface.
+    """
+    specs = [spec for spec in specs if spec.measure in surfaces]
+    names = study.tolerances.variables
+    resistors = {
+        each.key for each in study.tolerances.components if each.unit == "Ohm" and ":" not in each.key
+    }
+    weight = np.zeros(len(names))
+    for spec in specs:
+        weight += (surfaces[spec.measure].linear / surfaces[spec.measure].total) ** 2
+    leading = [names[j] for j in np.argsort(-weight, kind="stable") if names[j] in resistors]
+    pairs = list(combinations([name for name in leading if _looser(study, name, grade)][:_CANDIDATES], 2))
+    if not specs or not pairs:
+        return None
+    found = [(pair, bought(study, surfaces, specs, dict.fromkeys(pair, grade))) for pair in pairs]
+    return max(found, key=lambda each: each[1].value)  # of equal ones the first: the most variance
+
+
+def _looser(study: Study, name: str, grade: float) -> bool:
+    shape = study.tolerances.shape(study.tolerances.variables.index(name))
+    return shape.relative and shape.high > grade
 
 
 def _passed(specs: Sequence[Spec], values: Mapping[str, Array]) -> NDArray[np.bool_]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.catalogue import UNITS
-from cosim.tolerance.bill import Line, bill, grade_text
+from cosim.tolerance.bill import Line, best_pair, bill, grade_text
 from cosim.tolerance.corner_search import Corner
 from cosim.tolerance.intervals import Estimate
 from cosim.tolerance.listing import CONVENTION, component_rows
@@ -145,10 +145,23 @@ def find(
                 f"{name}: the fitted surface explains R^2 = {surface.held_out:.4g} of samples that it was "
                 f"not fitted to, less than {GOOD:g}: shares and bill are rough; more samples help"
             )
+    said += _decision(study, surfaces, specs)
     return Findings(
         study, tuple(specs), summaries, yields(study, specs), surfaces,
         tuple(bill(study, surfaces, specs, wanted)), wanted, dict(corners or {}), tuple(said),
     )  # fmt: skip
+
+
+def _decision(study: Study, surfaces: Mapping[str, Surface], specs: Sequence[Spec]) -> list[str]:
+    """Say which two resistors to buy better."""
+    pair = best_pair(study, surfaces, specs)
+    if pair is None:
+        return []
+    (a, b), share = pair
+    return [
+        f"{a} and {b} bought at 0.1%: the yield becomes {100 * share.value:.4g} % ({100 * share.low:.4g} to "
+        f"{100 * share.high:.4g}), through the fitted surfaces"
+    ]
 
 
 def components_csv(tolerances: Tolerances) -> str:

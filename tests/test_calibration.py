@@ -1,0 +1,36 @@
+"""Calibrated constants against the design's formulas."""
+
+import pytest
+from extraction_boards import extract, shipped
+from support import SCENES, shared_child
+
+from cosim.plan import resolve
+from cosim.scene import load_scene
+from cosim.tolerance.calibration import calibrated
+
+IDEAL = (
+    "effects.opamp=ideal", "effects.vca=ideal", "effects.driver_level=ideal", "effects.motor=ideal",
+    "effects.differentiator=ideal",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("overrides", "factors"),
+    [
+        ({}, (1.0, 1.0, 1.0)),
+        # the summing amplifier's feedback scales all, the spring's input resistor the spring alone
+        ({"r_sum_fb": "10.2k"}, (1.02, 1.02, 1 / 1.02)),
+        ({"r_sum_spring": "24.543k"}, (1 / 1.01, 1.0, 1.0)),
+        # of one joint of two: the mean of both
+        ({"xdiff1.r12": "172.38k", "xdiff1.r14": "172.38k"}, (1.01, 1.0, 1.0)),
+    ],
+)
+def test_the_computer_learns_what_its_board_renders(
+    overrides: dict[str, str], factors: tuple[float, float, float]
+) -> None:
+    """Ideal parts render the formulas of the netlist, of which the constants are rounded to 1e-4."""
+    plan = resolve(load_scene(SCENES / "press.toml", [*IDEAL, "solver.model=linear"]))
+    design = plan.stated(shared_child())
+    found = calibrated(design, extract(shipped(2, "ideal", overrides=overrides)))
+    for name, factor in zip(("k_fs", "c_fs", "v_nm"), factors, strict=True):
+        assert getattr(found, name) == pytest.approx(getattr(design, name) * factor, rel=3e-4)
