@@ -211,3 +211,17 @@ def test_check_prints_them_and_what_is_wrong(tmp_path: Path, capsys: pytest.Capt
     assert cli.main(["check", str(ROOT / "netlists/board1.cir"), "--level", "ideal", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)["checks"][0]["tolerances"]
     assert "xdiff1.r11" in {row["key"] for row in told}
+
+
+def test_the_halves_of_a_dual_op_amp_have_a_lot(tmp_path: Path) -> None:
+    """Said on the lines of the parts: what the scene gives op-amps is shared, `dev` is each half's own."""
+    half = "xop inp inn vcc vee out tl072"
+    dual = f"{half} $ match=dual dev=1%\nxspare inp inn vcc vee o2 tl072 $ match=dual dev=1%\nrl o2 0 1k"
+    deck = load_deck(board(tmp_path, (DIFFAMP, half, dual)), levels={"opamp": "gbw"})
+    found = tolerances(load_scene(PRESS, ["tolerance.gbw=30%"]), board=deck)
+    a, b, other = (
+        deviation(found, f"{path}:tl072_gbw") for path in ("xdiff1.xop", "xdiff1.xspare", "xdiff2.xop")
+    )
+    assert 0.0 < np.abs(a - b).max() <= 0.02 * (1 + 1e-9)
+    assert abs(np.corrcoef(a, other)[0, 1]) < 5 / np.sqrt(4000)
+    assert np.abs(a).max() > 0.2

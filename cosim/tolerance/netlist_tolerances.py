@@ -62,7 +62,8 @@ class Param:
 class Found:
     """One component: its key, its value as a `Param` that may be an expression, its unit, and its instance.
 
-    `kind` is the letter of an element; ':' for a parameter of an instance.
+    `kind` is the letter of an element; ':' for a parameter of an instance. `network` is what the line of a
+    placed part says of its match with others: halves of a dual op-amp.
     """
 
     key: str
@@ -70,6 +71,7 @@ class Found:
     kind: str
     path: str
     owner: str
+    network: Stated | None = None
 
 
 class Board:
@@ -101,7 +103,7 @@ class Board:
             envs[path] = env
             short = path.removeprefix("xboard").removeprefix(".")
             if block.is_part:
-                yield from self._of_part(block, short, env)
+                yield from self._of_part(block, short, env, instance)
             else:
                 yield from self._of_block(block, short, env)
 
@@ -161,14 +163,20 @@ class Board:
         bare = text.strip("{}'")
         return Param(f"{block}.{line.keyword}", bare, env, _place(line), stated, calls, line.comment)
 
-    def _of_part(self, block: Block, path: str, env: Mapping[str, Param]) -> Iterator[Found]:
+    def _of_part(
+        self, block: Block, path: str, env: Mapping[str, Param], instance: Instance | None
+    ) -> Iterator[Found]:
         """Yield the parameters outside subcircuits that a part's elements depend on, varying or not."""
         body = " ".join(line.text for line in block.body if line.keyword not in (".param", ".params"))
         seen: set[str] = set()
+        said = self._parse(instance.line) if instance is not None and not instance.extra else None
+        network = said if said is not None and said.match else None
         for param in self._reached(body, env):
             if param.name not in seen and (param.varies or self.top.get(param.name) is param):
                 seen.add(param.name)
-                yield Found(f"{path}:{param.name}", param, ":", path, block.origin.partition("__")[0])
+                yield Found(
+                    f"{path}:{param.name}", param, ":", path, block.origin.partition("__")[0], network
+                )
 
     def _reached(self, text: str, env: Mapping[str, Param]) -> Iterator[Param]:
         """Yield the parameters that a text depends on; what a varying one is made of does not vary again."""

@@ -109,6 +109,8 @@ class _Reader:
             param = replace(param, stated=self._about_percent(default, kind), name=lot)
         elif param.stated is not None:
             param = replace(param, stated=merged(param.stated, default))
+        if found.network is not None and param.stated is not None and not param.stated.match:
+            param = replace(param, stated=merged(found.network, param.stated))
         origin = _outermost(param)
         if not origin or found.key in self._found:
             return kind
@@ -204,8 +206,11 @@ class _Reader:
         assert stated is not None
         terms = []
         if stated.shared is not None or stated.match:
-            network, _, name = stated.match.rpartition(":")
-            shared = f"match:{network}:{name}" if network else f"match:{found.path or 'board'}/{name}"
+            whole, _, name = stated.match.rpartition(":")
+            # a network of parts is one of the instance that holds them, and one for each of their numbers
+            path = found.path.rpartition(".")[0] if found.network is not None else found.path
+            name += f":{param.name}" if found.network is not None else ""
+            shared = f"match:{whole}:{name}" if whole else f"match:{path or 'board'}/{name}"
             shared = shared if stated.match else f"lot:{param.name}"
             self._members.setdefault(shared, []).append((found.key, param.place.file, param.place.line))
             if stated.shared is not None:
