@@ -1,11 +1,13 @@
 """Calibrated constants against the design's formulas."""
 
+import numpy as np
 import pytest
 from extraction_boards import extract, shipped
 from support import SCENES, shared_child
 
 from cosim.plan import resolve
 from cosim.scene import load_scene
+from cosim.tolerance.batch import Batch
 from cosim.tolerance.calibration import calibrated
 
 IDEAL = (
@@ -34,3 +36,19 @@ def test_the_computer_learns_what_its_board_renders(
     found = calibrated(design, extract(shipped(2, "ideal", overrides=overrides)))
     for name, factor in zip(("k_fs", "c_fs", "v_nm"), factors, strict=True):
         assert getattr(found, name) == pytest.approx(getattr(design, name) * factor, rel=3e-4)
+
+
+def test_what_calibration_takes_off_the_spread() -> None:
+    """A slider's stiffness is one gain: calibrated, each device renders what is commanded."""
+    values = np.array([[10e3, 24.3e3, 5.0], [10.2e3, 24.0e3, 4.6], [9.9e3, 24.5e3, 5.4]])
+    keys = ("xsum1.r31", "rsp11", "xdrv1.xmotor:motor_r")
+    found = []
+    for kind in ("none", "gains"):
+        still = ("solver.model=linear", "computer.method=continuous", "computer.discrete_stiffness_n_per_m=0")
+        scene = load_scene(SCENES / "drop.toml", [*still, f"tolerance.calibration={kind}", "duration_s=3"])
+        with Batch(resolve(scene), keys, ("rendered_stiffness",)) as batch:
+            found.append(batch.measures(values)[:, 0])
+            assert not batch.failures
+    free, told = found
+    assert np.ptp(free) / free[0] > 0.1  # 1.02 * 5/4.6 against 0.99 * 5/5.4 in gain
+    assert np.ptp(told) / told[0] < 0.01  # what gives is the steps of DACs and encoder

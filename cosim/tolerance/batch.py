@@ -27,6 +27,7 @@ from cosim.ngspice.placed_values import Placed
 from cosim.plan import Plan
 from cosim.runner import run
 from cosim.staging import scratch_folder
+from cosim.tolerance.calibration import calibrated
 from cosim.tolerance.drawn_plan import MOTOR_CONSTANT, motor_constant, nominal, of_board, with_numbers
 
 __all__ = ["Batch"]
@@ -286,6 +287,8 @@ def _one(
     constants = plan.stated()
     if motor is not None:
         constants = replace(constants, motor_k=values[motor])
+    if scene.tolerance.calibration == "gains":
+        constants = calibrated(constants, circuit)
     # what is asked of the plan is the board's design, but for its motor
     plan = replace(plan, scene=scene, board=draws.deck(on_board), _asked={"stated": constants})
     found: dict[str, float] = {}

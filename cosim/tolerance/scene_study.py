@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 import cosim
 from cosim.catalogue import UNITS
 from cosim.caution import Caution, warn
-from cosim.comparisons.measuring import check_measures
+from cosim.comparisons.measuring import check_measures, needs_a_run
 from cosim.errors import InputError, fail
 from cosim.plan import Plan, resolve
 from cosim.scene import load_scene
@@ -185,6 +185,10 @@ def prepare(asked: Asked) -> Prepared:
     scene = load_scene(asked.scene, asked.overrides)
     trims(scene)
     plan = resolve(scene, trust=asked.trust)
+    if scene.tolerance.calibration == "gains" and plan.model == "spice" and needs_a_run(names):
+        file = str(scene.file) if scene.file else None
+        fail("runs on the models linear and ideal only: give --model linear", file=file,
+             key="tolerance.calibration", value="gains")  # fmt: skip
     found = tolerances(scene, board=plan.board)
     for name in found.idle:
         warn(
