@@ -18,15 +18,24 @@ __all__ = ["Spans", "Trace", "changes", "together"]
 
 Array = NDArray[np.float64]
 
+#: Share of a DAC's largest voltage that rounding may move it by at the end of a ramp: an ulp of 10 s is 2e-10
+#: of a ramp of 10 us. The least step of 30 bits is 1.9e-9 of the range.
+_SAME = 1e-9
+
 #: Gauss-Legendre of four points: exact for the square of a cubic.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
 def changes(dacs: Sequence[Array], rows: int) -> NDArray[np.bool_]:
-    """Return for each of the `rows` - 1 steps whether a DAC changes over it."""
+    """Return for each of the `rows` - 1 steps whether a DAC changes over it by more than rounding.
+
+    At the end of its ramp a DAC is beside the value that it then holds by an ulp of time: that is no change,
+    and the kink is at the ramp's end.
+    """
     changed = np.zeros(max(rows - 1, 0), bool)
     for volts in dacs:
-        changed |= np.diff(np.asarray(volts)) != 0.0
+        held = np.asarray(volts)
+        changed |= np.abs(np.diff(held)) > _SAME * np.abs(held).max(initial=0.0)
     return changed
 
 

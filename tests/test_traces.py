@@ -122,3 +122,10 @@ def test_no_parabola_goes_across_a_kink() -> None:
     assert (
         abs(2.0 * Trace(t, y, smooth(t)).mean() - exact) > 1e-3
     )  # across it, the slope of 20 counts before it
+
+
+def test_a_dac_that_is_an_ulp_of_time_early_at_the_end_of_a_ramp_holds() -> None:
+    end = 0.14839280000000002
+    volts = np.array([0.0, 0.0, end * (1 - 4e-13), end, end])
+    assert changes([volts], 5).tolist() == [False, True, False, False]
+    assert changes([np.array([1.0 - 2.0**-29, 1.0])], 2).tolist() == [True]  # the least that a DAC can do

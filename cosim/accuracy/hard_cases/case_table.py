@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
-from cosim.accuracy.hard_cases import coupled_motion, mechanical, sampled
+from cosim.accuracy.hard_cases import coupled_motion, mechanical, public_problems, sampled
 from cosim.accuracy.hard_cases.hard_case import Bench, HardCase, Outcome
 from cosim.analysis.covariance_steps import white_covariance
 from cosim.errors import fail, nearest
@@ -36,6 +36,7 @@ CASES: tuple[HardCase, ...] = tuple(
             *mechanical.CASES,
             *sampled.CASES,
             *coupled_motion.CASES,
+            *public_problems.CASES,
         ),
         key=lambda case: case.row,
     )

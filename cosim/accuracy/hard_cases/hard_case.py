@@ -17,7 +17,7 @@ from cosim.accuracy.estimate import estimator
 from cosim.assets import netlists_folder
 from cosim.caution import collected
 from cosim.errors import CosimError
-from cosim.ngspice.child import Child, start_early
+from cosim.ngspice.child import Child, call, start_early
 from cosim.plan import resolve
 from cosim.runner import run
 from cosim.scene import load_scene
@@ -136,6 +136,10 @@ class Bench:
         except CosimError as error:
             got, failed = None, str(error).splitlines()[0]
         return Outcome(case, model, got, failed, time.perf_counter() - begun)
+
+    def ask(self, target: str, payload: object) -> Any:
+        """Call a function of (payload, report) in the process, as `cosim.ngspice.child.call`."""
+        return call(target, payload, child=self._child)
 
     def run(self, tables: Tables, model: str, law: str = "", *, estimate: bool = False) -> Ran:
         """Run a scene given as tables, its law as the text of ``law.py``; measures with errors if asked."""
