@@ -4,11 +4,13 @@ import json
 import math
 import tempfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from support import BOARD1, BOARD2, SCENES, scene_of, slider
 
+from cosim.checking import measured_constants
 from cosim.checking.bench import Bench
 from cosim.checking.check import check
 from cosim.checking.loops import encirclements, gain_margins, measure_loops, phase_margins
@@ -17,7 +19,7 @@ from cosim.checking.subject import load_subject
 from cosim.checking.verdict import Severity
 from cosim.circuits.extraction.swing import swings
 from cosim.cli import main
-from cosim.errors import InputError
+from cosim.errors import InputError, NoOperatingPoint
 from cosim.ngspice.child import call, start_early
 from cosim.ngspice.deck import load_deck
 from cosim.ngspice.simulator import Simulator
@@ -443,3 +445,26 @@ def test_a_board_has_no_scene_keys():
     (variant,) = variants(parse_settings(["computer.period_s=0.01"]))
     with pytest.raises(InputError, match="no scene keys"):
         load_subject(str(BOARD1), variant, None, None)
+
+
+def test_a_point_that_is_not_found_at_rated_current_leaves_the_rest(monkeypatch):
+    class Still:
+        joints = 1
+
+        def hold(self, _values):
+            pass
+
+    def lost(*_):
+        raise NoOperatingPoint("board.cir: no DC operating point: these did not converge: out")
+
+    monkeypatch.setattr(measured_constants, "_real", lambda *_: 2.0)
+    monkeypatch.setattr(measured_constants, "_rate", lambda *_: 0.5)
+    monkeypatch.setattr(measured_constants, "multiplier_volts", lost)
+    notes: list[str] = []
+    constants = SimpleNamespace(kt=1.0, gear=1.0, v_fs=1.0)
+    found = measured_constants.measure_constants(Still(), constants, [], notes)
+    assert "w_rated" not in {name for name, _ in found}
+    assert found["k_fs", "11"][0] is not None
+    (note,) = notes
+    assert note.startswith("w_rated 11 is not told: ")
+    assert "no DC operating point" in note

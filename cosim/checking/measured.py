@@ -66,16 +66,20 @@ def measure(payload: dict[str, Any], report: Callable[[dict[str, Any]], None]) -
     bench = Bench(simulator, payload["ideal"])
     bench.operating_point()
     stated = bench.constants()
-    ideal = measure_constants(bench, stated, measure_paths(bench, stated))
+    notes: list[str] = []
+    ideal = measure_constants(bench, stated, measure_paths(bench, stated), notes)
     limits = swings(simulator, payload["board"])  # in decks of their own
     bench = Bench(simulator, payload["board"])
     rest = measure_rest(bench, stated)
     paths = measure_paths(bench, stated)
-    constants = table(stated, measure_constants(bench, stated, paths), ideal)
+    constants = table(stated, measure_constants(bench, stated, paths, notes), ideal)
     admittance = measure_admittance(bench)
     k_fs = {j: c.measured or 0.0 for c in constants for j in range(1, bench.joints + 1)
             if c.name == "k_fs" and c.where == f"{j}{j}"}  # fmt: skip
-    notes: list[str] = []
+    headroom = _told(
+        lambda: measure_headroom(bench, stated, limits), Headroom((), (), (), ()), "the headroom", notes
+    )
+    bench.hold({})
     silent: tuple[Noise, ...] = ()
     noise = _told(lambda: tuple(measure_noise(bench, stated)), silent, "the circuit's noise", notes)
     if bench.mute:
@@ -84,7 +88,7 @@ def measure(payload: dict[str, Any], report: Callable[[dict[str, Any]], None]) -
         stated=stated,
         constants=tuple(constants),
         rest=tuple(rest),
-        headroom=measure_headroom(bench, stated, limits),
+        headroom=headroom,
         loops=tuple(measure_loops(bench)),
         paths=tuple(paths),
         brakes=tuple(brakes(paths, admittance, stated, k_fs)),
