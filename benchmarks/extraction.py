@@ -106,7 +106,7 @@ def again_seconds(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     return {"times": times, "difference": worst, "anew": anew}
 
 
-def _peer(board: Deck, folder: str) -> Callable[[], float]:
+def peer_ac(board: Deck, folder: str) -> Callable[[], float]:
     """Return a function that runs `ngspice -b` on one `.ac` and tells its wall time [s]."""
     program = shutil.which("ngspice")
     if program is None:
@@ -138,7 +138,7 @@ def cold(repetitions: int) -> list[Figure]:
         return first
 
     with tempfile.TemporaryDirectory(prefix="cosim-bench-") as folder:
-        walls = interleaved(repetitions, ours, _peer(plan.board, folder))
+        walls = interleaved(repetitions, ours, peer_ac(plan.board, folder))
     details = {
         "ours_ms": 1e3 * statistics.median(walls[0]),
         "ngspice_ms": 1e3 * statistics.median(walls[1]),
@@ -160,7 +160,7 @@ def after_changes(repetitions: int) -> list[Figure]:
             answers.append(child.call("benchmarks.extraction:again_seconds", payload))
             return statistics.median(answers[-1]["times"]["parts"])
 
-        walls = interleaved(repetitions, ours, _peer(plan.board, folder))
+        walls = interleaved(repetitions, ours, peer_ac(plan.board, folder))
     longer = [t for answer in answers[1:] for t in answer["times"]["with_a_parameter"]]
     details = {
         "ours_ms": 1e3 * statistics.median(walls[0]),

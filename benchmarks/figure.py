@@ -32,6 +32,12 @@ TARGETS: dict[str, tuple[float, str, str]] = {
     "auto_vs_all_effects": (0.25, "", "processor time: effects chosen for 2 % / all effects on, worst scene"),
     "fig13_vs_monolithic": (1 / 400, "", "wall: the whole Fig. 13 on `linear` / with the monolithic deck"),
     "border_map": (1000.0, "", "wall: 100 x 100 exact borders, one process / one border"),
+    "mc_extraction_vs_ac": (
+        0.3,
+        "",
+        "wall: model of a draw of all R, C of board2 / one `ngspice -b` as above",
+    ),
+    "batch_vs_single": (1 / 20, "", "wall: a `linear` drop sample of a batch / one `cosim run` of it"),
     "extraction_cached_ms": (50.0, "ms", "wall: extraction of an unchanged board2"),
 }
 

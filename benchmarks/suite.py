@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import choice, extraction, models, stiff, sweeps
+from benchmarks import choice, extraction, models, stiff, sweeps, tolerance
 from benchmarks.chains import chain_plan
 from benchmarks.figure import Figure, figure, interleaved
 from benchmarks.rig import CURRENTS, ROOT, SLOPE, Outcome, error, instants, slope
@@ -238,4 +238,6 @@ SUITE: dict[tuple[str, ...], Callable[[int], list[Figure]]] = {
     ("fig13_vs_monolithic",): sweeps.fig13,
     ("border_map",): sweeps.borders,
     ("extraction_cached_ms",): extraction.cached,
+    ("mc_extraction_vs_ac",): tolerance.draws_against_ac,
+    ("batch_vs_single",): tolerance.batch_against_single,
 }

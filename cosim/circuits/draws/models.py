@@ -106,7 +106,9 @@ class Draws:
         self._learned: list[tuple[list[float], tuple[Batch, ...]]] = []
         for at in (typical, list(self._nominal)):
             with suppress(FitError):
-                self._learned.append((at, batches(without_rates(network.paths(SWEEP, at))[1], rows)))
+                self._learned.append(
+                    (at, batches(without_rates(network.paths(SWEEP, network.change(at)))[1], rows))
+                )
         self._sweep = points([batch for _, found in self._learned for batch in found])
         network.sweep(self._sweep)
         self._kept: dict[tuple[float, float], list[tuple[Batch, ...]]] = {}
@@ -116,7 +118,7 @@ class Draws:
         if (omega, share) not in self._kept:
             kept = []
             for at, rows in self._learned:
-                paths = without_rates(self._network.paths(self._sweep, at))[1]
+                paths = without_rates(self._network.paths(self._sweep, self._network.change(at)))[1]
                 with suppress(Unfit):
                     kept.append(fitted(paths, rows, omega, share).batches)
             self._kept[omega, share] = kept
@@ -144,21 +146,24 @@ class Draws:
         if self.why_slow:
             asked = Asked(self._placed.board.text, self._model, band_hz, tolerance)
             return extracted(Session(self._placed.deck(values)), asked)
+        change = self._network.change(values)
         if self._model == "ideal":
-            paths = self._network.paths(DC_SWEEP, values)
+            paths = self._network.paths(DC_SWEEP, change)
             still = ideal(paths, self._file)
             parts = {name: value for name, value in still.arrays().items() if name[2:] in ("pre", "post")}
-            return self._finished(parts | {"certificate": still.certificate}, paths, values)
+            return self._finished(parts | {"certificate": still.certificate}, paths, values, change)
         try:
-            return self._quickly(values, band_hz, tolerance)
+            return self._quickly(values, change, band_hz, tolerance)
         except Unfit as reason:
-            return self._wholly(values, band_hz, tolerance, str(reason))
+            return self._wholly(values, change, band_hz, tolerance, str(reason))
 
-    def _quickly(self, values: Sequence[float], band_hz: float, tolerance: float) -> LinearCircuit:
+    def _quickly(
+        self, values: Sequence[float], change: Array, band_hz: float, tolerance: float
+    ) -> LinearCircuit:
         """Fit with as many poles as the board has as it is."""
         omega = 2.0 * np.pi * band_hz
         share = float(np.sqrt(1.0 + tolerance) - 1.0)  # of each side: a + b (1 + a) <= tolerance
-        rate, paths = without_rates(self._network.paths(self._sweep, values))
+        rate, paths = without_rates(self._network.paths(self._sweep, change))
         found, reason = None, Unfit("the board as designed has no model of known order")
         for rows in self._known_rows(omega, share):
             try:
@@ -170,20 +175,20 @@ class Draws:
             raise reason
         told = {"model": "linear", "order": len(found.pre.a) + len(found.post.a),
                 "full_order": len(found.poles), "fit_error": found.error}  # fmt: skip
-        return self._finished(self._parts(found.pre, found.post, rate, told), paths, values)
+        return self._finished(self._parts(found.pre, found.post, rate, told), paths, values, change)
 
     def _wholly(
-        self, values: Sequence[float], band_hz: float, tolerance: float, reason: str
+        self, values: Sequence[float], change: Array, band_hz: float, tolerance: float, reason: str
     ) -> LinearCircuit:
         """Fit with as many poles as it takes."""
-        rate, paths = without_rates(self._network.paths(SWEEP, values))
+        rate, paths = without_rates(self._network.paths(SWEEP, change))
         pre, post = networks(paths, self._file, max(WORST, tolerance))
         if band_hz > 0.0 and tolerance > 0.0:
             half = float(np.sqrt(1.0 + tolerance) - 1.0)
             pre, post = (side.reduced(2.0 * np.pi * band_hz, half)[0] for side in (pre, post))
         first, second = pre.joined(), post.joined()
         told = {"model": "linear", "order": len(first.a) + len(second.a), "anew": reason}
-        return self._finished(self._parts(first, second, rate, told), paths, values)
+        return self._finished(self._parts(first, second, rate, told), paths, values, change)
 
     @staticmethod
     def _parts(pre: Modes, post: Modes, rate: Array, told: dict[str, Any]) -> dict[str, Any]:
@@ -192,13 +197,15 @@ class Draws:
             "a_post": post.a, "b_post": post.b, "c_post": post.c, "d_post": post.d, "certificate": told,
         }  # fmt: skip
 
-    def _finished(self, parts: dict[str, Any], paths: Paths, values: Sequence[float]) -> LinearCircuit:
+    def _finished(
+        self, parts: dict[str, Any], paths: Paths, values: Sequence[float], change: Array
+    ) -> LinearCircuit:
         """Return the circuit with offsets and limits."""
         n, v_fs, m = self._limit.shape[0], self._network.session.v_fs, len(paths.gain)
         steady = parts["d_post"][:, :m]
         if len(parts["a_post"]):
             steady = steady - parts["c_post"] @ np.linalg.solve(parts["a_post"], parts["b_post"][:, :m])
-        found = self._network.offsets(paths, steady, values)
+        found = self._network.offsets(paths, steady, change)
         return LinearCircuit(
             joints=n,
             model=self._model,

@@ -32,6 +32,8 @@ Complex = NDArray[np.complex128]
 
 #: What is moved by less than this share of the most counts as not reached.
 _REACHES = 1e-13
+#: What flows at rest through a board without offsets is rounding [A].
+_NO_CURRENT_A = 1e-17
 _ONCE = f"lin 1 {LOW_HZ[0]} {LOW_HZ[0]}"
 
 
@@ -225,11 +227,14 @@ class DrawnNetwork:
             )
         return np.stack(nodes, axis=2), np.stack(across, axis=2)
 
-    def paths(self, sweep: str, values: Sequence[float]) -> Paths:
-        """Return the paths over a sweep that was asked for, with these values of the components."""
+    def change(self, values: Sequence[float]) -> Array:
+        """Return by how much the admittances differ from those of the board as it is, for these values."""
+        return self._admittances(values) - self._base
+
+    def paths(self, sweep: str, change: Array) -> Paths:
+        """Return the paths over a sweep that was asked for, with changed admittances."""
         r, s = self._known[sweep], self.session
         n, m = s.joints, len(self._inside)
-        change = self._admittances(values) - self._base
         points: Complex = 2j * np.pi * r.hz.astype(complex)
         one = np.ones(len(points), np.complex128)
         by_kind = np.stack([one, points, one / points, 0.0 * one])
@@ -253,7 +258,10 @@ class DrawnNetwork:
 
     def _held(self, change: Array) -> Array:
         """Return the control voltages [m] at full scale, relative to those of the board as it is."""
-        before = self._full.nodes[-len(self._controls) :]
+        count = len(self._controls)
+        if not self._full.out[-count:].any():  # the pins themselves
+            return np.ones(count)
+        before = self._full.nodes[-count:]
         after = before + self._moved(self._full, change)[-len(self._controls) :]
         return np.divide(after, before, out=np.ones(len(before)), where=before != 0.0)
 
@@ -261,17 +269,19 @@ class DrawnNetwork:
         """Return how far the nodes of `rest` move [V]; there a capacitor is open and an inductor a short."""
         size = np.where(self._kind == CONDUCTANCE, change, 0.0)
         drive = size * rest.across + np.where(self._kind == CURRENT, change, 0.0)
+        if np.abs(drive).max(initial=0.0) < _NO_CURRENT_A:
+            return np.zeros(len(rest.out))
         moved: Array = -rest.out @ np.linalg.solve(np.eye(len(size)) + size[:, None] * rest.own, drive)
         return moved
 
-    def offsets(self, paths: Paths, steady: Array, values: Sequence[float]) -> Offsets:
-        """Return the offsets of the board with these values.
+    def offsets(self, paths: Paths, steady: Array, change: Array) -> Offsets:
+        """Return the offsets of the board with changed admittances.
 
         `steady` [n, m] is w -> imot at rest, of `paths`.
         """
         n, m = self.session.joints, len(self._inside)
         x, y = self._circuit.x_offset, self._circuit.y_offset
-        moved = self._moved(self._none, self._admittances(values) - self._base)
+        moved = self._moved(self._none, change)
         dx, dy = moved[:m], moved[m + n :]
         # what passes the multipliers, linear about the board as it is
         bent = x * y + y * dx + x * dy
