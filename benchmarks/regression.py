@@ -18,7 +18,8 @@ __all__ = ["BAND", "BANDS", "allowed", "committed", "worse"]
 #: Share of the committed figure by which a fresh one may exceed it.
 BAND = 0.30
 #: Figures with another band: counts are the same everywhere but for rounding, memory but for the allocator;
-#: plain times follow the machine's speed, and a map of borders is held against a call of a millisecond.
+#: plain times follow the machine's speed, a map of borders is held against a call of a millisecond, and a
+#: batch against the start of a whole process.
 BANDS = {
     "lockstep_vs_replay_points": 0.02,
     "growth_exponent": 0.15,
@@ -26,6 +27,7 @@ BANDS = {
     "warm_run_outside_s": 1.0,
     "extraction_cached_ms": 1.0,
     "border_map": 0.60,
+    "batch_vs_single": 1.0,
 }
 
 

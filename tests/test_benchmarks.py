@@ -37,6 +37,8 @@ STATED = {
     "fig13_vs_monolithic": 1 / 400,
     "border_map": 1000.0,
     "extraction_cached_ms": 50.0,
+    "mc_extraction_vs_ac": 0.3,
+    "batch_vs_single": 1 / 20,
 }
 
 
