@@ -13,7 +13,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from typing import Any
 
-__all__ = ["Caution", "Doubt", "caution_of", "collected", "grouped", "listening", "warn"]
+__all__ = ["MOST_ALIKE", "Caution", "Doubt", "caution_of", "collected", "grouped", "listening", "warn"]
 
 
 class Doubt(UserWarning):
@@ -57,16 +57,16 @@ def caution_of(fields: Mapping[str, Any]) -> Caution:
 
 
 #: Cautions of one kind that are told in full: a sweep may have hundreds.
-_MOST_ALIKE = 3
+MOST_ALIKE = 3
 
 
-def grouped(cautions: Sequence[Caution]) -> list[tuple[list[Caution], int]]:
-    """Return cautions by kind, for people: the first few of each, and how many more there are."""
+def grouped(cautions: Sequence[Caution], most: int | None = MOST_ALIKE) -> list[tuple[list[Caution], int]]:
+    """Return cautions by kind, for people: the first `most` of each (None: all), and how many more."""
     kinds = (
         [caution for caution in cautions if caution.code == code]
         for code in dict.fromkeys(caution.code for caution in cautions)
     )
-    return [(alike[:_MOST_ALIKE], max(len(alike) - _MOST_ALIKE, 0)) for alike in kinds]
+    return [(alike[:most], len(alike) - len(alike[:most])) for alike in kinds]
 
 
 _heard: ContextVar[list[Caution] | None] = ContextVar("heard", default=None)

@@ -25,6 +25,7 @@ from cosim.commands import (
     export,
     hard_cases,
     keys,
+    manner,
     mc,
     new,
     nodes,
@@ -45,6 +46,8 @@ EXIT_FAILURE = 1
 EXIT_REFUSED = 2
 EXIT_INTERRUPTED = 130
 
+
+SHELLS = ("bash", "zsh", "tcsh")
 
 COMMANDS = (
     check.COMMAND,
@@ -78,6 +81,9 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--verbose", action="store_true", help="with --version: libraries, and what the sandbox can do here"
     )
+    parser.add_argument(
+        "--completion", choices=SHELLS, help="print what makes this shell complete commands and options"
+    )
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for command in COMMANDS:
         sub = commands.add_parser(command.name, help=command.help, description=command.help)
@@ -87,6 +93,11 @@ def build_parser() -> argparse.ArgumentParser:
             "--strict",
             action="store_true",
             help="exit with 2 if there is a warning; finished results are kept",
+        )
+        how = sub.add_mutually_exclusive_group()
+        how.add_argument("--quiet", action="store_true", help="no bars and remarks: the result, and errors")
+        how.add_argument(
+            "--verbose", action="store_true", help="say each step, and every warning, terminal or not"
         )
         sub.set_defaults(run=command.run, exit_code=command.exit_code)
     return parser
@@ -100,7 +111,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if argv is None else list(argv)
     if sorted(words) == ["--verbose", "--version"]:
         return _about()
+    if words[:1] == ["--completion"] and words[1:] in [[shell] for shell in SHELLS]:
+        import shtab
+
+        print(shtab.complete(build_parser(), shell=words[1]))
+        return 0
     args = build_parser().parse_args(words)
+    manner.choose(quiet=args.quiet, verbose=args.verbose)
     if callable(signal.getsignal(signal.SIGINT)) and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.default_int_handler)  # from here on there is something to tidy up
     code, text, stream = _outcome(args)

@@ -1,12 +1,12 @@
 """What ``effects = "auto"`` chose, or would try, in words."""
 
 import argparse
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from cosim.caution import collected
+from cosim.commands.manner import remark
 from cosim.units import quantity
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def plan_of(args: argparse.Namespace, scene: "Scene", child: "Child") -> "Plan":
     found = plan(scene, child=child, trust=args.trust, on_choice=_told)
     if found.choice:
         took = quantity(time.perf_counter() - begun, "s")
-        print(f"effects chosen in {found.choice['runs']} runs, {took}", file=sys.stderr, flush=True)
+        remark(f"effects chosen in {found.choice['runs']} runs, {took}")
     return found
 
 
@@ -88,8 +88,7 @@ def open_lines(scene: "Scene", found: Mapping[str, Any]) -> list[str]:
 
 
 def _told(words: str) -> None:
-    if sys.stderr.isatty():
-        print(f"choosing effects: {words}", file=sys.stderr, flush=True)
+    remark(f"choosing effects: {words}", detail=True)
 
 
 def choice_lines(choice: Mapping[str, Any]) -> list[str]:

@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from cosim.caution import Caution, grouped
+from cosim.caution import MOST_ALIKE, Caution, grouped
+from cosim.commands.manner import verbose
 
 if TYPE_CHECKING:
     from cosim.scene import Scene
@@ -112,10 +113,10 @@ def load_variants(args: argparse.Namespace) -> "list[tuple[Variant, Scene]]":
 def caution_lines(cautions: Sequence[Caution]) -> list[str]:
     """Return cautions as lines for people, those of one kind together."""
     lines = []
-    for told, more in grouped(cautions):
+    for told, more in grouped(cautions, most=None if verbose() else MOST_ALIKE):
         lines += [f"warning: {caution} [{caution.code}]" for caution in told]
         if more:
-            lines.append(f"warning: and {more} more [{told[0].code}] (all with --json)")
+            lines.append(f"warning: and {more} more [{told[0].code}] (all with --verbose or --json)")
     return lines
 
 

@@ -1,9 +1,9 @@
 """The bar that long work shows on a terminal."""
 
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from cosim.commands.manner import bars, remark, verbose
 from cosim.terminal import printable
 
 COMPILING = "compiling, once, about 60 s"
@@ -14,16 +14,16 @@ def announce_compilation() -> None:
     """Say on standard error that code is compiled first, where it is and no bar will say so."""
     from cosim.numba_cache import is_warm
 
-    if not is_warm() and not sys.stderr.isatty():
-        print(f"{COMPILING}; `cosim warm` does it ahead", file=sys.stderr, flush=True)
+    if not is_warm() and not bars():
+        remark(f"{COMPILING}; `cosim warm` does it ahead")
 
 
 @contextmanager
 def progress(title: str) -> Iterator[Callable[[int, int, str], None] | None]:
     """Show a bar; yields what to call with (done, total, name), or None where nobody looks."""
     announce_compilation()
-    if not sys.stderr.isatty():
-        yield None
+    if not bars():
+        yield _tell(title) if verbose() else None
         return
     from rich.console import Console
     from rich.progress import Progress, TimeElapsedColumn
@@ -45,3 +45,8 @@ def shown(text: str) -> str:
     from rich.markup import escape
 
     return escape(printable(text))
+
+
+def _tell(title: str) -> Callable[[int, int, str], None]:
+    """Return what says each step in a line, where no bar is seen."""
+    return lambda done, total, name: remark(f"{title}: {name} ({done} of {total})")

@@ -2,7 +2,6 @@
 
 import argparse
 import os
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,6 +16,7 @@ from cosim.commands.command import (
     out_argument,
     scene_arguments,
 )
+from cosim.commands.manner import bars, remark
 from cosim.commands.progress import COMPILING, announce_compilation
 
 if TYPE_CHECKING:
@@ -158,7 +158,8 @@ def folder_names(labels: list[str]) -> list[str]:
 @contextmanager
 def progress(duration_s: float, title: str) -> "Iterator[Callable[[Mapping[str, Any]], None] | None]":
     """Show a bar on a terminal, nothing elsewhere."""
-    if not sys.stderr.isatty():
+    if not bars():
+        remark(f"{title}: {duration_s:.3g} s are simulated", detail=True)
         yield None
         return
     from rich.console import Console

@@ -1,7 +1,6 @@
 """``cosim warm``: compile ahead what the first commands would compile."""
 
 import argparse
-import sys
 import tempfile
 import threading
 import time
@@ -10,6 +9,7 @@ from typing import Any
 
 from cosim.caution import collected
 from cosim.commands.command import Command
+from cosim.commands.manner import remark
 
 #: What is compiled, and the settings of a short run that needs it.
 _STEPS = {
@@ -28,7 +28,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
     started = time.perf_counter()
     if not is_warm():
-        print(COMPILING, file=sys.stderr, flush=True)
+        remark(COMPILING)
     seconds: dict[str, float] = {}
     errors: list[BaseException] = []
     works = [
@@ -58,7 +58,7 @@ def _compile(
         errors.append(error)
         return
     seconds[what] = round(time.perf_counter() - begun, 3)
-    print(f"  {what}: {seconds[what]:.1f} s", file=sys.stderr, flush=True)
+    remark(f"  {what}: {seconds[what]:.1f} s")
 
 
 def _short_run(settings: tuple[str, ...]) -> None:

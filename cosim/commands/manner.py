@@ -1,0 +1,40 @@
+"""How much a command says beside its result: ``--quiet``, ``--verbose``, and whether somebody watches."""
+
+import sys
+from enum import Enum
+
+__all__ = ["Manner", "bars", "choose", "remark", "verbose"]
+
+
+class Manner(Enum):
+    """What stands on standard error beside errors."""
+
+    QUIET = "nothing"
+    USUAL = "bars and remarks where a terminal shows them"
+    VERBOSE = "remarks everywhere, and every caution in full"
+
+
+_manner = Manner.USUAL
+
+
+def choose(*, quiet: bool, verbose: bool) -> None:
+    """Take the manner of a command line."""
+    global _manner
+    _manner = Manner.QUIET if quiet else Manner.VERBOSE if verbose else Manner.USUAL
+
+
+def bars() -> bool:
+    """Whether somebody sees a bar: a terminal, and not told to be quiet."""
+    return _manner is not Manner.QUIET and sys.stderr.isatty()
+
+
+def verbose() -> bool:
+    """Whether everything is to be told."""
+    return _manner is Manner.VERBOSE
+
+
+def remark(text: str, *, detail: bool = False) -> None:
+    """Say something on standard error; a `detail` only where somebody watches, or asked for all."""
+    wanted = verbose() or not detail or bars()
+    if _manner is not Manner.QUIET and wanted:
+        print(text, file=sys.stderr, flush=True)

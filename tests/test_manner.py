@@ -1,0 +1,68 @@
+"""What a command says beside its result: --quiet, --verbose, NO_COLOR, completion."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from cosim import cli
+from cosim.caution import MOST_ALIKE, Caution
+from cosim.commands import manner
+from cosim.commands.command import caution_lines
+from cosim.commands.progress import progress
+
+MANY = [Caution("odd", f"value {number} looks odd", "look again") for number in range(MOST_ALIKE + 2)]
+
+
+@pytest.fixture(autouse=True)
+def usual():
+    yield
+    manner.choose(quiet=False, verbose=False)
+
+
+def test_quiet_says_nothing_beside_the_result(capsys):
+    manner.choose(quiet=True, verbose=False)
+    manner.remark("a remark")
+    with progress("work") as show:
+        assert show is None
+    assert capsys.readouterr().err == ""
+
+
+def test_verbose_says_each_step_and_every_warning(capsys):
+    manner.choose(quiet=False, verbose=True)
+    with progress("work") as show:
+        show(1, 3, "a point")
+    assert "work: a point (1 of 3)" in capsys.readouterr().err
+    assert len(caution_lines(MANY)) == len(MANY)
+
+
+def test_usual_says_the_first_of_many():
+    assert len(caution_lines(MANY)) == MOST_ALIKE + 1
+
+
+def test_quiet_and_verbose_exclude_each_other(capsys):
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["keys", "--quiet", "--verbose"])
+    assert ended.value.code == 2
+    assert "not allowed with" in capsys.readouterr().err
+
+
+def test_no_color_is_obeyed():
+    """https://no-color.org: with the variable set, nothing is coloured even on a terminal."""
+    code = "from rich.console import Console; print(Console(force_terminal=True).no_color)"
+    told = [
+        subprocess.run(
+            [sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True
+        ).stdout
+        for env in ({**os.environ, "NO_COLOR": "1"}, {k: v for k, v in os.environ.items() if k != "NO_COLOR"})
+    ]
+    assert [text.strip() for text in told] == ["True", "False"]
+
+
+@pytest.mark.parametrize("shell", cli.SHELLS)
+def test_completion_knows_every_command(shell, capsys):
+    assert cli.main(["--completion", shell]) == 0
+    script = capsys.readouterr().out
+    assert all(command.name in script for command in cli.COMMANDS)
+    assert "--quiet" in script or shell == "tcsh"
