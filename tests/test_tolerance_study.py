@@ -18,6 +18,7 @@ from cosim.tolerance.monte_carlo import Study, draw, pilot_size, yields
 from cosim.tolerance.recipe import Recipe, Term
 from cosim.tolerance.sensitivity import fit_surface
 from cosim.tolerance.spec import Spec, parse_specs
+from cosim.tolerance.trim import Trim, Trimmed
 from cosim.tolerance.varying import Component, Tolerances
 from cosim.tolerance.worst_case import extremes
 
@@ -282,3 +283,13 @@ def test_nothing_varies_is_an_error_and_findings_are_whole() -> None:
     told = found.as_dict()
     assert told["bill"][0]["name"] == "r1"
     assert len(found.samples_csv().splitlines()) == 65
+
+
+def test_a_trimmer_is_set_for_each_device() -> None:
+    """The measure is a ratio: the setting is the target's, and what cannot be reached has failed."""
+    values = np.array([[1000.0, 500.0], [1040.0, 480.0], [9000.0, 500.0]])
+    trimmed = Trimmed(Formula(lambda v: 100.0 * v[:, 1] / v[:, 0]), (NAME,), Trim("r1", NAME, 50.0), (1,))
+    found = trimmed.measures(values)[:, 0]
+    assert found[:2] == pytest.approx(50.0, rel=1e-6)
+    assert math.isnan(found[2])  # it would take 9 times the resistor
+    assert list(trimmed.failures) == [2]
