@@ -8,7 +8,8 @@ some microseconds instead of nanoseconds (`compiled` says which).
 import ctypes
 import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
@@ -41,6 +42,9 @@ class Operator(ABC):
     def knots_s(self) -> tuple[float, ...]:
         """Times at which the force has a kink: a step of an integrator should not straddle them."""
         return ()
+
+    def listen(self, listening: Callable[[], AbstractContextManager[None]]) -> None:  # noqa: B027
+        """Call the operator's own code inside of this context from now on; it may print."""
 
     def raise_pending(self) -> None:  # noqa: B027  (only an operator in Python can have failed)
         """Raise what went wrong in the operator's own code since the last call."""
@@ -168,6 +172,7 @@ class UserOperator(Operator):
         self.name = name
         self._target = target
         self._error: BaseException | None = None
+        self._listening: Callable[[], AbstractContextManager[None]] = nullcontext
         check = Checker()
         self.mass_kg = check.number(f"{name}: mass_kg", getattr(target, "mass_kg", 0.0), least=0.0)
         check.done()
@@ -179,6 +184,10 @@ class UserOperator(Operator):
         record["kind"], record["mass"] = OperatorKind.USER, self.mass_kg
         record["callback"] = ctypes.cast(self._callback, ctypes.c_void_p).value
         return record
+
+    def listen(self, listening: Callable[[], AbstractContextManager[None]]) -> None:
+        """Call the user's code inside of this context from now on; it may print."""
+        self._listening = listening
 
     def raise_pending(self) -> None:
         """Raise what went wrong in the user's code since the last call."""
@@ -193,7 +202,8 @@ class UserOperator(Operator):
             return
         where = f"{self.name}.force(t={t:.9g}, r=({x:.6g}, {y:.6g}), v=({vx:.6g}, {vy:.6g}))"
         try:
-            answer = self._target.force(t, np.array((x, y)), np.array((vx, vy)))
+            with self._listening():
+                answer = self._target.force(t, np.array((x, y)), np.array((vx, vy)))
         except Exception as error:
             self._error = RuntimeError(f"{where} raised {type(error).__name__}: {error}")
             self._error.__cause__ = error

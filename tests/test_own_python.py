@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support import K_FS, quick, scene_of, simulate, slider
+from support import K_FS, merge, quick, scene_of, simulate, slider
 
 from cosim import cli
 from cosim.errors import CosimError
@@ -75,6 +75,50 @@ def test_what_a_law_prints_reaches_run_file_terminal_and_page(
     page = write_report(run, tmp_path / "page").read_text()
     assert "Printed by the scene" in page
     assert "third tick" in page
+
+
+OPERATOR = """
+print("an operator is loaded")
+class Hand:
+    calls = 0
+    def force(self, t, r, v):
+        if self.calls == 0:
+            print("first asked at", t)
+        self.calls += 1
+        return (0.0, 0.0)
+"""
+
+
+@pytest.mark.parametrize("model", ["linear", "spice"])
+def test_what_an_operator_prints_is_heard_too(model: str, tmp_path: Path) -> None:
+    (tmp_path / "hand.py").write_text(OPERATOR)
+    operator = {"type": "python", "file": f"{tmp_path}/hand.py:Hand"}
+    assert list(quick(tmp_path, tables(tmp_path, model, law=None, operator=operator)).said) == [
+        "an operator is loaded", "first asked at 0.0",
+    ]  # fmt: skip
+
+
+@pytest.mark.slow
+def test_effects_measures_by_a_users_class(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The lowest place of a falling carriage: -g t^2 / 2 with gravity alone, 0 without."""
+    falling = {"device": {"slider": {"gravity_m_per_s2": [0.0, -1.0]}}, "wall": {"point_m": [0.0, -1.0]}}
+    scene = scene_of(
+        tmp_path, merge(tables(tmp_path, "auto", law=None), {**falling, "effects": {"gravity": True}})
+    )
+    command = [
+        "effects",
+        str(scene.file),
+        "--set",
+        "duration_s=0.05",
+        "--measure",
+        f"{tmp_path}/m.py:Lowest",
+        "--json",
+    ]
+    assert cli.main(command) == 0
+    ledger = json.loads(capsys.readouterr().out)
+    (gravity,) = [row for row in ledger["rows"] if row["effect"] == "gravity"]
+    assert gravity["on"]["Lowest"] == pytest.approx(-1.0 * 0.05**2 / 2, rel=1e-3)
+    assert cli.main([*command[:5], f"{tmp_path}/m.py:Mute"]) == 2
 
 
 def test_what_it_printed_last_stands_beside_its_error(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """``cosim effects``: what each effect changes in a scene, and what it costs."""
 
 import argparse
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +23,10 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         help="change a key of the scene; repeatable",
     )
     parser.add_argument(
-        "--measure", default="peak_force", metavar="NAME", help="measure of the table and the picture"
+        "--measure",
+        default="peak_force",
+        metavar="NAME",
+        help="measure of the table and the picture; of your own: file.py:Class",
     )
     parser.add_argument("-o", "--out", metavar="FOLDER", help="folder for the picture and the table (CSV)")
 
@@ -43,28 +47,32 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
             refuse_foreign(Path(args.out), FILES, MANIFEST)
         check_measures([args.measure])
-        wanted = OF_A_RUN if args.measure in OF_A_RUN else (args.measure,)
+        name = args.measure.rpartition(":")[2]  # of a user's class, results call it by its name
+        own = name != args.measure
+        wanted = OF_A_RUN if own or name in OF_A_RUN else (name,)
 
         settings = parse_settings(args.set)
         if any(len(setting.values) > 1 for setting in settings):
             fail("a ledger is of one scene: give each name one value", key="--set", value=args.set)
         overrides = tuple(setting.override(setting.values[0]) for setting in settings)
+        if own:
+            overrides = (*overrides, f"measures.names={json.dumps([args.measure])}")
         with progress("effects") as show:
             ledger = effects_ledger(args.scene, overrides, measures=wanted, child=child, on_progress=show)
-    if args.measure not in ledger.full:
-        why = ledger.lacking.get(args.measure)
+    if name not in ledger.full:
+        why = ledger.lacking.get(name)
         fail(
             "this scene has no such measure" + (f": {why}" if why else ""),
             key="--measure", value=args.measure, allowed=", ".join(ledger.full) or None,
         )  # fmt: skip
-    text = table(ledger, args.measure)
+    text = table(ledger, name)
     if args.out:
         from cosim.scene import load_scene
         from reports.effects import write_effects
 
         title = load_scene(args.scene, overrides).title
 
-        text += f"\nwrote {write_effects(ledger, args.measure, Path(args.out), title)}"
+        text += f"\nwrote {write_effects(ledger, name, Path(args.out), title)}"
     return as_dict(ledger), text
 
 

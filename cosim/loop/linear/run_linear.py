@@ -238,11 +238,13 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         simulator.load(deck, lines=board.lines, name=str(board.path))
         constants, version = read_constants(simulator, str(board.path)), str(simulator.version)
     folder = Path(payload["folder"])
-    packed = prepare(scene, constants, circuit, record=True, component=component)
+    said = Said()
+    with said.listening():  # a user's operator is loaded here
+        packed = prepare(scene, constants, circuit, record=True, component=component)
+    packed.memory.operator.listen(said.listening)
     state = packed.memory.state[0]
     person = scene.operator.file if isinstance(scene.operator, PythonOperator) else "operator"
     recorder = Recorder(packed.memory, Clock(state), folder, report, deck=str(board.path), person=person)
-    said = Said()
     if scene.computer.law is not None:
         where = scene.computer.law
         law = UserLaw(load_law(where, scene.file, said), state, recorder.fail, where, scene, constants, said)

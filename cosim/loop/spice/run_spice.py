@@ -83,7 +83,7 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         long it was at its limit), 'swings' (output limits by node), 'end' (volts of
         'nodes' and 'pins' at the last point, 'speed_rad_per_s' of the fastest joint, 'hung' as of
         `watch.hung`; of a device at rest the 'operating_point' of the nodes), 'ngspice' (version),
-        'said' (what the law printed), 'component_noise' (as `ComponentGrid.about`); signals.raw and
+        'said' (what law and operator printed), 'component_noise' (as `ComponentGrid.about`); signals.raw and
         samples.f64 are in the folder
     """
     attempts = 0
@@ -119,7 +119,10 @@ def _simulate(payload: dict[str, Any], report: Report, aid: Aid) -> dict[str, An
     constants = read_constants(simulator, str(board.path))
     if component is not None:
         component = _called(component, simulator)
-    memory = pack(scene, constants, circuit, recorded, nodes[len(recorded) :], component=component)
+    said = Said()
+    with said.listening():  # a user's operator is loaded here
+        memory = pack(scene, constants, circuit, recorded, nodes[len(recorded) :], component=component)
+    memory.operator.listen(said.listening)
     if not aid.patient:
         tolerance = scene.solver.coupling_tolerance_rad
         bound_work(memory, payload["predicted_points"], scene.duration_s, tolerance)
@@ -133,7 +136,6 @@ def _simulate(payload: dict[str, Any], report: Report, aid: Aid) -> dict[str, An
         memory, simulator, Path(payload["folder"]), report, deck=str(board.path), person=person, nodes=nodes
     )
     recorder.running = False
-    said = Said()
     law = _own_law(scene, constants, state, recorder, said)  # kept alive: compiled code calls it
     if law is not None:
         state["law_address"] = law.address
