@@ -120,9 +120,7 @@ def _simulate(payload: dict[str, Any], report: Report, aid: Aid) -> dict[str, An
     if component is not None:
         component = _called(component, simulator)
     said = Said()
-    with said.listening():  # a user's operator is loaded here
-        memory = pack(scene, constants, circuit, recorded, nodes[len(recorded) :], component=component)
-    memory.operator.listen(said.listening)
+    memory = _packed(said, scene, constants, circuit, recorded, nodes[len(recorded) :], component=component)
     if not aid.patient:
         tolerance = scene.solver.coupling_tolerance_rad
         bound_work(memory, payload["predicted_points"], scene.duration_s, tolerance)
@@ -255,6 +253,14 @@ def _signals(
     ledger = write_signals(folder / ROWS, folder / RAW, layout, scene.title, done)
     (folder / ROWS).unlink()
     return ledger
+
+
+def _packed(said: Said, *scene: Any, component: ComponentGrid | None) -> Memory:
+    """Return what `pack` makes; what a user's operator prints, while it is loaded and later, goes to `said`."""
+    with said.listening():
+        memory = pack(*scene, component=component)
+    memory.operator.listen(said.listening)
+    return memory
 
 
 def _with_probes(component: ComponentGrid, board: Deck) -> set[str]:
