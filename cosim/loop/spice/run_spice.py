@@ -256,7 +256,7 @@ def _signals(
 
 
 def _packed(said: Said, *scene: Any, component: ComponentGrid | None) -> Memory:
-    """Return what `pack` makes; what a user's operator prints, while it is loaded and later, goes to `said`."""
+    """Return what `pack` makes; what a user's operator prints, then and later, goes to `said`."""
     with said.listening():
         memory = pack(*scene, component=component)
     memory.operator.listen(said.listening)
