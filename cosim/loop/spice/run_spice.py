@@ -255,10 +255,10 @@ def _signals(
     return ledger
 
 
-def _packed(said: Said, *scene: Any, component: ComponentGrid | None) -> Memory:
+def _packed(said: Said, *scene: Any, **more: Any) -> Memory:
     """Return what `pack` makes; what a user's operator prints, then and later, goes to `said`."""
     with said.listening():
-        memory = pack(*scene, component=component)
+        memory = pack(*scene, **more)
     memory.operator.listen(said.listening)
     return memory
 
