@@ -1,7 +1,8 @@
 """Measures of many devices that differ in the values of their components.
 
 The circuit models of a batch come from one process that knows the board as designed (`Draws`); `ideal` and
-`linear` runs stay there as well. A run of the model `spice` has a deck of its own and the ordinary way.
+`linear` runs stay there as well. A run of the model `spice`, and one with the user's Python or the noise of
+components, has a deck of its own and the ordinary way.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from cosim.circuits.fitting.rational_fit import FitError
 from cosim.comparisons.board_measures import BoardMeasures, Lacking
 from cosim.comparisons.measuring import all_measures, check_measures
 from cosim.errors import CosimError, InputError, Problem, SimulationError
+from cosim.loop.linear.held_run import held_run, is_compiled
 from cosim.ngspice.child import Child
 from cosim.ngspice.placed_values import Placed
 from cosim.plan import Plan
@@ -115,8 +117,8 @@ class Batch:
         return table
 
     def _some(self, start: int, values: Array, table: Array) -> None:
-        spice = self._plan.model == "spice" and self._runs
-        names = tuple(name for name in self.names if not (spice and name in self._runs))
+        alone = bool(self._runs) and (self._plan.model == "spice" or not is_compiled(self._plan.scene))
+        names = tuple(name for name in self.names if not (alone and name in self._runs))
         payload = {
             "plan": self._plan, "keys": self.keys, "nominal": self._nominal, "names": names, "values": values,
         }  # fmt: skip
@@ -132,13 +134,13 @@ class Batch:
             return
         table[start : start + len(values), columns] = found
         self.failures |= {start + k: why for k, why in failed.items()}
-        if spice:
+        if alone:
             for k in range(len(values)):
                 if k not in failed:
                     self._run(start + k, values[k], table)
 
     def _run(self, sample: int, values: Array, table: Array) -> None:
-        """Run one sample on ngspice; a crash or a hang is given a second chance."""
+        """Run one sample the ordinary way; a crash or a hang is given a second chance."""
         plan = self.plan_of(values)
         for chance in (False, True):
             try:
@@ -294,7 +296,6 @@ def _one(
     found: dict[str, float] = {}
     runs = [name for name in names if MEASURES[name].needs is Need.RUN]
     if runs:
-        from cosim.loop.linear.held_run import held_run
         from cosim.measures import standard
 
         small = draws.at(on_board, solver.band_hz, solver.reduction_tolerance)
