@@ -114,13 +114,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     if words[:1] == ["--completion"] and words[1:] in [[shell] for shell in SHELLS]:
         import shtab
 
-        print(shtab.complete(build_parser(), shell=words[1]))
-        return 0
+        return _printed(0, shtab.complete(build_parser(), shell=words[1]), sys.stdout)
     args = build_parser().parse_args(words)
     manner.choose(quiet=args.quiet, verbose=args.verbose)
     if callable(signal.getsignal(signal.SIGINT)) and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.default_int_handler)  # from here on there is something to tidy up
-    code, text, stream = _outcome(args)
+    return _printed(*_outcome(args))
+
+
+def _printed(code: int, text: str, stream: TextIO) -> int:
+    """Print what a command has to say; return its exit code."""
     try:
         print(printable(text), file=stream, flush=True)
     except BrokenPipeError:
