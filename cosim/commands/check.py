@@ -51,10 +51,12 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
             with collected(subject.label):
                 checks.append(check(subject, child=child))
     varies = [_varies(subject) for subject in subjects]
-    text = "\n\n".join(
-        (f"{done.subject.label}\n" if done.subject.label else "") + describe(done) + "\n" + lines
-        for done, (_, lines) in zip(checks, varies, strict=True)
-    )
+    texts = []
+    for done, (_, lines) in zip(checks, varies, strict=True):
+        sections, _, counts = describe(done).rpartition("\n")
+        label = [done.subject.label] if done.subject.label else []
+        texts.append("\n".join([*label, sections, lines, counts]))
+    text = "\n\n".join(texts)
     told = [done.as_dict() | found for done, (found, _) in zip(checks, varies, strict=True)]
     return {"checks": told}, text
 
