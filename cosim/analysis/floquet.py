@@ -51,7 +51,7 @@ def exponents(
     poles = np.linalg.eigvals(system.a)
     lasting = poles[np.abs(poles.real) * period < _FADED].imag
     turns = float(np.abs(lasting).max(initial=0.0)) * period / (2.0 * math.pi)
-    principal = np.log(z.astype(complex)) / period
+    principal: NDArray[np.complex128] = np.asarray(np.log(z.astype(complex)), np.complex128) / period
     if turns * _A_TURN > _MOST:
         return principal, np.full(len(z), np.nan)
     # whole turns that can be: none, those that a lasting pole makes, and their neighbours

@@ -96,7 +96,8 @@ def _gains(scene: Scene, constants: DesignConstants, samples: Signals) -> Iterat
         ("ksp", "spring", "N m/rad", constants.k_fs),
         ("ksd", "damper", "N m s/rad", constants.c_fs),
     ):
-        asked: NDArray[np.float64] = np.max([np.abs(samples[f"{prefix}{pair}"]) for pair in pairs], axis=0)
+        gains = np.array([np.abs(samples[f"{prefix}{pair}"]) for pair in pairs], np.float64)
+        asked: NDArray[np.float64] = np.asarray(gains.max(axis=0), np.float64)
         beyond = int(np.count_nonzero(asked > full * (1 + 1e-9)))
         if beyond:
             yield Caution(
