@@ -101,12 +101,11 @@ class Library:
             tried += [found] if found else []
         for name in tried:
             opened.LIBRARY_PATH = name
-            # PySpice wants the C locale for numbers, and sets it; a missing library shows as OSError
             with contextlib.suppress(OSError):
-                api = opened()._ngspice_shared
-                if not hasattr(api, "ngSpice_Init_Sync"):
+                # first without PySpice, which declares its functions before it looks, and can once
+                if not hasattr(ctypes.CDLL(name), "ngSpice_Init_Sync"):
                     raise InputError(f"{name} is not the shared library of ngspice")
-                return api
+                return opened()._ngspice_shared  # sets the C locale for numbers, as ngspice wants it
         raise InputError(
             "libngspice was not found (tried "
             + ", ".join(tried)

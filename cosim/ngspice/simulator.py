@@ -38,6 +38,7 @@ _NO_LAST_RESORT = "optran 1 1 1 0 0 0"
 never end (nothing can interrupt it), and if it fails the next analysis crashes. Others are tried instead."""
 
 _library: Library | None = None
+_refused: InputError | None = None  # why there is none: a process looks for it once
 
 
 class Simulator:
@@ -58,9 +59,15 @@ class Simulator:
     """
 
     def __init__(self, on_time: Callable[[float], None] | None = None) -> None:
-        global _library
+        global _library, _refused
+        if _refused is not None:
+            raise InputError(_refused.problems)
         if _library is None:
-            _library = Library()
+            try:
+                _library = Library()
+            except InputError as error:
+                _refused = error
+                raise
         self._library = _library
         self._library.attach(None, None, None, None, None)
         self._library.on_time = on_time
