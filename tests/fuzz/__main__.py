@@ -28,6 +28,7 @@ def main() -> int:
     parser.add_argument("--commands", type=int, default=500, help="whole commands")
     parser.add_argument("--kills", type=int, default=50, help="kills at random instants")
     args = parser.parse_args()
+    os.environ.setdefault("SOURCE_DATE_EPOCH", "0")  # else two runs differ in their dates
     failed = 0
     with tempfile.TemporaryDirectory(prefix="cosim fuzz ") as name:
         folder = Path(name)
