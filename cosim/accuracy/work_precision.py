@@ -7,10 +7,8 @@ the floor, and no error is claimed below it.
 from __future__ import annotations
 
 import hashlib
-import math
-import statistics
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,6 +17,7 @@ import numpy as np
 
 import cosim
 from cosim.accuracy.outcome import instants, peers, summary, trace_errors
+from cosim.accuracy.pareto import Row, cheapest, clipped, finest, marked
 from cosim.accuracy.solver_settings import MODELS, Setting, carries, grid, reference, second_reference
 from cosim.catalogue import OF_A_RUN, UNITS
 from cosim.caution import collected
@@ -42,54 +41,6 @@ _NO_ERROR = frozenset({"ledger_closure", "dac_saturations", "unreachable_samples
 _PEER_RTOL, _PEER_METHODS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6), ("trap", "gear")
 _PEER = "one deck in ngspice"
 _TIGHT_PEER = "one deck in ngspice, tight"
-
-
-@dataclass(frozen=True)
-class Row:
-    """One setting and what came of it.
-
-    Attributes
-    ----------
-    setting : what was asked for; a peer's has no overrides
-    wall_s, cpu_s, setup_s : each repetition's seconds: the simulation's own, its processor time, all before
-    points, rejected, states : of the simulation
-    errors : quantity -> share; a quantity is 'position', 'force' or a measure
-    failed : why there are no errors
-    front : whether no other is both cheaper and better, by the worst error
-    """
-
-    setting: Setting
-    wall_s: tuple[float, ...] = ()
-    cpu_s: tuple[float, ...] = ()
-    setup_s: tuple[float, ...] = ()
-    points: int = 0
-    rejected: int = 0
-    states: int | None = None
-    errors: Mapping[str, float] = field(default_factory=dict)
-    failed: str = ""
-    front: bool = False
-
-    @property
-    def seconds(self) -> float:
-        """Median of the simulation's wall time."""
-        return statistics.median(self.wall_s) if self.wall_s else math.inf
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the row JSON-ready."""
-        asked = self.setting
-        return {
-            "setting": asked.label,
-            "model": asked.model,
-            "series": asked.series,
-            "overrides": list(asked.overrides),
-            **{name: list(getattr(self, name)) for name in ("wall_s", "cpu_s", "setup_s")},
-            **{name: getattr(self, name) for name in ("points", "rejected", "states", "failed", "front")},
-            "errors": dict(self.errors),
-        }
-
-    def worst(self, quantities: Iterable[str]) -> float:
-        """Return the largest error of several quantities, infinite where one is missing."""
-        return max((self.errors.get(name, math.inf) for name in quantities), default=math.inf)
 
 
 @dataclass(frozen=True)
@@ -202,7 +153,7 @@ def accuracy(
     rows = [
         _row(setting, [part[i] for part in found], judged) for i, setting in enumerate(settings)
     ] + _peer_rows(second["decks"], judged)
-    rows = _marked([_clipped(row, floor) for row in rows], quantities)
+    rows = marked([clipped(row, floor) for row in rows], quantities)
     left = {model: _left_out(scene, model) for model in models if not carries(scene, model)}
     references = [reference(scene).label, second_reference(scene).label]
     references += [_TIGHT_PEER] if "motion" in second["decks"].get(_TIGHT_PEER, {}) else []
@@ -214,10 +165,10 @@ def accuracy(
         values=kept,
         rows=tuple(rows),
         left_out=left,
-        model_error={model: _finest(rows, model) for model in left},
+        model_error={model: finest(rows, model) for model in left},
         neglected=_neglected(plan, first),
         tolerance=tolerance,
-        cheapest=_cheapest(rows, quantities, tolerance),
+        cheapest=cheapest(rows, quantities, tolerance),
     )
 
 
@@ -379,33 +330,9 @@ def _peer_rows(decks: Mapping[str, Any], judged: Callable[..., dict[str, float]]
     return rows
 
 
-def _clipped(row: Row, floor: Mapping[str, float]) -> Row:
-    """Claim no error below the floor."""
-    return replace(row, errors={name: max(e, floor.get(name, 0.0)) for name, e in row.errors.items()})
-
-
-def _marked(rows: Sequence[Row], quantities: Sequence[str]) -> list[Row]:
-    """Mark the rows for which no other is both faster and better; peers have no measures and compete not."""
-    own = [row for row in rows if row.errors and row.setting.model != "peer"]
-    best: set[str] = set()
-    least = math.inf
-    for row in sorted(own, key=lambda r: (r.seconds, r.worst(quantities))):
-        if row.worst(quantities) < least:
-            least = row.worst(quantities)
-            best.add(row.setting.label)
-    return [replace(row, front=row.setting.label in best) for row in rows]
-
-
 def _left_out(scene: Scene, model: str) -> tuple[str, ...]:
     setting = grid(scene, (model,))[0]
     return setting.overrides[:-1]
-
-
-def _finest(rows: Sequence[Row], model: str) -> dict[str, float]:
-    """Return the errors that no setting of a model gets below."""
-    own = [row for row in rows if row.setting.model == model and row.errors]
-    names = dict.fromkeys(name for row in own for name in row.errors)
-    return {name: min(row.errors[name] for row in own if name in row.errors) for name in names}
 
 
 def _neglected(plan: Plan, first: Mapping[str, Any]) -> dict[str, float]:
@@ -413,8 +340,3 @@ def _neglected(plan: Plan, first: Mapping[str, Any]) -> dict[str, float]:
     peak = first["measures"].get("peak_force", 0.0)
     told = [row for row in plan.as_dict()["left_out"] if not row["not_applicable"]]
     return {str(row["name"]): float(row["size"]["force_n"]) / peak for row in told} if peak else {}
-
-
-def _cheapest(rows: Sequence[Row], quantities: Sequence[str], tolerance: float) -> Row | None:
-    good = [row for row in rows if row.setting.model != "peer" and row.worst(quantities) <= tolerance]
-    return min(good, key=lambda row: row.seconds, default=None)

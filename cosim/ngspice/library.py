@@ -19,7 +19,7 @@ from typing import Any
 from cosim.errors import InputError, SimulationError
 from cosim.ngspice.messages import worth_quoting
 
-__all__ = ["OLDEST_VERSION", "STOP_COMMAND", "Init", "Library", "Source", "Sync"]
+__all__ = ["OLDEST_VERSION", "STOP_COMMAND", "Init", "Library", "Source", "Sync", "opened"]
 
 OLDEST_VERSION = 39
 """Oldest ngspice whose shared library was tested."""
@@ -269,3 +269,27 @@ class Library:
         self.failure = self.failure or SimulationError(f"nothing answers the external source {source}")
         value[0] = 0.0
         return 0
+
+
+_library: Library | None = None
+_refused: InputError | None = None  # why there is none: a process looks for it once
+
+
+def opened() -> Library:
+    """Return the library of this process, opened at the first call.
+
+    Raises
+    ------
+    InputError
+        If it is missing or older than `OLDEST_VERSION`; every later call says so too.
+    """
+    global _library, _refused
+    if _refused is not None:
+        raise InputError(_refused.problems)
+    if _library is None:
+        try:
+            _library = Library()
+        except InputError as error:
+            _refused = error
+            raise
+    return _library

@@ -19,7 +19,7 @@ from cosim.ngspice.aliases import Aliases
 from cosim.ngspice.command import spelled
 from cosim.ngspice.dcpath import has_dc_path, in_voltage_loop
 from cosim.ngspice.gate import admit
-from cosim.ngspice.library import OLDEST_VERSION, STOP_COMMAND, Init, Library, Source, Sync
+from cosim.ngspice.library import OLDEST_VERSION, STOP_COMMAND, Init, Source, Sync, opened
 from cosim.ngspice.lines import Line, number
 from cosim.ngspice.messages import is_error, load_problems, operating_point_problem, step_problem
 
@@ -36,9 +36,6 @@ _LENGTH_OFFSET = 56
 _NO_LAST_RESORT = "optran 1 1 1 0 0 0"
 """Keeps ngspice from its last resort where it finds no operating point: a transient from zero, which may
 never end (nothing can interrupt it), and if it fails the next analysis crashes. Others are tried instead."""
-
-_library: Library | None = None
-_refused: InputError | None = None  # why there is none: a process looks for it once
 
 
 class Simulator:
@@ -59,16 +56,7 @@ class Simulator:
     """
 
     def __init__(self, on_time: Callable[[float], None] | None = None) -> None:
-        global _library, _refused
-        if _refused is not None:
-            raise InputError(_refused.problems)
-        if _library is None:
-            try:
-                _library = Library()
-            except InputError as error:
-                _refused = error
-                raise
-        self._library = _library
+        self._library = opened()
         self._library.attach(None, None, None, None, None)
         self._library.on_time = on_time
         self._aliases = Aliases()
