@@ -38,6 +38,10 @@ COMMANDS = (
     "export {scene} --out {out}/deck.cir",
     "compare {board} {scene} --set {set} --out {out}/compare",
     "sweep {scene} {set} --measure peak_force --out {out}/sweep",
+    "mc {scene} --list",
+    "mc {scene} --list --set {set}",
+    "mc {scene} -n 2 --workers 1 --measure k_max --out {out}/mc",
+    "nodes {scene}",
     "report {scene}",
     "report {result} --out {out}/report",
 )
@@ -109,7 +113,7 @@ def exercise(project: Project, result: Path, folder: Path, number: int, count: i
 def _attempt(project: Project, case: Case, out: Path) -> int:
     before = _listing(project.folder)
     words = [word.replace("{out}", str(out)) for word in case.words]
-    if words[0] in ("run", "check", "plan", "stability", "noise", "export") and ".toml" in words[1]:
+    if words[0] in ("run", "check", "plan", "stability", "noise", "export", "mc") and ".toml" in words[1]:
         words += ["--set", f"solver.time_limit_s={LIMIT_S:g}"]
     if case.file is None:
         code = _run(words, out)

@@ -32,6 +32,15 @@ NUMBERS = (
 )
 #: Text that means something to a shell, to ngspice's command language, to a reader or to a terminal.
 TOKENS = (
+    *(
+        "$ tol=1%",
+        "$ tol=-1%",
+        "$ lot=5% dev=1%",
+        "$ match=net1",
+        "agauss(1k, 10, 3)",
+        "limit(1, 2)",
+        "$ tol=nan sigmas=0",
+    ),
     *("`touch MARK`", "$(touch MARK)", "$HOME", ";touch MARK", "> MARK", "| touch MARK", "*ng_script"),
     "\n.control\nshell touch MARK\n.endc\n",
     *(
