@@ -46,6 +46,10 @@ ALL, OWN = ("ideal", "linear", "spice"), ("ideal", "linear")
 RADIUS = 0.1333
 
 
+#: Longest call of a case [s]: those marked slow take minutes on a busy machine.
+_LIMIT_S = 600.0
+
+
 @dataclass(frozen=True)
 class HardCase:
     """A scene whose answer theory knows.
@@ -139,7 +143,7 @@ class Bench:
 
     def ask(self, target: str, payload: object) -> Any:
         """Call a function of (payload, report) in the process, as `cosim.ngspice.child.call`."""
-        return call(target, payload, child=self._child)
+        return call(target, payload, time_limit_s=_LIMIT_S, child=self._child)
 
     def run(self, tables: Tables, model: str, law: str = "", *, estimate: bool = False) -> Ran:
         """Run a scene given as tables, its law as the text of ``law.py``; measures with errors if asked."""
