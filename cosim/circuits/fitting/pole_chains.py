@@ -76,5 +76,6 @@ def least_squares(basis: Complex, f: Complex) -> Array:
     left = np.concatenate([basis.real, basis.imag])
     right = np.concatenate([f.real, f.imag])
     size = np.abs(left).max(axis=0)
+    size[size == 0.0] = 1.0  # a pole so far away or so near to 0 that nothing is left of it
     out: Array = np.linalg.lstsq(left / size, right, rcond=1e-15)[0] / size[:, None]
     return out

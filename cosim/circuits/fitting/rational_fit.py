@@ -7,6 +7,7 @@ would be large and cancel. A pole has as many states as its residue has rank.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -265,7 +266,10 @@ def _relocated(s: Complex, f: Complex, poles: Complex) -> tuple[Complex, float]:
 
 
 def _misfit(s: Complex, f: Complex, poles: Complex) -> float:
+    """Return the largest error of a fit with these poles, infinite where a point lies on one of them."""
     basis = chain_basis(s, chained(poles))
+    if not np.isfinite(basis).all():
+        return math.inf
     return float(np.abs(basis @ least_squares(basis, f) - f).max())
 
 
