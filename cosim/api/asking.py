@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from cosim.api.doubts import doubts
-from cosim.api.simulating import plan
 from cosim.caution import warn
-from cosim.plan import Plan
+from cosim.plan import Plan, resolve
 from cosim.scene import PotNoise
-from cosim.scene.load import SceneLike
+from cosim.scene.load import SceneLike, load_scene
 from cosim.variants import Setting, variants
 
 if TYPE_CHECKING:  # each function loads what it needs: a map of stability checks no board
@@ -83,7 +82,7 @@ def contact(scene: ContactLike, *, trust: bool = False, child: Child | None = No
     from cosim.analysis.extracted import circuit_of
     from cosim.plausibility import of_asked, of_circuit
 
-    planned = plan(scene, trust=trust, child=child)
+    planned = scene if isinstance(scene, Plan) else resolve(load_scene(scene), trust=trust)
     circuit, constants = circuit_of(planned, child=child)
     warn(*of_asked(planned.scene, constants), *of_circuit(circuit, constants))
     return Contact(planned, circuit, constants)

@@ -47,7 +47,7 @@ _SINGULAR = re.compile(r"singular matrix:\s*check nodes?\s+(\S+(?:\s+and\s+\S+)?
 _STEP = re.compile(r"timestep too small; time = (\S+), timestep = \S+: (.*)", re.IGNORECASE)
 _DC_FAILED = re.compile(
     r"(DC|Transient) solution failed|Transient op failed|operating point could not"
-    r"|doAnalyses: .*(too many iterations without convergence|iteration limit reached)",
+    r"|doAnalyses: .*(too many iterations without convergence|iteration limit reached|matrix is singular)",
     re.IGNORECASE,
 )
 
