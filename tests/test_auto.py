@@ -169,7 +169,9 @@ def value_of(share, scene):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", range(5, 9))
+@pytest.mark.parametrize(
+    "seed", [5, pytest.param(6, marks=pytest.mark.slow), 7, pytest.param(8, marks=pytest.mark.slow)]
+)
 def test_whatever_the_effects_do_the_choice_meets_the_tolerance(device, seed):
     share, seen = device
     rng = np.random.default_rng(seed)
@@ -182,7 +184,7 @@ def test_whatever_the_effects_do_the_choice_meets_the_tolerance(device, seed):
     assert len(set(seen)) == len(seen) == plan.choice["runs"]  # nothing is run twice
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_same_question_has_the_same_answer(device):
     share, _ = device
     rng = np.random.default_rng(5)
