@@ -256,7 +256,8 @@ BAD_VALUES = [
     ("effects.opamp=gbv", "effects.opamp", None, "ideal, gbw, full"),
     ("operator.type=hnd", "operator.type", None, "none, mass, hand, python"),
     ("operator.mass_kg=-1", "operator.mass_kg", "kg", ">= 0"),
-    ("solver.rtol=0", "solver.rtol", None, "> 0"),
+    ("solver.rtol=0", "solver.rtol", None, ">= 1e-12"),
+    ("solver.rtol=1e-320", "solver.rtol", None, ">= 1e-12"),
 ]
 
 

@@ -214,14 +214,14 @@ class Solver(Table):
     """
 
     model: Annotated[CircuitModelName, WORD] = CircuitModelName.AUTO
-    rtol: float = Field(default=1e-4, gt=0, le=0.1)
+    rtol: float = Field(default=1e-4, ge=1e-12, le=0.1)  # rounding ends what less would buy
     max_step_s: Step = 2e-3
     method: Annotated[Integration, WORD] = Integration.GEAR
     coupling_tolerance_rad: Annotated[float, Field(ge=1e-14, le=0.1), Unit("rad")] = 1e-7
     band_hz: Frequency = 1000.0
-    reduction_tolerance: float = Field(default=1e-6, gt=0, le=0.1)
-    charge_tolerance_c: Annotated[float, Field(gt=0, le=1e-3), Unit("C")] = 1e-9
-    time_limit_s: Annotated[float, Field(gt=0, le=1e6), Unit("s")] = 600.0
+    reduction_tolerance: float = Field(default=1e-6, ge=1e-14, le=0.1)
+    charge_tolerance_c: Annotated[float, Field(ge=1e-21, le=1e-3), Unit("C")] = 1e-9  # six electrons
+    time_limit_s: Annotated[float, Field(ge=1e-3, le=1e6), Unit("s")] = 600.0
     allow_unstable: bool = False
 
 
