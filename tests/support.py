@@ -4,7 +4,6 @@ The numbers of the ideal boards are computed here from the resistors in the netl
 from the design constants that the computer believes: a test that compares the two tests the board as well.
 """
 
-import json
 import math
 from collections.abc import Mapping
 from itertools import pairwise
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from cosim.accuracy.hard_cases.hard_case import merge, toml
 from cosim.circuits.decks import lockstep_deck
 from cosim.errors import CosimError, SimulationError
 from cosim.loop.spice import run_spice as simulation
@@ -44,24 +44,6 @@ EMF_TRUE = KT**2 * GEAR**2 / MOTOR_OHM  # N m s/rad at the joint
 V_RAD, K_FS, V_FS, V_NM = 3.37034, 3.0003, 10.0, 15.625
 
 
-def toml(tables: Mapping[str, Any]) -> str:
-    """Text of a TOML file; JSON's numbers, words, truth values and lists are TOML's."""
-    lines: list[str] = []
-
-    def write(table: Mapping[str, Any], path: tuple[str, ...]) -> None:
-        if path:
-            lines.append(f"[{'.'.join(path)}]")
-        for key, value in table.items():
-            if not isinstance(value, Mapping):
-                lines.append(f"{key} = {json.dumps(value)}")
-        for key, value in table.items():
-            if isinstance(value, Mapping):
-                write(value, (*path, key))
-
-    write(tables, ())
-    return "\n".join(lines) + "\n"
-
-
 def slider(**top: Any) -> dict[str, Any]:
     """Carriage of 0.2 kg on board1, every effect in its null form; tables of `top` are merged in."""
     base: dict[str, Any] = {
@@ -77,19 +59,6 @@ def slider(**top: Any) -> dict[str, Any]:
         "wall": {"point_m": [0.0, 0.0], "normal": [0.0, 1.0]},
     }
     return merge(base, top)
-
-
-def merge(base: Mapping[str, Any], top: Mapping[str, Any]) -> dict[str, Any]:
-    """Tables of `top` over those of `base`; None takes a key away."""
-    out = dict(base)
-    for key, value in top.items():
-        if value is None:
-            out.pop(key, None)
-        elif isinstance(value, Mapping):
-            out[key] = merge(out.get(key, {}), value)
-        else:
-            out[key] = value
-    return out
 
 
 def scene_of(folder: Path, tables: Mapping[str, Any], *overrides: str) -> Scene:
