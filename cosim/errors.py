@@ -90,6 +90,11 @@ class CosimError(Exception):
     {'error': 'CosimError', 'message': 'it failed'}
     """
 
+    @property
+    def in_brief(self) -> str:
+        """What went wrong in one line, for a row of a table."""
+        return (str(self).splitlines() or [type(self).__name__])[0]
+
     exit_code = 1
 
     def as_dict(self) -> dict[str, object]:
@@ -121,6 +126,11 @@ class InputError(CosimError):
             problems = (problems,)
         self.problems: tuple[Problem, ...] = tuple(problems)
         super().__init__(self.problems)
+
+    @property
+    def in_brief(self) -> str:
+        """What is wrong, each problem once, without file and key: the row is of the input that has them."""
+        return "; ".join(dict.fromkeys(problem.message for problem in self.problems))
 
     def __str__(self) -> str:
         return "\n".join(str(problem) for problem in self.problems)

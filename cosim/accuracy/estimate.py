@@ -18,7 +18,7 @@ from typing import Any
 from cosim.accuracy.solver_settings import carries
 from cosim.caution import collected
 from cosim.circuits.linear_circuit import LinearCircuit
-from cosim.errors import CosimError, InputError
+from cosim.errors import CosimError
 from cosim.ngspice.child import Child
 from cosim.plan import Plan, resolve
 from cosim.runner import measures_of
@@ -103,7 +103,7 @@ def estimator(plan: Plan, child: Child | None) -> Callable[[Measures, Any], dict
                     found = measures_of(twin.plan, child)
                 break
             except CosimError as error:
-                why = _first_line(error)
+                why = error.in_brief
         else:
             return {name: {**row, "error": None, "no_error": why} for name, row in measures.items()}
         share = doubt(circuit)
@@ -129,9 +129,3 @@ def _with_error(
     value = float(row["value"])
     apart = abs(value - float(other["value"]))
     return {**row, "error": twin.margin * apart + (share + _ROUNDING) * abs(value)}
-
-
-def _first_line(error: CosimError) -> str:
-    if isinstance(error, InputError):
-        return error.problems[0].message
-    return str(error).splitlines()[0]

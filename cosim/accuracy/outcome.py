@@ -114,7 +114,7 @@ def run_decks(payload: dict[str, Any], report: Any) -> dict[str, Any]:
             names = {*simulator.vector_names()}
             signals = {name: np.real(simulator.vector(name)) for name in ("time", *AXES) if name in names}
         except CosimError as error:
-            out[label] = {"reason": str(error).splitlines()[0]}
+            out[label] = {"reason": error.in_brief}
             continue
         out[label] = {
             "motion": motion(signals, payload["times"]),

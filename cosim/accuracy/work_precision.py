@@ -270,15 +270,9 @@ class _Runner:
             except StorageError:
                 raise
             except CosimError as error:
-                return {"failed": _first_line(error)}
+                return {"failed": error.in_brief}
 
         return dict(self._points.get(f"{setting.label} #{repetition + 1}", measured))
-
-
-def _first_line(error: CosimError) -> str:
-    if isinstance(error, InputError):
-        return "; ".join(dict.fromkeys(problem.message for problem in error.problems))
-    return str(error).splitlines()[0]
 
 
 def _quantities(first: Mapping[str, Any], asked: Sequence[str], scene: Scene) -> tuple[str, ...]:

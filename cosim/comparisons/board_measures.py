@@ -208,5 +208,5 @@ def board_measures(
         except InputError as error:
             if not lenient:
                 raise
-            lacking[name] = "; ".join(problem.message for problem in error.problems)
+            lacking[name] = error.in_brief
     return rows, lacking

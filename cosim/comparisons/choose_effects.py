@@ -314,7 +314,7 @@ def _decided(search: _Search, chosen: Settings, rung: Rung, in_force: bool, leas
         size = candidates.size(rung, chosen)
         seconds = candidates.seconds(candidates.with_(chosen, rung))
     except InputError as error:  # what it requires is left out, or what it excludes is in
-        return Decision(name, value, False, "; ".join(problem.message for problem in error.problems))
+        return Decision(name, value, False, error.in_brief)
     if move is None:
         why = (
             f"not run: a priori up to {quantity(size.force_n, 'N', 2)}, the tolerance is "

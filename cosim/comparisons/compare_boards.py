@@ -244,7 +244,7 @@ def _side(label: str, plan: Plan, subject: Subject, result: Run, child: Child | 
         circuit = _circuit(plan, 0.0, child)
         reduced = _circuit(plan, plan.scene.solver.reduction_tolerance, child)
     except InputError as error:  # a board too nonlinear for one is still a board
-        said.append(("small-signal model", "; ".join(problem.message for problem in error.problems)))
+        said.append(("small-signal model", error.in_brief))
     else:
         figures += [*of_circuit(circuit), *of_reduced(reduced)]
         said.append(("small-signal model", str(circuit.certificate["footnote_1"]["sentence"])))

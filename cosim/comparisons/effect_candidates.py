@@ -118,7 +118,7 @@ class Candidates:
         try:
             self.plan(settings)
         except InputError as error:
-            return "; ".join(problem.message for problem in error.problems)
+            return error.in_brief
         return ""
 
     def with_(self, settings: Settings, *rungs: Rung) -> Settings:

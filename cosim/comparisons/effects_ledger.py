@@ -262,7 +262,7 @@ class _Runner:
                 self.lacking |= found.lacking
                 self._known[key] = found.rows, found.cpu_s
             except SimulationError as error:
-                self._known[key] = str(error).splitlines()[0]
+                self._known[key] = error.in_brief
                 self.close()
                 self._child, self._own = (
                     start_early("cosim.loop.early_imports"),

@@ -138,7 +138,7 @@ class Bench:
         try:
             got, failed = float(case.find(self, model)), ""
         except CosimError as error:
-            got, failed = None, str(error).splitlines()[0]
+            got, failed = None, error.in_brief
         return Outcome(case, model, got, failed, time.perf_counter() - begun)
 
     def ask(self, target: str, payload: object) -> Any:
