@@ -4,10 +4,13 @@
 thrice it, how tight the bounds are, and what the estimates cost. Errors are against a lockstep far
 tighter than any other, and count only from ten times what this and our own loop, as tight, disagree by: for
 a lockstep whose twin is our own loop the reference is therefore not its twin.
+
+`--random N --seed S` takes N scenes of `benchmarks.trouble` instead: none that a margin was tuned on.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import statistics
 import sys
@@ -16,6 +19,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks import trouble
 from benchmarks.rig import ROOT
 from cosim.accuracy.estimate import estimator
 from cosim.accuracy.solver_settings import carries, reference, second_reference
@@ -61,10 +65,21 @@ class Seen:
     bound: float | None
 
 
-def seen(name: str, child: Child | None) -> Iterator[Seen | tuple[str, float]]:
+def shipped(names: list[str]) -> dict[str, tuple[Path, tuple[str, ...]]]:
+    """Return the cases of these names, or all: name -> scene's file and changes."""
+    picked = names or [*CASES]
+    return {name: (ROOT / "scenes" / f"{CASES[name][0]}.toml", CASES[name][1]) for name in picked}
+
+
+def random_cases(seed: int, count: int) -> dict[str, tuple[Path, tuple[str, ...]]]:
+    """Return scenes of the random search by seed and number."""
+    return {f"{seed}/{k}": trouble.drawn(seed, k) for k in range(count)}
+
+
+def seen(
+    name: str, path: Path, changes: tuple[str, ...], child: Child | None
+) -> Iterator[Seen | tuple[str, float]]:
     """Run a case: yields what was seen, and for each run (model, CPU with the estimate over without)."""
-    file, changes = CASES[name]
-    path = ROOT / "scenes" / f"{file}.toml"
     scene = load_scene(path, changes)
 
     def simulated(*overrides: str, estimate: bool = False) -> Run:
@@ -100,21 +115,32 @@ def seen(name: str, child: Child | None) -> Iterator[Seen | tuple[str, float]]:
                     yield Seen(name, model, measure, error / size, bound)
 
 
-def main(names: list[str]) -> int:
+def main(arguments: list[str]) -> int:
     """Run the cases and print the table; 1 when fewer than 95 % of the errors are within their bound."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.estimates", description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="CASE", help=", ".join(CASES))
+    parser.add_argument("--random", type=int, default=0, metavar="N", help="random scenes instead")
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args(arguments)
+    cases = random_cases(args.seed, args.random) if args.random else shipped(args.names)
     found: list[Seen] = []
     ratios: dict[str, list[float]] = {}
-    with start_early("cosim.loop.spice.run_spice", reads=[ROOT / "scenes"]) as child:
-        for name in names or CASES:
-            try:
-                for each in seen(name, child):
-                    if isinstance(each, Seen):
-                        found.append(each)
-                    else:
-                        ratios.setdefault(each[0], []).append(each[1])
-            except CosimError as error:
-                print(f"{name}: {str(error).splitlines()[0]}", flush=True)
-            print(f"{name}: {sum(s.case == name for s in found)} errors", flush=True)
+    reads = [ROOT / "scenes"]
+    child = start_early("cosim.loop.spice.run_spice", reads=reads)
+    for name, (path, changes) in cases.items():
+        if not child.alive:
+            child = start_early("cosim.loop.spice.run_spice", reads=reads)
+        try:
+            for each in seen(name, path, changes, child):
+                if isinstance(each, Seen):
+                    found.append(each)
+                else:
+                    ratios.setdefault(each[0], []).append(each[1])
+        except CosimError as error:
+            print(f"{name}: {str(error).splitlines()[0]}", flush=True)
+        print(f"{name}: {sum(s.case == name for s in found)} errors", flush=True)
+        _keep(found)
+    child.close()
     for model in SETTINGS:
         mine = [s for s in found if s.model == model]
         if mine:
@@ -124,11 +150,14 @@ def main(names: list[str]) -> int:
         if s.bound is None or s.error > s.bound:
             bound = "none" if s.bound is None else f"{s.bound:.2e}"
             print(f"  beyond: {s.case}, {s.model}, {s.measure}: error {s.error:.2e}, bound {bound}")
-    Path("out").mkdir(exist_ok=True)
-    Path("out/estimates.json").write_text(json.dumps([vars(s) for s in found], indent=1) + "\n", "utf-8")
     within = sum(s.bound is not None and s.error <= s.bound for s in found)
     print(f"all: {_words(found)}" if found else "nothing is above the floor")
     return 0 if within >= 0.95 * len(found) else 1
+
+
+def _keep(found: list[Seen]) -> None:
+    Path("out").mkdir(exist_ok=True)
+    Path("out/estimates.json").write_text(json.dumps([vars(s) for s in found], indent=1) + "\n", "utf-8")
 
 
 def _words(found: list[Seen]) -> str:
