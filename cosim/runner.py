@@ -30,7 +30,7 @@ from cosim.scene import PythonOperator, Scene
 from cosim.staging import Staging, disk_errors, require_ours, scratch_folder
 from cosim.units import quantity
 
-__all__ = ["measures_of", "resolve", "run"]
+__all__ = ["Errors", "measures_of", "resolve", "run"]
 
 Measures = Mapping[str, Mapping[str, Any]]
 #: What adds errors to measures; see `run`.

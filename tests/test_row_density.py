@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support import SCENES, simulate
 
@@ -36,3 +37,11 @@ def test_rows_ten_times_sparser_move_no_measure(tmp_path: Path, model: str) -> N
         bound = RIPPLE if name in ("force_ripple", "tangential_ratio", "steady_tangential_force") else BOUND
         bound = PEAK if name in ("peak_force", "peak_normal_force") else bound
         assert sparse[name] == pytest.approx(dense[name], rel=bound, abs=1e-12), name
+
+
+@pytest.mark.parametrize("step", [2e-3, 3e-6])
+def test_no_two_rows_are_further_apart_than_the_longest_step(tmp_path: Path, step: float) -> None:
+    """A step that is short because it was asked for is a row: 3 us in periods of 25 ms were none."""
+    asked = ("solver.model=linear", f"solver.max_step_s={step}", "duration_s=0.12")
+    run = simulate(load_scene(SCENES / "press.toml", asked), tmp_path / "out")
+    assert np.diff(run.signals["time"]).max() <= step * (1 + 1e-9)  # instants are rounded

@@ -64,7 +64,7 @@ def counted(monkeypatch):
     """Replace the simulation and count what is run; a value in `broken` fails."""
     seen, broken = [], set()
 
-    def pretend(plan, names, child):
+    def pretend(plan, names, child, measurer):
         period = plan.scene.computer.period_s
         if period in broken:
             raise SimulationError("did not converge")

@@ -1,25 +1,29 @@
-"""A run whose measures are within a tolerance: model and tolerances of the solver are chosen for it."""
+"""Measures within a tolerance: model, steps and tolerances of the solver are chosen for it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from cosim.accuracy.estimate import estimator
 from cosim.catalogue import OF_A_RUN, UNITS
 from cosim.caution import Caution, collected, warn
-from cosim.comparisons.measuring import run_with_measures
+from cosim.comparisons.measuring import Measured, Measurer, measure, run_with_measures
 from cosim.errors import InputError, Problem, nearest
 from cosim.measures import Tolerance, amount
 from cosim.ngspice.child import Child
 from cosim.plan import Plan, resolve
 from cosim.results import Run
+from cosim.runner import Errors
 from cosim.scene import CircuitModelName
 
-__all__ = ["Wanted", "parse_tolerances", "run_within"]
+__all__ = ["Wanted", "measurer_within", "parse_tolerances", "run_within", "shortfalls"]
+
+Measures = Mapping[str, Mapping[str, Any]]
+T = TypeVar("T")
 
 #: What has no error that a solver could make smaller.
 _WITHOUT = frozenset({"ledger_closure", "headroom"})
@@ -35,16 +39,22 @@ class Wanted:
     ----------
     by_name : measure -> tolerance
     every : share that all measures must meet; None where only those named count
+    of : measures that `every` is said of; None for all that a run has
     """
 
     by_name: Mapping[str, Tolerance]
     every: float | None = None
+    of: Collection[str] | None = None
 
-    def missed(self, measures: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    def names(self, measures: Measures) -> list[str]:
+        """Return the measures that a tolerance is said of, among those of a run."""
+        every = [name for name in measures if self.of is None or name in self.of]
+        return [*dict.fromkeys([*self.by_name, *(every if self.every is not None else ())])]
+
+    def missed(self, measures: Measures) -> dict[str, str]:
         """Return the measures whose error is larger than allowed, or not known, with what there is."""
         out = {}
-        names = [*self.by_name, *(measures if self.every is not None else ())]
-        for name in dict.fromkeys(names):
+        for name in self.names(measures):
             row = measures.get(name)
             asked = self.by_name.get(name)
             if row is None:
@@ -54,11 +64,15 @@ class Wanted:
             elif row.get("error") is None:
                 out[name] = str(row.get("no_error", "its error is not known"))
             else:
-                value = float(row["value"])
-                allowed = asked.allowed(value) if asked else (self.every or 0.0) * abs(value)
+                allowed = self.allowed(name, row)
                 if row["error"] > allowed:
                     out[name] = f"error {row['error']:.2g}, allowed {allowed:.2g} {row['unit']}".rstrip()
         return out
+
+    def allowed(self, name: str, row: Mapping[str, Any]) -> float:
+        """Return the error that a measure may have, in its unit."""
+        asked, value = self.by_name.get(name), float(row["value"])
+        return asked.allowed(value) if asked else (self.every or 0.0) * abs(value)
 
 
 def parse_tolerances(texts: Sequence[str]) -> Wanted:
@@ -129,24 +143,72 @@ def run_within(
     free
         Whether the cheapest model that carries the scene replaces the one that the scene states.
     """
-    missed: dict[str, str] = {}
-    for level in range(_LEVELS):
+
+    def attempt(tried: Plan, errors: Errors) -> tuple[Run, Measures]:
+        found = run_with_measures(tried, out, child=child, errors=errors, **more)
+        return found, found.measures
+
+    result, cautions = _refined(plan, wanted, free, child, attempt)
+    warn(*cautions)
+    return result
+
+
+def measurer_within(wanted: Wanted, *, free: bool = True) -> Measurer:
+    """Return what measures a plan as `cosim.comparisons.measuring.measure`, within tolerances.
+
+    Rows have their 'error'; what cannot be reached is among the warnings.
+    """
+
+    def measured(
+        plan: Plan, names: Collection[str], *, child: Child | None = None, lenient: bool = False
+    ) -> Measured:
+        def attempt(tried: Plan, errors: Errors) -> tuple[Measured, Measures]:
+            found = measure(tried, names, child=child, lenient=lenient, errors=errors)
+            return found, found.of_a_run
+
+        found, cautions = _refined(plan, wanted, free, child, attempt)
+        return replace(found, warnings=(*found.warnings, *(c for c in cautions if c not in found.warnings)))
+
+    return measured
+
+
+def _refined(
+    plan: Plan,
+    wanted: Wanted,
+    free: bool,
+    child: Child | None,
+    attempt: Callable[[Plan, Errors], tuple[T, Measures]],
+) -> tuple[T, list[Caution]]:
+    """Attempt a plan with ever tighter settings until its measures are within tolerances, or none helps."""
+    level = tries = 0
+    while True:
         with collected(forward=False) as heard:
             tried = _at_level(plan, wanted, level, free)
-            result = run_with_measures(tried, out, child=child, errors=estimator(tried, child), **more)
-        missed = wanted.missed(result.measures)
-        if not missed or not _could_shrink(missed, result):
-            break
-    warn(*heard)
-    for name, why in missed.items():
-        warn(
-            Caution(
-                "tolerance-missed",
-                f"{name} is not known to be within its tolerance, after {level + 1} run(s): {why}",
-                "allow more; cosim accuracy tells what each setting reaches",
-            )
+            result, measures = attempt(tried, estimator(tried, child))
+        tries += 1
+        missed = wanted.missed(measures)
+        if not missed or not _could_shrink(missed, measures) or level == _LEVELS - 1:
+            return result, [*heard, *shortfalls(missed, f", after {tries} run(s)")]
+        level = min(level + _steps(wanted, measures), _LEVELS - 1)
+
+
+def shortfalls(missed: Mapping[str, str], when: str = "") -> list[Caution]:
+    """Return the cautions about measures that are not within their tolerance, of `Wanted.missed`."""
+    return [
+        Caution(
+            "tolerance-missed",
+            f"{name} is not known to be within its tolerance{when}: {why}",
+            "allow more; cosim accuracy tells what each setting reaches",
         )
-    return result
+        for name, why in missed.items()
+    ]
+
+
+def _steps(wanted: Wanted, measures: Measures) -> int:
+    """Return how many levels to go at once: each takes a power of ten off the errors, or somewhat more."""
+    ratios = [row["error"] / wanted.allowed(name, row) for name in wanted.names(measures)
+              if (row := measures.get(name)) and row.get("error") and wanted.allowed(name, row)]  # fmt: skip
+    return max(1, math.floor(math.log10(max(ratios, default=1.0))))
 
 
 def _at_level(plan: Plan, wanted: Wanted, level: int, free: bool) -> Plan:
@@ -172,6 +234,6 @@ def _at_level(plan: Plan, wanted: Wanted, level: int, free: bool) -> Plan:
     return replace(tried, cautions=plan.cautions, choice=plan.choice)
 
 
-def _could_shrink(missed: Mapping[str, str], result: Run) -> bool:
+def _could_shrink(missed: Mapping[str, str], measures: Measures) -> bool:
     """Whether a measure that misses its tolerance has an error that smaller steps may mend."""
-    return any(result.measures.get(name, {}).get("error") is not None for name in missed)
+    return any(measures.get(name, {}).get("error") is not None for name in missed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -152,6 +152,7 @@ def sweep(
     measures: Sequence[str] = ("peak_force", "max_penetration"),
     out: str | Path | None = None,
     *,
+    tolerances: Sequence[str] = (),
     trust: bool = False,
     child: Child | None = None,
     on_progress: Callable[[int, int, str], None] | None = None,
@@ -167,13 +168,16 @@ def sweep(
         Names of `cosim.catalogue`, or ``file.py:Class`` of one's own; nothing is run where none needs it.
     out
         Folder that keeps points and table; none when not given.
+    tolerances
+        Errors that measures may have, as for `run`; a stated ``solver.model`` among the ranges is kept.
     on_progress
         Called with (points done, points in all, what is computed).
 
     Returns
     -------
     Sweep
-        One value a point and measure, None where a point failed; `failed` says why.
+        One value a point and measure, None where a point failed; `failed` says why. With tolerances, `errors`
+        has the bounds.
 
     Raises
     ------
@@ -197,13 +201,15 @@ def sweep(
             parse_range(f"{name}={values}") if isinstance(values, str) else Setting.of(name, values)
             for name, values in ranges.items()
         ]
-    with doubts():
-        if out is not None:
-            return swept(
-                scene, ranges, measures, Path(out), child=child, trust=trust, on_progress=on_progress
-            )
-        with scratch_folder("sweep") as folder:
-            return swept(scene, ranges, measures, folder, child=child, trust=trust, on_progress=on_progress)
+    how: dict[str, Any] = {"child": child, "trust": trust, "on_progress": on_progress}
+    if tolerances:
+        from cosim.accuracy.within import measurer_within, parse_tolerances
+
+        free = all(setting.name != "solver.model" for setting in ranges)
+        wanted = replace(parse_tolerances(tolerances), of=frozenset(measures))
+        how |= {"measurer": measurer_within(wanted, free=free), "how": f"within {sorted(tolerances)}"}
+    with doubts(), _folder(out, "sweep") as folder:
+        return swept(scene, ranges, measures, folder, **how)
 
 
 def compare(

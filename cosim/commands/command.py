@@ -87,6 +87,17 @@ def measure_argument(parser: argparse.ArgumentParser, what: str) -> None:
     )
 
 
+def tolerance_argument(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add ``--tol``; `what` says what it does there."""
+    parser.add_argument(
+        "--tol",
+        action="append",
+        default=[],
+        metavar="SHARE or NAME=AMOUNT",
+        help=f"{what}: 1e-3 for all, or rendered_stiffness=0.1%%; repeatable",
+    )
+
+
 def out_argument(parser: argparse.ArgumentParser) -> None:
     """Add the folder for results."""
     parser.add_argument(

@@ -2,12 +2,13 @@
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.commands.command import Command
+from cosim.commands.command import Command, tolerance_argument
 from cosim.commands.progress import progress
-from cosim.units import quantity, signed
+from cosim.units import measured, quantity, signed
 
 if TYPE_CHECKING:
     from cosim.comparisons.effects_ledger import EffectsLedger
@@ -28,6 +29,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="measure of the table and the picture; of your own: file.py:Class",
     )
+    tolerance_argument(parser, "choose each run's solver settings so that the measure is this right")
     parser.add_argument("-o", "--out", metavar="FOLDER", help="folder for the picture and the table (CSV)")
 
 
@@ -57,8 +59,14 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         overrides = tuple(setting.override(setting.values[0]) for setting in settings)
         if own:
             overrides = (*overrides, f"measures.names={json.dumps([args.measure])}")
+        how: dict[str, Any] = {"measures": wanted, "child": child}
+        if args.tol:
+            from cosim.accuracy.within import measurer_within, parse_tolerances
+
+            free = all(setting.name != "solver.model" for setting in settings)
+            how["measurer"] = measurer_within(replace(parse_tolerances(args.tol), of={name}), free=free)
         with progress("effects") as show:
-            ledger = effects_ledger(args.scene, overrides, measures=wanted, child=child, on_progress=show)
+            ledger = effects_ledger(args.scene, overrides, on_progress=show, **how)
     if name not in ledger.full:
         why = ledger.lacking.get(name)
         fail(
@@ -102,21 +110,28 @@ def table(ledger: "EffectsLedger", measure: str) -> str:
         f"{quantity(last, unit, 5)} with all ({quantity(ledger.full_s, 's')}); "
         + (f"{ledger.runs} runs" if ledger.runs else "no run is needed"),
         "",
-        f"{'effect':19} {'value':14} {'alone':>16} {'cost':>9} {'on top of all':>16} {'cost':>9}",
+        f"{'effect':19} {'value':14} {'alone':>20} {'cost':>9} {'on top of all':>20} {'cost':>9}",
     ]
     size = lambda r: max(abs(r.on.get(measure, 0.0)), abs(r.off.get(measure, 0.0)))  # noqa: E731
     for r in sorted(ledger.rows, key=size, reverse=True):
         sides = [
-            f"{signed(changed[measure], unit):>16} {signed(cost, 's'):>9}"
+            f"{_change(changed[measure], errors.get(measure), unit):>20} {signed(cost, 's'):>9}"
             if measure in changed
-            else f"{'-':>16} {'-':>9}"
-            for changed, cost in ((r.on, r.on_s), (r.off, r.off_s))
+            else f"{'-':>20} {'-':>9}"
+            for changed, errors, cost in ((r.on, r.on_error, r.on_s), (r.off, r.off_error, r.off_s))
         ]
         lines.append(f"{r.effect:19} {r.value:14} {' '.join(sides)}" + (f"  {r.note}" if r.note else ""))
     if ledger.not_applicable:
         lines += ["", "not applicable, not run:"]
         lines += [f"  {name:19} {why}" for name, why in ledger.not_applicable.items()]
     return "\n".join(lines)
+
+
+def _change(value: float, error: float | None, unit: str) -> str:
+    """Return a change, to the digit of its error where there is one."""
+    if not error:
+        return signed(value, unit)
+    return ("+" if value > 0.0 else "") + measured(value, error, unit)
 
 
 COMMAND = Command("effects", "measure what each effect changes and costs in a scene", _arguments, _run)

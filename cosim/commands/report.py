@@ -2,14 +2,16 @@
 
 import argparse
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.caution import Caution, collected, warn
-from cosim.commands.command import Command
+from cosim.commands.command import Command, tolerance_argument
 
 if TYPE_CHECKING:
     from cosim.ngspice.deck import Deck
+    from cosim.results import Run
 
 #: Inputs that the terminal shows.
 _MOST_INPUTS = 12
@@ -31,6 +33,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         help="of studies: change a key of their scenes or a name of their netlists; repeatable",
     )
+    tolerance_argument(parser, "of results: say which measures are not known to be this right")
 
 
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
@@ -51,7 +54,7 @@ def _report_runs(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     if args.set:
         fail("a result is what it is: only the scenes of studies can be changed", key="--set", value=args.set)
     folders = [folder for given in args.results for folder in result_folders(Path(given))]
-    runs = [Run.load(folder) for folder in folders]
+    runs = [_judged(Run.load(folder), args.tol) for folder in folders]
     for folder, run in zip(folders, runs, strict=True):
         with collected(folder.name if len(runs) > 1 else ""):
             warn(*run.warnings)
@@ -70,6 +73,18 @@ def _report_runs(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         "inputs": [{"input": name, "values": list(values)} for name, values in told],
     }
     return data, "\n".join([*head, *shown, f"wrote {page}"])
+
+
+def _judged(run: "Run", texts: list[str]) -> "Run":
+    """Return the result with a caution about each measure that may be wrong by more."""
+    if not texts:
+        return run
+    from cosim.accuracy.within import parse_tolerances, shortfalls
+
+    missed = parse_tolerances(texts).missed(run.measures)
+    again = f"simulate it with cosim run SCENE {' '.join(f'--tol {text!r}' for text in texts)}"
+    found = [replace(caution, advice=again) for caution in shortfalls(missed)]
+    return replace(run, warnings=(*run.warnings, *found))
 
 
 def _board(folder: Path) -> "Deck | None":
@@ -110,12 +125,15 @@ def study_files(given: list[Path]) -> list[Path]:
 def _report_studies(args: argparse.Namespace, files: list[Path]) -> tuple[dict[str, Any], str]:
     from cosim.belongings import refuse_foreign
     from cosim.commands.progress import progress
+    from cosim.errors import fail
     from cosim.studies.claims import Claims, load_claims
     from cosim.studies.study import load_study, run_study
     from cosim.variants import overrides
     from reports.page import PAGE_NAME
     from reports.study_page import write_study_page
 
+    if args.tol:
+        fail("judges results; a study states the errors of its numbers itself", key="--tol", value=args.tol)
     changes = overrides(args.set)
     specs = [load_study(file, changes) for file in files]  # all are checked before the first runs
     # the claims of a folder are about all of its studies, not about one of them

@@ -15,6 +15,7 @@ from cosim.commands.command import (
     measure_argument,
     out_argument,
     scene_arguments,
+    tolerance_argument,
 )
 from cosim.commands.manner import bars, remark
 from cosim.commands.progress import COMPILING, announce_compilation
@@ -39,14 +40,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         choices=("parquet", "csv"),
         help="also write the signals in this form; repeatable",
     )
-    parser.add_argument(
-        "--tol",
-        action="append",
-        default=[],
-        metavar="SHARE or NAME=AMOUNT",
-        help="choose solver settings so that measures are this right: 1e-3 for all, or "
-        "rendered_stiffness=0.1%%; repeatable",
-    )
+    tolerance_argument(parser, "choose solver settings so that measures are this right")
     parser.add_argument(
         "--no-estimate", action="store_true", help="do not estimate the errors of measures: saves a twin run"
     )

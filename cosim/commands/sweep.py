@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.commands.command import Command, trust_arguments
+from cosim.commands.command import Command, tolerance_argument, trust_arguments
 
 if TYPE_CHECKING:
     from cosim.comparisons.sweep import Sweep
@@ -24,6 +24,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", help="change a value for all; repeatable"
     )
+    tolerance_argument(parser, "choose each point's solver settings so that measures are this right")
     trust_arguments(parser)
     parser.add_argument(
         "-o",
@@ -60,13 +61,14 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         with progress("sweep") as show:
             found = sweep(
                 load_scene(args.scene, overrides), settings, measures, out,
-                child=child, trust=args.trust, on_progress=show,
+                tolerances=args.tol, child=child, trust=args.trust, on_progress=show,
             )  # fmt: skip
     picture = write_sweep(found, out)
     result = {
         "names": list(found.names),
         "values": [list(row) for row in found.values],
         "measures": {name: list(column) for name, column in found.measures.items()},
+        **({"errors": {name: list(column) for name, column in found.errors.items()}} if found.errors else {}),
         "failed": found.failed,
         "table": str(out / TABLE),
         "picture": str(picture) if picture else None,
@@ -76,15 +78,18 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
 def _text(found: "Sweep", table: Path, picture: Path | None) -> str:
     from cosim.catalogue import UNITS
-    from cosim.units import quantity
+    from cosim.units import measured, quantity
+
+    def cell(name: str, number: int) -> str:
+        value, unit = found.measures[name][number], UNITS.get(name, "")
+        error = found.errors[name][number] if name in found.errors else None
+        if value is None:
+            return "-"
+        return measured(value, error, unit) if error else quantity(value, unit, 5)
 
     rows = [[*found.names, *found.measures]]
     for number, values in enumerate(found.values):
-        cells = [
-            "-" if (v := column[number]) is None else quantity(v, UNITS.get(name, ""), 5)
-            for name, column in found.measures.items()
-        ]
-        rows.append([*values, *cells])
+        rows.append([*values, *(cell(name, number) for name in found.measures)])
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     lines = ["  ".join(c.rjust(w) for c, w in zip(row, widths, strict=True)) for row in rows]
     lines += [f"failed: {label}: {said}" for label, said in found.failed.items()]

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from cosim.catalogue import OF_A_RUN
-from cosim.caution import collected
-from cosim.comparisons.measuring import measure, needs_a_run
+from cosim.caution import collected, warn
+from cosim.comparisons.measuring import Measurer, measure, needs_a_run
 from cosim.effects import EFFECTS, Effect, features, levels, temperature_c
 from cosim.errors import InputError, SimulationError
 from cosim.ngspice.child import Child, start_early
@@ -39,6 +39,7 @@ class Row:
     off : what it adds to every measure where all others are in force (they are kept while it is off)
     on_s, off_s : what it costs in seconds of processor time, alone and on top of all others
     note : why a side is empty, in words
+    on_error, off_error : bounds of the solver's error of `on` and `off`, where measures have errors
     """
 
     effect: str
@@ -48,6 +49,8 @@ class Row:
     on_s: float
     off_s: float
     note: str = ""
+    on_error: dict[str, float] = field(default_factory=dict)
+    off_error: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -81,6 +84,7 @@ def effects_ledger(
     measures: tuple[str, ...] = OF_A_RUN,
     child: Child | None = None,
     on_progress: Callable[[int, int, str], None] | None = None,
+    measurer: Measurer = measure,
 ) -> EffectsLedger:
     """Measure what each effect changes and costs in a scene.
 
@@ -94,13 +98,15 @@ def effects_ledger(
         A simulation process to use for all runs.
     on_progress
         Called with (runs done, runs in all, name) before every run.
+    measurer
+        What measures one choice of effects.
 
     Raises
     ------
     InputError, SimulationError
         When one of the two baselines cannot be run; a single effect that cannot is told in its row.
     """
-    runner = _Runner(path, overrides, measures, child, on_progress)
+    runner = _Runner(path, overrides, measures, child, on_progress, measurer)
     try:
         return _measured(runner)
     finally:
@@ -142,14 +148,27 @@ def _measured(runner: _Runner) -> EffectsLedger:
     )
     rows = []
     for effect, value, alone, top in pairs:
-        on, on_s, why = runner.difference(alone, f"{effect.name} = {value} alone")
-        off: dict[str, float] = {}
-        off_s, why_not = 0.0, "excluded by what is in force"
+        on = runner.difference(alone, f"{effect.name} = {value} alone")
+        off = _Change(why="excluded by what is in force")
         if top is not None:
-            off, off_s, why_not = runner.difference(top, f"all, with and without {effect.name} = {value}")
-        note = "; ".join(dict.fromkeys(filter(None, (why, why_not))))
-        rows.append(Row(effect.name, str(value), on, off, on_s, off_s, note))
+            off = runner.difference(top, f"all, with and without {effect.name} = {value}")
+        note = "; ".join(dict.fromkeys(filter(None, (on.why, off.why))))
+        rows.append(
+            Row(
+                effect.name, str(value), on.of, off.of, on.cost_s, off.cost_s, note, on.error, off.error
+            )
+        )  # fmt: skip
     return EffectsLedger(null, full, null_s, full_s, tuple(rows), runner.runs, apart, runner.lacking)
+
+
+@dataclass(frozen=True)
+class _Change:
+    """What an effect changes: of each measure, what it costs [s], what went wrong, bounds of the error."""
+
+    of: dict[str, float] = field(default_factory=dict)
+    cost_s: float = 0.0
+    why: str = ""
+    error: dict[str, float] = field(default_factory=dict)
 
 
 def _key(settings: Settings) -> tuple[tuple[str, Any], ...]:
@@ -187,7 +206,9 @@ class _Runner:
         measures: tuple[str, ...],
         child: Child | None,
         on_progress: Callable[[int, int, str], None] | None,
+        measurer: Measurer,
     ) -> None:
+        self._measurer = measurer
         self.path, self.overrides, self._names = path, overrides, measures
         self.done = self.total = 0
         self.lacking: dict[str, str] = {}
@@ -240,12 +261,22 @@ class _Runner:
             raise SimulationError(f"with {name}: {got}")
         return got
 
-    def difference(self, pair: tuple[Settings, Settings], name: str) -> tuple[dict[str, float], float, str]:
-        """Return what the first settings change over the second, its cost [s], and what went wrong."""
+    def difference(self, pair: tuple[Settings, Settings], name: str) -> _Change:
+        """Return what the first settings change over the second."""
         first, second = (self._measure(settings, name) for settings in pair)
         if isinstance(first, str) or isinstance(second, str):
-            return {}, 0.0, first if isinstance(first, str) else str(second)
-        return _difference(first[0], second[0]), first[1] - second[1], ""
+            return _Change(why=first if isinstance(first, str) else str(second))
+        (rows, cost_s), (others, other_s) = first, second
+        both = [name for name in rows if name in others]
+        return _Change(
+            {name: float(rows[name]["value"]) - float(others[name]["value"]) for name in both},
+            cost_s - other_s,
+            error={
+                name: float(rows[name]["error"]) + float(others[name]["error"])
+                for name in both
+                if rows[name].get("error") is not None and others[name].get("error") is not None
+            },
+        )
 
     def _measure(self, settings: Settings, name: str) -> tuple[Measures, float] | str:
         key = _key(settings)
@@ -258,7 +289,8 @@ class _Runner:
                 raise plan
             try:
                 with collected(name):
-                    found = measure(plan, self._names, child=self._child, lenient=True)
+                    found = self._measurer(plan, self._names, child=self._child, lenient=True)
+                    warn(*(caution for caution in found.warnings if caution.code == "tolerance-missed"))
                 self.lacking |= found.lacking
                 self._known[key] = found.rows, found.cpu_s
             except SimulationError as error:
@@ -282,9 +314,3 @@ def _values(effect: Effect, in_force: Any) -> list[Any]:
 
 def _toml(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else f'"{value}"'
-
-
-def _difference(first: Measures, second: Measures) -> dict[str, float]:
-    return {
-        name: float(first[name]["value"]) - float(second[name]["value"]) for name in first if name in second
-    }

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from cosim.catalogue import NAMES, OF_A_RUN, needing_no_run
 from cosim.caution import Caution
@@ -14,10 +14,10 @@ from cosim.measures import own_measures
 from cosim.ngspice.child import Child
 from cosim.plan import Plan
 from cosim.results import Run
-from cosim.runner import run
+from cosim.runner import Errors, run
 from cosim.staging import scratch_folder
 
-__all__ = ["Measured", "check_measures", "measure", "needs_a_run", "run_with_measures"]
+__all__ = ["Measured", "Measurer", "check_measures", "measure", "needs_a_run", "run_with_measures"]
 
 Row = Mapping[str, Any]
 
@@ -32,12 +32,23 @@ class Measured:
     lacking : measure that the scene or its board does not have -> why
     cpu_s : processor time of the run [s], 0 where none was needed
     warnings : doubts about the run
+    of_a_run : those of the rows that a run gave
     """
 
     rows: Mapping[str, Row]
     lacking: Mapping[str, str]
     cpu_s: float
     warnings: tuple[Caution, ...] = ()
+    of_a_run: Mapping[str, Row] = field(default_factory=dict)
+
+
+class Measurer(Protocol):
+    """What measures a plan, as `measure` does."""
+
+    def __call__(
+        self, plan: Plan, names: Collection[str], *, child: Child | None = None, lenient: bool = False
+    ) -> Measured:
+        """Return the measures of a plan."""
 
 
 def needs_a_run(names: Iterable[str]) -> bool:
@@ -46,7 +57,12 @@ def needs_a_run(names: Iterable[str]) -> bool:
 
 
 def measure(
-    plan: Plan, names: Iterable[str], *, child: Child | None = None, lenient: bool = False
+    plan: Plan,
+    names: Collection[str],
+    *,
+    child: Child | None = None,
+    lenient: bool = False,
+    errors: Errors | None = None,
 ) -> Measured:
     """Measure a plan; nothing of it is kept.
 
@@ -54,6 +70,8 @@ def measure(
     ----------
     plan, names, lenient
         As for `board_measures`.
+    errors
+        As for `cosim.runner.run`.
 
     Raises
     ------
@@ -62,15 +80,13 @@ def measure(
     SimulationError
         When the run fails.
     """
-    names = tuple(names)
     rows, lacking = _without_a_run(plan, names, child, lenient)
     if not needs_a_run(names):
         return Measured(rows, lacking, 0.0)
     with scratch_folder("measure") as folder:
-        result = run(all_measures(plan), folder / "run", formats=(), child=child)
-        return Measured(
-            {**result.measures, **rows}, lacking, float(result.stats["cpu_s"]), tuple(result.warnings)
-        )
+        result = run(all_measures(plan), folder / "run", formats=(), child=child, errors=errors)
+        told, cpu_s = tuple(result.warnings), float(result.stats["cpu_s"])
+        return Measured({**result.measures, **rows}, lacking, cpu_s, told, result.measures)
 
 
 def _without_a_run(

@@ -9,7 +9,7 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from cosim.belongings import manifest_of, refuse_foreign, write_files
 from cosim.catalogue import OF_A_RUN, UNITS, needing_no_run
 from cosim.caution import caution_of, collected, warn
 from cosim.checkpoint import Points, Progress
-from cosim.comparisons.measuring import check_measures, measure, needs_a_run
+from cosim.comparisons.measuring import Measurer, check_measures, measure, needs_a_run
 from cosim.errors import InputError, Problem, SimulationError, StorageError
 from cosim.ngspice.child import Child
 from cosim.ngspice.lines import number
@@ -53,12 +53,14 @@ class Sweep:
     values : one row a point, in the order of `names`, as written in the table
     measures : name -> one value a point, ``None`` where a point has none
     failed : label of a point -> what went wrong
+    errors : name -> bounds of the solver's error, one a point, of measures that have some
     """
 
     names: tuple[str, ...]
     values: tuple[tuple[str, ...], ...]
     measures: dict[str, tuple[float | None, ...]]
     failed: dict[str, str]
+    errors: Mapping[str, tuple[float | None, ...]] = field(default_factory=dict)
 
 
 def parse_range(text: str) -> Setting:
@@ -114,6 +116,8 @@ def sweep(
     child: Child | None = None,
     trust: bool = False,
     on_progress: Progress | None = None,
+    measurer: Measurer = measure,
+    how: str = "",
 ) -> Sweep:
     """Measure a scene at every combination of the values; what is already in `folder` is not run again.
 
@@ -129,6 +133,8 @@ def sweep(
         Names of the measures of the table; of a run all are kept.
     folder
         Keeps the points; those of another scene, board or version are begun anew.
+    measurer, how
+        What measures a point, and what tells its points from those of another, in words.
 
     Raises
     ------
@@ -153,32 +159,41 @@ def sweep(
     parts = [part for part in (OF_A_RUN if own or needs_a_run(measures) else (), alone) if part]
     failed: dict[str, str] = {}
     found: list[Mapping[str, Any]] = []
+    bounds: list[Mapping[str, Any]] = []
     with disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    with Points(folder / POINTS, _digest(path, overrides, trust), on_progress) as points:
+    with Points(folder / POINTS, _digest(path, overrides, trust, how), on_progress) as points:
         points.expect(len(every) * len(parts))
         for variant, plan in zip(every, plans, strict=True):
             label = " ".join(f"{name}={value}" for name, value in variant.values)
             row: dict[str, float] = {}
+            bound: dict[str, float] = {}
             for part in parts:
                 key = label if part is OF_A_RUN else f"{label}: {', '.join(part)}"
                 try:
                     if isinstance(plan, InputError):
                         raise plan
                     with collected(label):
-                        got = points.get(key, partial(_measured, plan, part, child))
+                        got = points.get(key, partial(_measured, plan, part, child, measurer))
                         warn(*map(caution_of, got["warnings"]))  # of a point that was kept, too
                         row |= got["measures"]
+                        bound |= got.get("errors", {})
                 except StorageError:
                     raise
                 except (InputError, SimulationError) as error:  # not kept: a resumed sweep tries it again
                     failed[label] = str(error)
             found.append(row)
+            bounds.append(bound)
     result = Sweep(
         names=tuple(setting.name for setting in settings),
         values=tuple(tuple(value for _, value in variant.values) for variant in every),
         measures={name: tuple(_number(row.get(name)) for row in found) for name in measures},
         failed=failed,
+        errors={
+            name: tuple(_number(bound.get(name)) for bound in bounds)
+            for name in measures
+            if any(name in bound for bound in bounds)
+        },
     )
     _write(result, folder)
     return result
@@ -207,18 +222,20 @@ def _plan(path: SceneLike, overrides: tuple[str, ...], variant: Variant, trust: 
     return resolve(load_scene(path, [*overrides, *variant.overrides]), trust=trust)
 
 
-def _measured(plan: Plan, names: Sequence[str], child: Child | None) -> dict[str, Any]:
-    found = measure(plan, names, child=child)
+def _measured(plan: Plan, names: Sequence[str], child: Child | None, measurer: Measurer) -> dict[str, Any]:
+    found = measurer(plan, names, child=child)
     measures = {name: float(row["value"]) for name, row in found.rows.items()}
-    return {"measures": measures, "warnings": [caution.as_dict() for caution in found.warnings]}
+    errors = {name: float(row["error"]) for name, row in found.rows.items() if row.get("error") is not None}
+    told = {"errors": errors} if errors else {}
+    return {"measures": measures, **told, "warnings": [caution.as_dict() for caution in found.warnings]}
 
 
-def _digest(path: SceneLike, overrides: tuple[str, ...], trust: bool) -> str:
+def _digest(path: SceneLike, overrides: tuple[str, ...], trust: bool, how: str = "") -> str:
     """Return what the points depend on besides their own values: scene, user's code, board and version."""
     with collected(forward=False):  # the points tell it
         plan = resolve(load_scene(path, overrides), trust=trust)
     text = f"{_FORM} {cosim.__version__} {plan.scene.digest()} {plan.scene.code_digest()} {plan.board.digest}"
-    return hashlib.sha256(text.encode()).hexdigest()
+    return hashlib.sha256((f"{text} {how}" if how else text).encode()).hexdigest()
 
 
 def _number(value: Any) -> float | None:
@@ -229,10 +246,15 @@ def _write(result: Sweep, folder: Path) -> None:
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
     writer.writerow(
-        [*(heading(name, unit_of(name)) for name in result.names), *map(_heading, result.measures)]
+        [
+            *(heading(name, unit_of(name)) for name in result.names),
+            *map(_heading, result.measures),
+            *(heading(f"{name}_error", UNITS.get(name, "")) for name in result.errors),
+        ]
     )
+    columns = [*result.measures.values(), *result.errors.values()]
     for number_, values in enumerate(result.values):
-        writer.writerow([*values, *(column[number_] for column in result.measures.values())])
+        writer.writerow([*values, *(column[number_] for column in columns)])
     write_files(folder, {TABLE: table.getvalue().encode()}, MANIFEST)
 
 

@@ -39,7 +39,8 @@ _WATCH_STEPS = 64.0
 _LOCATED = 18
 #: What friction and stops do is found to 2^-_FINEST of an interval, but not below _RESOLUTION_S.
 _FINEST, _RESOLUTION_S = 36, 1e-12
-#: Steps below this share of the period, on the way to such an instant and from it, are no rows.
+#: Steps below this share of the period are no rows where they are shorter than their own error asks for:
+#: those on the way to such an instant and from it.
 _ROW_SHARE = 2.0**-12
 _NEVER = math.inf
 #: A scene that is linear this share of a period behind an event is so up to the next.
@@ -246,6 +247,7 @@ def _steps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
         s.defect = error
         s.defect_max = max(s.defect_max, error)
         s.defect_sum += error
+        shown = h > _ROW_SHARE * s.c.period or 2.0 * h > min(wish, s.h_max)
         wish = _wish(s, error, h, wish)
         check(s)
         if watch:
@@ -261,7 +263,7 @@ def _steps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
             _limit(s, k, b)
             s.history = 0
             until = _NEVER
-        if struck or position == whole or h > _ROW_SHARE * s.c.period:
+        if struck or position == whole or shown:
             record(s)
         else:
             s.points += 1
