@@ -2,7 +2,9 @@
 
 A signal is a cubic between two rows, with its slope where that is known, else with that of the parabola
 through three rows; a straight line where noise bends it at rows. It is smooth between changes of the DACs;
-over the step that a jump begins it has its value at the end, as the integrator takes it.
+over the step that a jump begins it has its value at the end, as the integrator takes it. What settles faster
+than rows follow is no reason for a top behind it: of two parabolas the much flatter one counts there, as
+essentially non-oscillatory schemes choose (Harten, Engquist, Osher and Chakravarthy, 1987).
 """
 
 from __future__ import annotations
@@ -21,6 +23,10 @@ Array = NDArray[np.float64]
 #: Share of a DAC's largest voltage that rounding may move it by at the end of a ramp: an ulp of 10 s is 2e-10
 #: of a ramp of 10 us. The least step of 30 bits is 1.9e-9 of the range.
 _SAME = 1e-9
+
+#: From this ratio of their curvatures on, the flatter one of two neighbouring parabolas is taken. A smooth
+#: signal has 1, one that decays by half a row 2.
+_MUCH_FLATTER = 4.0
 
 #: Gauss-Legendre of four points: exact for the square of a cubic.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
@@ -195,6 +201,13 @@ class Trace:
         middle[1:-1] = (h[1:] * rise[:-1] + h[:-1] * rise[1:]) / (h[1:] + h[:-1])
         left, right = middle[:-1].copy(), middle[1:].copy()
         kink = self._kinks[1:-1]
+        curved = np.zeros(len(t))  # of the parabola about each row; half the second derivative
+        curved[1:-1] = np.diff(rise) / (h[1:] + h[:-1])
+        inside = np.append(False, np.append(~(jumped[:-1] | jumped[1:] | kink), False))
+        both = inside[:-1] & inside[1:]
+        before, after = np.abs(curved[:-1]), np.abs(curved[1:])
+        left = np.where(both & (before > _MUCH_FLATTER * after), rise - h * curved[1:], left)
+        right = np.where(both & (after > _MUCH_FLATTER * before), rise + h * curved[:-1], right)
         begins = np.append(True, jumped[:-1] | kink)  # no smooth step before this one
         ends = np.append(jumped[1:] | kink, True)
         # at the ends of a piece the parabola of the neighbouring row, or the straight line of a lonely step
