@@ -67,10 +67,12 @@ def poles_of(s: Complex, f: Complex, good: float, reweighted: bool) -> Complex:
             below = near @ weight + far @ weight.conj()
             above = near @ (weight[:, None] * value) + far @ (weight[:, None] * value).conj()
             fitted = f.copy()
-            fitted[rest] = above / below[:, None]
+            # a pole of the attempt on a point of the sweep: infinitely wrong there, and the next point to support
+            with np.errstate(divide="ignore", invalid="ignore"):
+                fitted[rest] = above / below[:, None]
             error = float(np.abs(f - fitted).max())
             if reweighted:
-                size[rest] = np.abs(below)
+                size[rest] = np.maximum(np.abs(below), np.finfo(float).eps * np.abs(below).max())
             stale = 0 if error < 0.1 * best else stale + 1
             if error < best:
                 best, found = error, (at, weight)
