@@ -2,6 +2,8 @@
 
 import os
 import signal
+from collections import defaultdict
+from zlib import crc32
 
 import kept_processes
 import pytest
@@ -25,6 +27,22 @@ def _processes(request):
     kept_processes.keep(False)
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Begin with what takes long: a worker that came to it last would be waited for by all."""
+    """Leave of the tests marked `few` as many as they say, and begin with what takes long.
+
+    The cases that stay are spread evenly over a test's own, from one that its name chooses: so different
+    tests keep different circuit models. A worker that came to a long test last would be waited for by all.
+    """
+    cases = defaultdict(list)
+    for item in items:
+        if (few := item.get_closest_marker("few")) is not None:
+            cases[item.nodeid.partition("[")[0], *few.args].append(item)
+    for (name, kept), of in cases.items():
+        of.sort(key=lambda item: item.nodeid)  # in whatever order they come
+        first, every = crc32(name.encode()) % len(of), len(of) / kept
+        stay = {(first + int(k * every)) % len(of) for k in range(kept)}
+        for k, item in enumerate(of):
+            if k not in stay:
+                item.add_marker("slow")
     items.sort(key=lambda item: item.get_closest_marker("long") is None)

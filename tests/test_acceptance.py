@@ -54,6 +54,7 @@ def test_the_force_is_that_of_kinematics_and_resistors(arm):
     assert half_way / there_half_way == pytest.approx(100.0, rel=0.2)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("change", "holds"), [((), True), (("device.values.r_sum_spring=24.543k",), False)])
 def test_the_arm_s_rows_hold_and_a_resistor_breaks_one(change, holds):
     """1 % of the springs' resistor is ten times what A2 allows; the dampers' have their own."""

@@ -40,6 +40,7 @@ def test_the_stub_names_what_the_package_names():
     assert {line.split(" as ")[1] for line in stub.splitlines() if " as " in line} == set(cosim.__all__)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     "first",
     ["cosim.loop.spice.run_spice", "cosim.runner", "cosim.checking.check", "cosim.comparisons.sweep",

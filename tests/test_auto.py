@@ -168,6 +168,7 @@ def value_of(share, scene):
     return 10.0 + sum(share.get((e.name, str(e.value(scene))), 0.0) for e in EFFECTS)
 
 
+@pytest.mark.few(1)
 @pytest.mark.long
 @pytest.mark.parametrize(
     "seed", [5, pytest.param(6, marks=pytest.mark.slow), 7, pytest.param(8, marks=pytest.mark.slow)]
@@ -195,6 +196,7 @@ def test_the_same_question_has_the_same_answer(device):
     assert again == first
 
 
+@pytest.mark.slow
 @pytest.mark.long
 def test_many_small_effects_that_add_up_are_found(device):
     share, _ = device
@@ -226,6 +228,7 @@ def test_a_measure_that_the_scene_does_not_have_is_an_error(device):
         choose(DROP, (*FREE, "tolerance.rendered_stiffness=0.01"))
 
 
+@pytest.mark.slow
 def test_everything_at_once_is_left_alone_where_it_takes_too_long(device, monkeypatch):
     monkeypatch.setattr(choose_effects, "CHECK_S", 0.0)
     plan, _ = choose(DROP, (*FREE, "tolerance.peak_force=0.01"))
@@ -235,6 +238,7 @@ def test_everything_at_once_is_left_alone_where_it_takes_too_long(device, monkey
 # --- the whole, in circuits -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_plan_shows_what_would_be_tried_and_runs_nothing(capsys, monkeypatch):
     monkeypatch.setattr("cosim.runner.run", lambda *_, **__: pytest.fail("ran"))
     asked = ["plan", str(DROP), "--set", FREE[0], "--set", FREE[1], "--set", "tolerance.peak_force=0.01"]
@@ -247,6 +251,7 @@ def test_plan_shows_what_would_be_tried_and_runs_nothing(capsys, monkeypatch):
     assert "may matter" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.long
 def test_a_chosen_run_is_a_scene_of_its_own(tmp_path, capsys):
     out = tmp_path / "out"

@@ -146,6 +146,7 @@ def test_board_without_a_needed_pin(
 LEG = "R11 pot inn {r11}"
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     ("line", "words"),
     [
@@ -170,6 +171,7 @@ def test_netlist_syntax_gives_ngspices_words_and_the_users_line(
     assert all(word in told for word in words), told
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("lines", "words"),
     [
@@ -228,6 +230,7 @@ def test_unknown_node_gives_the_nearest_of_the_board(
 # --- a user's own classes ----------------------------------------------------------------------------
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -247,6 +250,7 @@ def test_operator_file_that_does_not_fit(
     assert f"{project.scene}: operator" in told
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -354,6 +358,7 @@ def interrupted(project: Project, setting: str, after: int, how: signal.Signals)
     return process
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_interrupt_leaves_nothing_half_written_and_no_child(project: Project, how: signal.Signals) -> None:
     process = interrupted(project, "duration_s=5000", 0, how)

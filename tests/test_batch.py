@@ -27,6 +27,7 @@ def drop(model, *overrides):
     return load_scene(SCENES / "drop.toml", ["duration_s=0.1", f'solver.model="{model}"', *plain, *overrides])
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("model", ["ideal", "linear", "spice"])
 def test_a_batch_measures_what_each_device_measures_alone(model):
     with Batch(resolve(drop(model)), KEYS, NAMES) as batch:

@@ -88,6 +88,7 @@ def test_runs_are_interleaved_behind_a_warm_up():
     assert times == [[1.0, 1.0], [2.0, 2.0]]
 
 
+@pytest.mark.slow
 def test_both_sides_of_the_pairs_do_the_same_work():
     with Child() as child:
         got = child.call("benchmarks.sides:same_work", {"duration_s": 0.3})

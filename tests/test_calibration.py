@@ -38,6 +38,7 @@ def test_the_computer_learns_what_its_board_renders(
         assert getattr(found, name) == pytest.approx(getattr(design, name) * factor, rel=3e-4)
 
 
+@pytest.mark.slow
 def test_what_calibration_takes_off_the_spread() -> None:
     """A slider's stiffness is one gain: calibrated, each device renders what is commanded."""
     values = np.array([[10e3, 24.3e3, 5.0], [10.2e3, 24.0e3, 4.6], [9.9e3, 24.5e3, 5.4]])

@@ -156,6 +156,7 @@ def test_what_is_straight_needs_no_dynamics(tmp_path: Path, name: str) -> None:
 # ---- null limits: the effect's own number at its end is the effect switched off
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     ("on", "numbers"),
     [
@@ -394,6 +395,7 @@ def pushed(limit: bool, model: str, **more: Any) -> dict[str, Any]:
     )  # fmt: skip
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("model", "chosen"),
     [("ideal", {}), ("linear", {}), ("spice", {}), ("linear", DYNAMIC), ("spice", DYNAMIC)],
@@ -470,6 +472,7 @@ def test_limit_is_absent_when_off(tmp_path: Path) -> None:
 # ---- models agree on what both carry
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize(
     "on",
     [

@@ -73,6 +73,7 @@ def test_compare_shows_the_share_of_an_edited_resistor(tmp_path, edited, capsys)
     assert "http" not in html.replace("http://www.w3.org", "")
 
 
+@pytest.mark.slow
 def test_compare_with_a_value_and_with_the_last_run(tmp_path, edited, capsys):
     last = tmp_path / "last"
     assert main(["run", DROP, *SHORT, "--out", str(last)]) == 0
@@ -133,6 +134,7 @@ def test_a_measure_that_appears_is_beyond_any_tolerance():
     assert [(row.quantity, row.felt) for row in rows] == [("tangential ratio", np.inf)]
 
 
+@pytest.mark.slow
 def test_another_part_in_the_same_place_is_the_same_loop(tmp_path, capsys):
     """Amplifiers pair by instance: OPA2134 for TL072 moves crossovers by their gain-bandwidths, 8/3."""
     _, rows = compared(capsys, DROP, "--set", "device.parts.tl072=opa2134", *SHORT, "--out", tmp_path)
@@ -220,6 +222,7 @@ def test_effects_ledger_knows_what_matters(tmp_path, capsys):
     assert (tmp_path / "effects.png").is_file()
 
 
+@pytest.mark.slow
 def test_every_choice_of_the_ledger_runs_on_a_board_of_its_own():
     """What one effect makes of the netlist may not be the board of another."""
     path = scenes_folder() / "press.toml"

@@ -41,6 +41,7 @@ def warm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return cache
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     "damage",
     [
@@ -76,6 +77,7 @@ def test_a_child_reads_its_parents_code_and_the_parent_never_a_childs(warm: Path
     assert call(ROOT, parent)[1] == 1
 
 
+@pytest.mark.slow
 def test_a_moved_installation_keeps_its_code(warm: Path, tmp_path: Path) -> None:
     place = tmp_path / "moved here"
     for folder in ("cosim", "mech"):
@@ -115,6 +117,7 @@ def test_imports_are_found_in_every_form(monkeypatch):
         numba_cache._imports.cache_clear()
 
 
+@pytest.mark.slow
 @pytest.mark.own_process
 def test_warm_compiles_ahead_and_says_where(capsys: pytest.CaptureFixture[str]) -> None:
     from cosim import cli

@@ -51,6 +51,7 @@ def test_out_of_contact_everything_is_zero_and_u_follows_the_pose() -> None:  # 
             assert (x["u"][:2] == q).all()
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("path", ["cmd", "u"])
 @pytest.mark.parametrize("method", list(Method), ids=lambda m: m.name.lower())
 def test_law_equals_the_paper_in_matrices(method: Method, path: str) -> None:  # (7)-(9), (12)
@@ -304,6 +305,7 @@ def test_contact_is_found_at_samples_only(tmp_path: Path) -> None:
     assert np.abs(seen / 0.01 - np.round(seen / 0.01)).max() < 1e-9
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(("periods", "fraction"), [(0, 0.0), (1, 0.0), (2, 0.5), (0, 0.25), (5, 0.0)])
 def test_computing_delay_in_ticks_and_fraction(tmp_path: Path, periods: int, fraction: float) -> None:
     computer = {"delay_periods": periods, "delay_fraction": fraction}
@@ -447,6 +449,7 @@ def test_without_an_analog_spring_u_can_carry_no_force(tmp_path: Path, method: s
         quick(tmp_path, slider(computer=computer))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("turn", [1.1, 2.9, -2.0])
 def test_walls_of_any_normal_render_alike(tmp_path: Path, turn: float) -> None:
     """The press scene turned about the base: same sink and force, in the turned frame."""
@@ -490,6 +493,7 @@ def static_force(run: Any, share: dict[str, float]) -> tuple[float, float]:
     return -float(s["fy"][last]), float(force[1])
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("name", "value", "share"),
     [
@@ -579,6 +583,7 @@ def test_users_law_replaces_the_built_in_and_reproduces_it(tmp_path: Path) -> No
         np.testing.assert_allclose(built_in.samples[name], users.samples[name], atol=1e-7)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("tick", [0, 7])
 @pytest.mark.parametrize(
     ("name", "words"), [("Raises", "no such gain"), ("Nan", r"torque_n_m is not finite at sample {tick}")]

@@ -58,6 +58,7 @@ def pushed(newtons: float) -> dict[str, Any]:
 # ---- null limits
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize(
     "null",
@@ -219,6 +220,7 @@ def test_a_delayed_command_follows_its_jittered_sample(tmp_path: Path, model: st
 # ---- the wall seen at samples
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("model", MODELS)
 def test_first_penetration_is_between_nothing_and_a_period(tmp_path: Path, model: str) -> None:  # 24
     """On average over the phases of the impact it is half the way of a period."""
@@ -245,6 +247,7 @@ class Relay:
 """
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("model", MODELS)
 def test_a_sampled_relay_swings_by_m_t_with_period_2_t(tmp_path: Path, model: str) -> None:  # 23
     """x' = -M sgn(x_k), M = 2 rad/s, T = 100 ms: 0.2 rad peak to peak, less what the mass rounds off.

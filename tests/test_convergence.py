@@ -145,6 +145,7 @@ def test_a_model_that_crawls_at_the_default_tolerance_runs_from_the_start_and_sa
     assert runs[0].samples["time"].tobytes() == runs[1].samples["time"].tobytes()
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("scene", sorted(SCENES.glob("*.toml")), ids=lambda file: file.stem)
 @pytest.mark.parametrize(
     "more",

@@ -319,6 +319,7 @@ def spinning(
     }  # fmt: skip
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("loose", [False, True], ids=["default tolerance", "pole bound alone"])
 @pytest.mark.parametrize("rotor", [1e-7, 1e-6, 4e-6])
 @pytest.mark.parametrize("motor", ["emf", "full"])

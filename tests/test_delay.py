@@ -140,6 +140,7 @@ def own_board(folder, blocks, lines, driver="voltage"):
     return load_deck(path, levels=levels)
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("driver", ["voltage", "current"])
 @pytest.mark.parametrize("name", OWN)
 def test_own_topologies_are_told_right_or_together(tmp_path, name, driver):

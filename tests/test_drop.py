@@ -207,6 +207,7 @@ def test_friction_alone_takes_what_a_held_spring_gives():
     assert friction_balance(job) == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_curve_without_a_limit_is_told_and_the_others_go_on(tmp_path):
     """Coulomb friction alone: drops rest, linear theory knows no border; without it nothing rests."""
     file = tmp_path / "drop.toml"

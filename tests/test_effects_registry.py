@@ -159,6 +159,7 @@ def test_missing_and_excluded_effects_are_refused_together(tmp_path: Path) -> No
 # ---- what a plan predicts
 
 
+@pytest.mark.few(9)
 @pytest.mark.parametrize("name", ["press", "drop", "slope"])
 @pytest.mark.parametrize("model", ["ideal", "linear", "spice"])
 @pytest.mark.parametrize("more", [[], ["effects.pot_noise=white"], ["solver.max_step_s=5e-4"]],
@@ -234,6 +235,7 @@ OTHERS = [
 ]
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(("name", "more", "model"), OTHERS)
 def test_joints_drives_jitter_and_laws_are_priced_in_points(
     tmp_path: Path, name: str | int, more: tuple[str, ...], model: str

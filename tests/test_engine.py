@@ -32,6 +32,7 @@ def times_measured(folder):
     return counts
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("workers", "chunk"), [(1, 1), (2, 7), (3, None)])
 def test_workers_and_chunks_leave_the_same_bytes(tmp_path, workers, chunk):
     truth, samples = undisturbed(tmp_path / "truth", failing=(3, 100))
@@ -46,6 +47,7 @@ def test_workers_and_chunks_leave_the_same_bytes(tmp_path, workers, chunk):
     assert np.isfinite(np.delete(measures, [3, 100], axis=0)).all()
 
 
+@pytest.mark.slow
 def test_a_sample_that_takes_its_process_with_it_fails_alone(tmp_path):
     samples = run(job(tmp_path, 40, deadly=(17,)), tmp_path / "mc", workers=2, chunk=8)
     measures, failures = samples.read()
@@ -106,6 +108,7 @@ def interrupted(folder, kill_after_s, whom):
         process.wait(60)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("whom", [signal.SIGKILL, signal.SIGINT, "worker"])
 def test_an_interrupted_study_goes_on_and_ends_with_the_same_bytes(tmp_path, whom):
     truth, _ = undisturbed(tmp_path / "truth")

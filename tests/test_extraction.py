@@ -14,6 +14,7 @@ from cosim.ngspice.deck import PartSwap, load_deck
 VENDOR = Path(__file__).parent / "data" / "ngspice" / "vendor"
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("driver", ["voltage", "current"])
 @pytest.mark.parametrize("level", ["ideal", "gbw"])
 def test_board2_agrees_with_the_whole_board_at_any_gains(level, driver):

@@ -44,6 +44,7 @@ def test_a_mode_that_nothing_samples_keeps_its_frequency(press: Board, period: f
     assert not any(mode.ambiguous for mode in modes)
 
 
+@pytest.mark.slow
 def test_the_border_tells_the_same_frequency_at_every_period(press: Board) -> None:  # 52
     scene, circuit, constants = press
     told = []
@@ -138,6 +139,7 @@ def test_a_sampled_wall_is_designed_for_passivity(tmp_path: Path) -> None:
     assert "Gil and Hulin's rule knows" in describe(found)
 
 
+@pytest.mark.slow
 def test_a_device_without_damping_has_limits_all_the_same(tmp_path: Path) -> None:
     """No viscosity at all: nothing sampled is stable or passive, and the command says so."""
     tables = slider(

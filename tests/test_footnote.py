@@ -76,6 +76,7 @@ def test_a_mass_alone_is_stable_a_little_longer(carriage):
     assert found == pytest.approx(b / tau + b * free / mass, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_the_headline_s_tables_are_k_sum_tau_over_b(arm):
     spec = load_study(PAPER / "5_1_eta.toml")
     with Points(None) as points:
@@ -140,6 +141,7 @@ def test_where_an_error_passes_a_limit_is_found_between_points():
     assert passes(hz, np.full(21, np.nan), 0.05) == 1.0  # NaN is no small error
 
 
+@pytest.mark.slow
 def test_the_corner_of_the_differentiator_is_what_the_damper_s_stiffness_betrays():
     """c w^2 sum(tau) of stiffness from a late damper: at 10 Hz 2 (20 pi)^2 2 ms is 15 N/m of 100."""
     spec = load_study(PAPER / "5_2_rendering.toml")

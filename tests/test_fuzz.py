@@ -23,6 +23,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("name", NAMES)
 def test_a_reader_says_what_is_wrong(name: str, result: Path, tmp_path: Path) -> None:
     readers = {target.name: target for target in targets.readers(tmp_path, result)}

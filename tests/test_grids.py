@@ -46,6 +46,7 @@ STUDIES: list[tuple[str, dict[str, Any]]] = [
 ]  # fmt: skip
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("name", "changes"),
     [

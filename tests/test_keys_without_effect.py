@@ -73,6 +73,7 @@ def test_a_scene_that_does_not_mention_the_effect_is_warned(tmp_path: Path, effe
     assert len(stated_in_vain(stated, EFFECTS)) == len(keys)
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("file", SHIPPED, ids=lambda file: file.stem)
 def test_no_shipped_scene_warns_before_it_runs(file: Path) -> None:
     assert resolve(load_study(file).scene() if is_study(file) else load_scene(file)).cautions == ()

@@ -227,6 +227,7 @@ def test_the_onset_of_a_drop_is_that_of_its_fall(tmp_path):
     assert found["onset"] == pytest.approx(flight.onset_j(100.0 * SPRING, 0.01, 8) / SPRING, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_mass_that_runs_away_ends_its_drop(tmp_path):
     """Far above any limit energy grows until the speed is absurd: not at rest, and no crash."""
     work = dropped(tmp_path, 0.1)

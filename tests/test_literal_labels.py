@@ -9,6 +9,7 @@ from reports.style import Drawn, figure, look
 NAMES = ("o$x", "$a$", r"R$1$=5 $\frac{$", r"\bad{$$", "/Net-(U1-Pad1)", "in+", "a_b^c", "%", "{}", "\\")
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("scale", ["linear", "log"])
 @pytest.mark.parametrize("name", NAMES)
 def test_names_are_drawn_as_they_are(name: str, scale: str) -> None:

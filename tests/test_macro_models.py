@@ -67,6 +67,7 @@ MODELS, EXACT = 24, 18
 BETWEEN = 10.0
 
 
+@pytest.mark.slow
 @pytest.mark.long
 def test_random_macro_models(tmp_path):
     exact = 0

@@ -162,6 +162,7 @@ def test_workspace_of_the_arm():
     assert poses.shape[1] == 2
 
 
+@pytest.mark.slow
 def test_the_command_tells_and_writes_the_numbers(tmp_path, capsys):
     out = tmp_path / "numbers.csv"
     scene = str(SCENES / "slope.toml")

@@ -17,6 +17,7 @@ def span(linkage, motion):
     return np.ptp([linkage.energy(q, np.zeros(linkage.n))[1] for q in motion.q])
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("n", [1, 2, 3, *(pytest.param(n, marks=pytest.mark.slow) for n in (4, 5, 6))])
 def test_free_swing_keeps_its_energy_for_ten_seconds(n):
     linkage = Chain(
@@ -28,6 +29,7 @@ def test_free_swing_keeps_its_energy_for_ten_seconds(n):
     assert np.all(motion.works == 0.0)
 
 
+@pytest.mark.slow
 def test_chaotic_swing_keeps_its_energy():
     # Hard case 15: the trajectory means nothing after some seconds, the energy does.
     linkage = Chain(lengths_m=(0.1, 0.1), masses_kg=(0.2, 0.1), gravity_m_per_s2=G)
@@ -55,6 +57,7 @@ def test_pendulum_from_179_degrees():
     assert 2 * (passes[1] - passes[0]) / small == pytest.approx(3.9010652, abs=0.5e-7)
 
 
+@pytest.mark.slow
 def test_motion_through_full_stretch_is_smooth():
     # Hard case 12: nothing inverts J, so its singularity cannot be seen in the joints.
     linkage = Chain(lengths_m=(0.1, 0.1), masses_kg=0.1)

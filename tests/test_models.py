@@ -75,6 +75,7 @@ def difference(first, second, signal):
     return float(np.abs(values[0] - values[1]).max())
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", ["press.toml", "slope.toml", "slope_joint_pd.toml"])
 def test_linear_agrees_with_ngspice(tmp_path, name):
     """Both solve the same circuit; ngspice at rtol 1e-6 is within 1e-4 of the peak force of its limit."""
@@ -133,6 +134,7 @@ def test_a_resistor_reaches_every_model(tmp_path):
 STATIC = tuple(f"effects.{name}=ideal" for name in ("opamp", "vca", "driver_level", "differentiator"))
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", ["press", "drop", "slope", "slope_discrete", "slope_joint_pd"])
 def test_models_agree_in_pairs_where_all_apply(tmp_path, name):
     """Ideal and linear leave what the extractions do, 1e-9 of each path.

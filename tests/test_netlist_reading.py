@@ -346,6 +346,7 @@ def test_includes_that_double(tmp_path: Path, filled: bool) -> None:
     quickly_refused(board, "lines")
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize(
     "line",
     [

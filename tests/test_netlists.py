@@ -268,6 +268,7 @@ BENCHES: dict[str, dict[str, tuple[float, float]]] = {
 }
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("name", sorted(path.stem for path in (NETLISTS / "tb").glob("*.cir")))
 def test_bench_prints_what_the_formulas_say_in_program_and_library(name: str) -> None:
     bench = NETLISTS / "tb" / f"{name}.cir"
@@ -356,6 +357,7 @@ def test_tip_force_out_of_contact_from_typical_offsets(driver: str, tmp_path: Pa
 # ---------------------------------------------------------------- robustness
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize(
     ("driver", "level", "motor"),

@@ -148,6 +148,7 @@ def test_slow_but_steady_work_is_left_alone() -> None:
     assert len(seen) > 5
 
 
+@pytest.mark.slow
 def test_a_long_import_is_no_stall() -> None:
     """It takes 3 s; callbacks compile at import, on a slow machine for longer than a run may stall."""
     assert call("slow_import:done", 5, stall_limit_s=2.0) == 5

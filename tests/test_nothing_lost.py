@@ -141,6 +141,7 @@ def test_a_page_replaces_its_own_files_only(result: Run, tmp_path: Path) -> None
     assert "my remark" in page.read_text()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["report.html", "figures/energy.svg"])
 def test_a_page_of_the_users_is_kept(result: Run, tmp_path: Path, name: str) -> None:
     (tmp_path / name).parent.mkdir(exist_ok=True)
@@ -161,6 +162,7 @@ PRODUCTS = {
 }
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", PRODUCTS)
 def test_a_product_replaces_what_is_its_own_and_nothing_else(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

@@ -213,6 +213,7 @@ def _order(name: str) -> Any:
     return lambda value: stated.index(value) if value in stated else -1
 
 
+@pytest.mark.few(14)
 @pytest.mark.parametrize(
     ("name", "value", "both", "null", "bound"),
     [(name, *row) for name, rows in ROWS.items() for row in rows],

@@ -59,6 +59,7 @@ def tables(folder: Path, model: str = "linear", law: str = "", **more: Any) -> d
     return slider(duration_s=0.2, computer=computer, solver={"model": model}, **more)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("model", ["linear", "spice"])
 def test_what_a_law_prints_reaches_run_file_terminal_and_page(
     model: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -89,6 +90,7 @@ class Hand:
 """
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("model", ["linear", "spice"])
 def test_what_an_operator_prints_is_heard_too(model: str, tmp_path: Path) -> None:
     (tmp_path / "hand.py").write_text(OPERATOR)
@@ -162,6 +164,7 @@ def test_a_sweep_takes_an_own_measure(
     assert told["measures"]["Plain"] == pytest.approx([K_FS * 0.02, K_FS * 0.05], rel=1e-12)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("name", "said"),
     [

@@ -113,6 +113,7 @@ def test_values_as_designed_change_nothing():
     assert apart(extract(board), extract(Placed.of(board, keys).deck(as_designed)), 1e8) < UNREDUCED
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("driver", ["voltage", "current"])
 def test_draws_agree_with_decks_of_their_own(driver):
     board = shipped(2, "gbw", driver)

@@ -35,6 +35,7 @@ def press(*overrides: str) -> Run:
 # --- no false warning
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("path", SHIPPED, ids=[path.stem for path in SHIPPED])
 @pytest.mark.parametrize("model", ["linear", "spice"])
 def test_shipped_scenes_carry_no_warning(path: Path, model: str) -> None:
@@ -78,6 +79,7 @@ def test_a_slip_is_told(code: str, said: str, overrides: list[str]) -> None:
     assert any(said in text for text in told), told
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     "override",
     [
@@ -261,6 +263,7 @@ def test_terminal_json_file_page_and_strict(tmp_path: Path, capsys: pytest.Captu
     assert "never touched" in capsys.readouterr().out
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     "command", ["plan", "stability", "noise", "check", pytest.param("device", marks=pytest.mark.slow)]
 )

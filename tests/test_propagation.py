@@ -226,6 +226,7 @@ def test_matrix_exponential_of_large_norm(h: float) -> None:  # 6
 # ---- one joint: closed forms
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("exact", [True, False], ids=["exponential", "collocation"])
 @pytest.mark.parametrize("encoder", [False, True], ids=["exact angle", "encoder"])
 @pytest.mark.parametrize(
@@ -304,6 +305,7 @@ def test_sampled_spring_on_its_stability_border(tmp_path: Path, period: float, b
     assert radius(high * (1 - 1e-6)) > 1.0 > radius(high * (1 + 1e-6))
 
 
+@pytest.mark.slow
 def test_wall_entered_at_speed_is_seen_at_a_depth_within_one_period(tmp_path: Path) -> None:  # 24
     period, speed = 0.01, 0.2
     seen = []
@@ -463,6 +465,7 @@ def test_samples_later_than_a_period_all_arrive(tmp_path: Path) -> None:  # 30
     assert len(set(asked[:25])) > 20  # out of contact they are zero
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("lag", [0.0, 3e-4], ids=["ideal", "with L/R"])
 def test_current_limit_reached_and_left_between_samples(tmp_path: Path, lag: float) -> None:  # 28, 40
     # 1 s without a new gain: the oscillation meets the limit twice a period, inside long steps

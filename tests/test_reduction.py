@@ -48,6 +48,7 @@ def modes(seed):
     return fit(SWEEP, sum_of_poles(SWEEP, poles, residues, d))
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize("seed", range(40))
 def test_fit_recovers_order_and_response(seed):
     poles, residues, d = synthetic(seed)
@@ -86,6 +87,7 @@ def test_delay_line_is_not_rational():
         fit(SWEEP, np.exp(-SWEEP * 1e-5)[:, None, None])
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(("share", "served"), [(1e-8, True), (1e-5, True), (1e-4, True), (1e-2, False)])
 def test_a_fit_that_leaves_little_serves_and_tells_it(share, served):
     # a delay line of a share of the whole is what no pole fits: less than twice that share is left
@@ -111,6 +113,7 @@ def test_cautions_tell_a_fit_worse_than_the_tolerance():
         assert all(f"{error:.1e}" in caution.text for caution in found)
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("seed", range(20))
 def test_bound_is_never_violated(seed):
     full = modes(seed)
@@ -223,6 +226,7 @@ def check_boards(seeds):
                 check(part, small, bound, omega, tolerance)
 
 
+@pytest.mark.slow
 def test_random_boards():
     check_boards(range(20))
 

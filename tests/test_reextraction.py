@@ -26,6 +26,7 @@ def drawn(rng, spread):
     return {name: value * (1.0 + rng.uniform(-spread, spread)) for name, value in NOMINAL.items()}
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("driver", ["voltage", "current"])
 def test_toleranced_parts_agree_with_a_deck_of_their_own(driver):
     rng = np.random.default_rng(1)

@@ -28,6 +28,7 @@ IDEAL_RAD = 2e-7
 MICROMETRE = 1e-6
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("encoder", [False, True], ids=["exact angle", "encoder"])
 @pytest.mark.parametrize(
     ("method", "kp", "kd", "k_dp", "path", "period"),
@@ -82,6 +83,7 @@ def test_mass_dropped_on_the_wall_follows_the_exact_sampled_solution(
     assert error * RADIUS < MICROMETRE
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("encoder", [False, True], ids=["exact angle", "encoder"])
 @pytest.mark.parametrize("kind", ["slope", "slope_discrete", "slope_joint_pd"])
 def test_slope_follows_dop853_on_the_textbook_equations(tmp_path: Path, kind: str, encoder: bool) -> None:

@@ -56,6 +56,7 @@ def failed(project: Project, capsys: pytest.CaptureFixture[str], *arguments: str
 # --- ngspice in trouble ------------------------------------------------------------------------------
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("lines", "node"),
     [
@@ -74,6 +75,7 @@ def test_endless_step_cutting_names_deck_node_and_time(
     assert re.search(r"\(at t = 0\.0[3-9]", told.splitlines()[0])
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("over", ["1", "-v(pot)", "v(pot)"])
 def test_a_division_by_zero_ends(project: Project, capsys: pytest.CaptureFixture[str], over: str) -> None:
     """ngspice takes 1e-32 for the zero: at a loose tolerance it goes on, and the amplifiers are at 1e34 V."""
@@ -85,6 +87,7 @@ def test_a_division_by_zero_ends(project: Project, capsys: pytest.CaptureFixture
     assert re.search(r"\(at t = 0\.0(29|3)", told)  # the step that vanishes may begin before
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("value", ["1m", "-1k"])
 def test_a_runaway_ends(project: Project, capsys: pytest.CaptureFixture[str], value: str) -> None:
     """An input resistor of next to zero or below ruins the spring's gain: ideal rails hold nothing back.
@@ -111,6 +114,7 @@ def applied_here() -> bool:
 # --- the process in trouble --------------------------------------------------------------------------
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("body", "words"),
     [
@@ -167,6 +171,7 @@ def test_series_after_a_failure_is_possible_again(project: Project) -> None:
 # --- a user's own classes ----------------------------------------------------------------------------
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("body", "words"),
     [
@@ -186,6 +191,7 @@ def test_errors_of_a_users_operator(
     assert "Traceback" not in told
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("body", "words"),
     [
@@ -296,6 +302,7 @@ def test_spiceinit_of_the_user_is_not_read(
 # --- vendor models and recorded nodes ----------------------------------------------------------------
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "part",
     [
@@ -352,6 +359,7 @@ def test_recorded_nodes_are_signals_and_ngspice_reads_them(project: Project, tmp
 # --- odd but in order --------------------------------------------------------------------------------
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     "settings",
     [
@@ -382,6 +390,7 @@ def test_odd_scenes_run_to_their_end(project: Project, settings: list[str]) -> N
         assert np.isfinite(result.signals[name]).all(), name
 
 
+@pytest.mark.slow
 def test_a_place_with_an_awkward_name(tmp_path: Path) -> None:
     project = lay_out(tmp_path / "Zeit µ ünï 日本 $x 'q \"r")
     assert run(project) == 0
@@ -389,6 +398,7 @@ def test_a_place_with_an_awkward_name(tmp_path: Path) -> None:
     assert (project.folder / "out" / "report" / "report.html").is_file()
 
 
+@pytest.mark.slow
 def test_several_runs_into_one_place_leave_one_whole_result(project: Project) -> None:
     command = [sys.executable, "-m", "cosim.cli", "run", "scene.toml", "-o", "out"]
     running = [
@@ -408,6 +418,7 @@ def test_values_alike_in_their_folders_names_do_not_overwrite_each_other(project
     assert len(list((project.folder / "out").glob("*/run.json"))) == 3
 
 
+@pytest.mark.few(1)
 @pytest.mark.long
 @pytest.mark.parametrize("joints", [1, 3, 6])
 def test_new_boards_run_without_an_edit(tmp_path: Path, joints: int) -> None:

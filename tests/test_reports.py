@@ -250,6 +250,7 @@ def test_straight_motion_shows_no_tangent() -> None:
     assert not any("drag" in tile.label for tile in tiles(View(drop_run())))
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     "change",
     [

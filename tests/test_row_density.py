@@ -19,6 +19,7 @@ PEAK = 1e-3
 LEFT_OUT = ("ledger_closure", "headroom")
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("model", ["ideal", "linear", "spice"])
 def test_rows_ten_times_sparser_move_no_measure(tmp_path: Path, model: str) -> None:  # 53
     found = []

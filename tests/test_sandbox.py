@@ -103,6 +103,7 @@ def _all_refused(base: Path, found: dict[str, str], said: str) -> None:
     }
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("user", ["as we are", "plain"])
 def test_a_simulation_reaches_nothing_else(tmp_path_factory: pytest.TempPathFactory, user: str) -> None:
     """As the user of the tests, and where that is root as nobody."""
@@ -115,6 +116,7 @@ def test_a_simulation_reaches_nothing_else(tmp_path_factory: pytest.TempPathFact
     _all_refused(base, found, said)
 
 
+@pytest.mark.few(2)
 @pytest.mark.skipif(not container.SUPPORTED, reason="the numbers of calls are of x86_64 and aarch64")
 @pytest.mark.parametrize("kind", container.KINDS)
 def test_a_container_weakens_nothing(tmp_path_factory: pytest.TempPathFactory, kind: str) -> None:

@@ -416,6 +416,7 @@ def leaves(value: object, path: tuple[str | int, ...] = ()) -> list[tuple[str | 
 NONSENSE = [math.nan, math.inf, -1e99, -1, 2.5, "x", "", True, [], {}, {"a": 1}, [[]], [1, 2, 3]]
 
 
+@pytest.mark.slow
 def test_no_replacement_of_a_value_gets_past_the_problems(
     folder: Folder, monkeypatch: pytest.MonkeyPatch
 ) -> None:

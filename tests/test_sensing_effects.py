@@ -105,6 +105,7 @@ def test_no_error_is_no_table(zero: dict[str, float]) -> None:
 # ---- runs
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize(
     "null",

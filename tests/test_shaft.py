@@ -104,6 +104,7 @@ def test_free_oscillation_of_the_two_masses(tmp_path: Path, model: str, stiffnes
     assert run.ledger["closes"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("z", [0.05, 0.1, 0.2])
 def test_runge_kutta_takes_next_to_nothing_from_a_ringing_shaft(z: float) -> None:
     """|R(i z)|^2 = 1 - z^6/72 + z^8/576, the textbook's; two parts a step."""
@@ -181,6 +182,7 @@ def pressed(model: str, stiffness: float, *, shaft: bool = True, gap: float = 0.
     return on(model, tables)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("model", MODELS)
 def test_a_stiff_shaft_is_no_shaft(tmp_path: Path, model: str) -> None:
     """The joint moves as without the effect, but for a difference of first order in 1/k."""
@@ -194,6 +196,7 @@ def test_a_stiff_shaft_is_no_shaft(tmp_path: Path, model: str) -> None:
     assert order == pytest.approx(-1.0, abs=0.1)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("model", MODELS)
 def test_no_gap_is_no_backlash(tmp_path: Path, model: str) -> None:
     gaps = np.array([4e-4, 2e-4, 1e-4, 5e-5])
@@ -321,6 +324,7 @@ def held(folder: Path, model: str, *, gravity: bool = False, samples: int = 800)
 PRELOAD_N = 0.1
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("model", MODELS)
 def test_backlash_makes_a_limit_cycle_of_the_describing_functions_amplitude(
     tmp_path: Path, model: str
@@ -358,6 +362,7 @@ def test_backlash_makes_a_limit_cycle_of_the_describing_functions_amplitude(
     assert cycle == pytest.approx(predicted, rel=0.05)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("model", MODELS)
 def test_a_preloaded_gap_comes_to_rest(tmp_path: Path, model: str) -> None:  # 46
     """The same control with weight on one flank: the teeth stay together and the damper holds them."""
@@ -371,6 +376,7 @@ def test_a_preloaded_gap_comes_to_rest(tmp_path: Path, model: str) -> None:  # 4
     assert run.ledger["closes"]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("model", MODELS)
 def test_energy_of_clattering_teeth_closes(tmp_path: Path, model: str) -> None:
     run, _ = held(tmp_path, model, samples=200)
@@ -414,6 +420,7 @@ def test_two_links_behind_shafts_against_the_textbooks_arm(tmp_path: Path) -> No
     assert np.abs(motion.imbalance).max() < 1e-9 * np.abs(motion.works).sum(axis=1).max()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("model", MODELS)
 def test_an_arm_with_shafts_and_gaps_in_every_model(tmp_path: Path, model: str) -> None:
     tables: dict[str, Any] = {

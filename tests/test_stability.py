@@ -32,6 +32,7 @@ def k_max(scene, circuit=None, key="discrete_stiffness_n_per_m", low=1e-1, high=
     return found.value * scale
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("mass", "viscous", "known"),
     [

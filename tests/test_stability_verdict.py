@@ -97,6 +97,7 @@ def test_the_reference_is_ngspice_where_that_answers(drive):
         assert np.abs(mine - theirs).max() <= 1e-9 * np.abs(theirs).max()
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("seed", [0, 1, 2, 3, 4, 5, 12])
 def test_a_random_slip_is_judged_as_its_eigenvalues_say(tmp_path, seed):
     agrees(tmp_path, seed)
@@ -132,6 +133,7 @@ def test_the_shipped_boards_are_stable(tmp_path, joints, drive, level):
     assert not found.found
 
 
+@pytest.mark.few(7)
 @pytest.mark.parametrize(("name", "kind"), LEGITIMATE)
 def test_a_declared_latch_or_oscillator_passes(tmp_path, name, kind):
     body = {**BISTABLE, **OSCILLATING}[name]

@@ -53,6 +53,7 @@ def limits(monkeypatch: pytest.MonkeyPatch) -> Limits:
     return seen
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("command", "asks"),
     [
@@ -93,6 +94,7 @@ def test_every_call_has_the_scenes_limit(
     assert {target: found for target, found in limits.items() if found != {LIMIT_S}} == {}
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     "command",
     [("check", "scene.toml"), ("stability", "scene.toml", "-o", "out"), ("device", "scene.toml"),

@@ -34,6 +34,7 @@ def test_a_tolerance_is_a_gaussian_of_three_sigma_that_is_cut() -> None:
     assert shape.support == (-0.01, 0.01)
 
 
+@pytest.mark.slow
 def test_the_inverse_of_a_cut_gaussian_is_scipys() -> None:
     shape = Shape("truncated", -0.02, 0.02, 2.0)
     assert shape.inverse(U) == pytest.approx(
