@@ -67,7 +67,7 @@ def poles_of(s: Complex, f: Complex, good: float, reweighted: bool) -> Complex:
             below = near @ weight + far @ weight.conj()
             above = near @ (weight[:, None] * value) + far @ (weight[:, None] * value).conj()
             fitted = f.copy()
-            # a pole of the attempt on a point of the sweep: infinitely wrong there, and the next point to support
+            # a pole of the attempt on a point of the sweep: endlessly wrong there, and the next to support
             with np.errstate(divide="ignore", invalid="ignore"):
                 fitted[rest] = above / below[:, None]
             error = float(np.abs(f - fitted).max())
