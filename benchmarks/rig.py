@@ -20,6 +20,7 @@ from cosim.ngspice.simulator import Simulator
 from cosim.plan import Plan, resolve
 from cosim.rawfile import read_raw
 from cosim.results import RAW
+from cosim.runner import request_of
 from cosim.scene import Scene, load_scene
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -92,25 +93,16 @@ def retold(
 def lockstep(plan: Plan, *, keep: bool = False) -> Outcome:
     """Run our lockstep in this process, through the function that `cosim run` calls in its child."""
     with tempfile.TemporaryDirectory(prefix="cosim-bench-") as folder:
-        got = simulate(
-            {
-                "scene": plan.scene,
-                "board": plan.board,
-                "recorded": plan.recorded,
-                "watched": plan.watched,
-                "tolerances": plan.tolerances,
-                "predicted_points": math.inf,  # a reference takes what it takes
-                "folder": Path(folder),
-            },
-            lambda progress: None,
-        )
+        # a reference takes what it takes
+        asked = replace(request_of(plan), predicted_points=math.inf, folder=Path(folder))
+        answer = simulate(asked, lambda progress: None)
         signals: Signals = {}
-        samples = np.empty((0, len(got["sample_columns"])))
+        samples = np.empty((0, len(answer.sample_columns)))
         if keep:
             raw = read_raw(Path(folder) / RAW)
             signals = {name: np.array(raw[name]) for name in raw}
-            samples = np.fromfile(Path(folder) / "samples.f64").reshape(-1, len(got["sample_columns"]))
-    return Outcome(dict(got["stats"]), signals, samples, tuple(got["sample_columns"]), got["constants"])
+            samples = np.fromfile(Path(folder) / "samples.f64").reshape(-1, len(answer.sample_columns))
+    return Outcome(dict(answer.stats), signals, samples, tuple(answer.sample_columns), asked.constants)
 
 
 def equations(plan: Plan) -> int:

@@ -16,7 +16,9 @@ def main() -> int:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not where Ctrl-C is to be ignored
         signal.signal(signal.SIGINT, _leave)  # while Python imports; `cosim.cli.main` takes over
     from cosim.cli import main as command_line
+    from cosim.quick_start import collect_seldom
 
+    collect_seldom()
     return command_line()
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from numba.core import caching
+from numba.core.runtime import rtsys
 
 from cosim.numba_cache import PARENTS, ROOT, cache_folder, code_folder
 
@@ -110,5 +111,20 @@ def _cache_file(cache_path: str, filename_base: str, source_stamp: object) -> An
     return kind(cache_path=cache_path, filename_base=filename_base, source_stamp=source_stamp)
 
 
+def _load_overload(cache: Any, signature: Any, target: Any) -> Any:
+    """Return compiled code, or None; numba's tables of functions, 0.1 s of filling, only where it compiles.
+
+    What is in the cache was linked whole; it needs numba's runtime, which `refresh` would start.
+    """
+    rtsys.initialize(target)
+    with cache._guard_against_spurious_io_errors():
+        found = cache._load_overload(signature, target)
+        if found is not None:
+            return found
+    return _load_after_refresh(cache, signature, target)
+
+
 _Plain = caching.IndexDataCacheFile
+_load_after_refresh = caching.Cache.load_overload
 caching.IndexDataCacheFile = _cache_file
+caching.Cache.load_overload = _load_overload

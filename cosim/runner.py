@@ -19,6 +19,7 @@ from cosim.caution import Caution, collected, warn
 from cosim.circuits.design_constants import DesignConstants
 from cosim.errors import InputError, Problem
 from cosim.judgement import coupled, latched, left, question, reached, verdict
+from cosim.loop.run_messages import RunAnswer, RunRequest
 from cosim.measures import chosen, headroom, own_measures, standard
 from cosim.ngspice import deck_file
 from cosim.ngspice.child import OUTBOX, Child, call
@@ -30,7 +31,7 @@ from cosim.scene import PythonOperator, Scene
 from cosim.staging import Staging, disk_errors, require_ours, scratch_folder
 from cosim.units import quantity
 
-__all__ = ["Errors", "measures_of", "resolve", "run"]
+__all__ = ["Errors", "measures_of", "request_of", "resolve", "run"]
 
 Measures = Mapping[str, Mapping[str, Any]]
 #: What adds errors to measures; see `run`.
@@ -119,23 +120,24 @@ def _run(
         warn(*coupled(plan, child))
     with Staging(target, written_files) as stage:
         done = _simulated(plan, stage.path, child, on_progress)
-        got, constants, samples, signals = done.got, done.constants, done.samples, done.signals
-        ledger, amplifiers = got["ledger"], done.amplifiers
+        answer, samples, signals = done.answer, done.samples, done.signals
+        constants = plan.stated().constants()
+        ledger, amplifiers = answer.ledger, done.amplifiers
         stamp(stage.path / RAW, run_date())
         measures = done.measures | dict(more)
         if errors is not None:
-            measures |= errors(done.measures, got.get("circuit"))
+            measures |= errors(done.measures, answer.circuit)
         own = _own(plan, constants, stage.path / RAW, samples, child)
         measures |= own["rows"]
         warn(*plausibility.of_run(scene, constants, signals, samples, measures, amplifiers, ledger))
-        if "end" in got:
+        if answer.end is not None:
             limits = {a["node"]: a["swing_v"] for a in amplifiers if a["swing_v"]}
-            warn(*latched(plan, got["end"], limits, child), *left(plan, got["end"]))
+            warn(*latched(plan, answer.end, limits, child), *left(plan, answer.end))
         if not judged.unjudged and (poses := reached(plan, _angles(signals, scene.joints))):
             warn(*coupled(plan, child, poses))
-        if "circuit" in got:
-            warn(*plausibility.of_circuit(got["circuit"], constants))
-        stats = dict(got["stats"])
+        if answer.circuit is not None:
+            warn(*plausibility.of_circuit(answer.circuit, constants))
+        stats = dict(answer.stats)
         stats["total_s"] = time.perf_counter() - begun
         result = Run(
             scene=scene,
@@ -145,20 +147,20 @@ def _run(
                 **plan.as_dict(),
                 "constants": vars(constants),
                 "amplifiers": headroom(amplifiers),
-                "certificate": got["circuit"].certificate if "circuit" in got else {},
-                "component_noise": got["component_noise"],
+                "certificate": answer.circuit.certificate if answer.circuit is not None else {},
+                "component_noise": answer.component_noise,
                 "stability": judged.as_dict(),
             },
             events=_events(samples),
             measures=chosen(measures, scene),
             ledger=ledger,
             stats=stats,
-            said=(*got["said"], *own["said"]),
+            said=(*answer.printed, *own["said"]),
             warnings=tuple(cautions),
             provenance=provenance(
                 scene,
                 command=command if command is not None else list(sys.argv),
-                ngspice=str(got["ngspice"]),
+                ngspice=answer.ngspice,
                 deck_digest=plan.board.digest,
             ),
         )
@@ -173,8 +175,7 @@ def _run(
 class _Simulated:
     """What a simulation handed over: its answer, and what was read and measured of it."""
 
-    got: dict[str, Any]
-    constants: DesignConstants
+    answer: RunAnswer
     samples: dict[str, NDArray[np.float64]]
     signals: Signals
     amplifiers: list[dict[str, Any]]
@@ -189,20 +190,11 @@ def _simulated(
 ) -> _Simulated:
     """Simulate in the child process; the signals land in the folder."""
     scene = plan.scene
-    got = call(
+    asked = request_of(plan, child)
+    constants = asked.constants
+    answer: RunAnswer = call(
         f"{_TARGETS[plan.model]}:simulate",
-        {
-            "model": plan.model,
-            "band_hz": scene.solver.band_hz,
-            "tolerance": scene.solver.reduction_tolerance,
-            "scene": scene,
-            "board": plan.board,
-            "recorded": plan.recorded,
-            "watched": plan.watched,
-            "tolerances": plan.tolerances,
-            "predicted_points": plan.cost()["points"],
-            "folder": OUTBOX,
-        },
+        asked,
         time_limit_s=scene.solver.time_limit_s,
         stall_limit_s=_STALL_S,
         on_progress=on_progress,
@@ -211,12 +203,26 @@ def _simulated(
         reads=_python_folders(scene),
         collect=folder,
     )
-    constants: DesignConstants = got["constants"]
-    samples = _read_samples(folder / "samples.f64", got["sample_columns"])
+    samples = _read_samples(folder / "samples.f64", answer.sample_columns)
     signals = read_raw(folder / RAW)
-    amplifiers = _amplifiers(plan, got)
-    measures = standard(scene, constants, signals, samples, amplifiers, got["ledger"])
-    return _Simulated(got, constants, samples, signals, amplifiers, measures)
+    amplifiers = _amplifiers(plan, answer)
+    measures = standard(scene, constants, signals, samples, amplifiers, answer.ledger)
+    return _Simulated(answer, samples, signals, amplifiers, measures)
+
+
+def request_of(plan: Plan, child: Child | None = None) -> RunRequest:
+    """Return what a time loop is asked for a plan, the result to be left in `OUTBOX`."""
+    return RunRequest(
+        scene=plan.scene,
+        board=plan.board,
+        constants=plan.stated(child).constants(),
+        model=plan.model,
+        recorded=plan.recorded,
+        watched=plan.watched,
+        tolerances=plan.tolerances,
+        predicted_points=plan.cost()["points"],
+        folder=OUTBOX,
+    )
 
 
 def measures_of(plan: Plan, child: Child | None) -> dict[str, dict[str, Any]]:
@@ -280,19 +286,19 @@ def _check_duration(plan: Plan) -> None:
         )
 
 
-def _read_samples(file: Path, columns: list[str]) -> dict[str, NDArray[np.float64]]:
+def _read_samples(file: Path, columns: Sequence[str]) -> dict[str, NDArray[np.float64]]:
     """Columns of the computer's samples; the streamed file is used up."""
     table = np.fromfile(file).reshape(-1, len(columns))
     file.unlink()
     return {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(columns)}
 
 
-def _amplifiers(plan: Plan, got: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _amplifiers(plan: Plan, answer: RunAnswer) -> list[dict[str, Any]]:
     """Peak output of every amplifier against its limit."""
     out = []
     for amplifier in plan.board.amplifiers:
-        peak = got["peaks"].get(amplifier.out_node)
-        swing = got["swings"].get(amplifier.out_node)
+        peak = answer.peaks.get(amplifier.out_node)
+        swing = answer.swings.get(amplifier.out_node)
         if peak is None:
             continue
         out.append(
@@ -303,7 +309,7 @@ def _amplifiers(plan: Plan, got: Mapping[str, Any]) -> list[dict[str, Any]]:
                 "node": amplifier.out_node,
                 "peak_v": peak,
                 "swing_v": swing,
-                "clipped_s": got["clipped_s"].get(amplifier.out_node, 0.0),
+                "clipped_s": answer.clipped_s.get(amplifier.out_node, 0.0),
                 "headroom": 1.0 - peak / swing if swing else 0.0,
             }
         )

@@ -8,7 +8,6 @@ files), if no call in it has failed. A test of processes themselves starts its o
 import tempfile
 import threading
 import weakref
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ MOST_IDLE = 3
 #: Calls to a process end here: ngspice keeps a little of every circuit that it has read.
 MOST_TESTS = 100
 
-_start, _leave = Child.__init__, Child.__exit__
+_start, _leave = Child.start, Child.__exit__
 
 
 class _Idle:
@@ -45,7 +44,9 @@ def _surroundings() -> tuple[object, ...]:
     return main, tempfile.gettempdir(), *sorted(environment.items())
 
 
-def _begin(self: Child, modules: Sequence[str] = (), reads: Sequence[Path] = ()) -> None:
+def _begin(self: Child) -> None:
+    if self._started:
+        return
     surroundings, tests = _surroundings(), 1
     found = next((each for each in reversed(_idle) if each.surroundings == surroundings), None)
     if found is not None:
@@ -53,14 +54,16 @@ def _begin(self: Child, modules: Sequence[str] = (), reads: Sequence[Path] = ())
         if found.process.poll() is None:
             found.close.detach()
             self._process, self._folder, self._receive = found.process, found.folder, found.receive
-            self._buffer = bytearray()
+            self._buffer, self._started = bytearray(), True
             self._close = weakref.finalize(self, child._dispose, found.process, found.folder, found.receive)
             tests = found.tests + 1
         else:
             found = None
     if found is None:
-        _start(self, modules, (*READABLE, *reads))
-    self._reads = tuple(folder.resolve() for folder in reads)  # as asked: what it decides stays the same
+        asked = self._reads  # what it decides stays the same
+        self._reads = tuple(folder.resolve() for folder in (*READABLE, *asked))
+        _start(self)
+        self._reads = asked
     vars(self)["_kept_for"] = surroundings, tests
 
 
@@ -76,5 +79,5 @@ def _end(self: Child, *error: Any) -> None:
 
 def keep(kept: bool) -> None:
     """Take processes from those that are idle from now on, or start each anew."""
-    setattr(Child, "__init__", _begin if kept else _start)  # noqa: B010
+    setattr(Child, "start", _begin if kept else _start)  # noqa: B010
     setattr(Child, "__exit__", _end)  # noqa: B010

@@ -17,6 +17,7 @@ from scipy.linalg import expm
 from cosim.accuracy.hard_cases.hard_case import merge, toml
 from cosim.circuits.decks import lockstep_deck
 from cosim.errors import CosimError, SimulationError
+from cosim.loop.run_messages import RunAnswer, RunRequest
 from cosim.loop.spice import run_spice as simulation
 from cosim.ngspice.child import Child, start_early
 from cosim.ngspice.simulator import Simulator
@@ -113,17 +114,17 @@ def count_equations(payload: Mapping[str, Any], report: Any) -> dict[str, Any]:
     return {"names": names, "count": len(names)}
 
 
-def simulate_without_pole(payload: dict[str, Any], report: Any) -> dict[str, Any]:
+def simulate_without_pole(request: RunRequest, report: Any) -> RunAnswer:
     """In a child: a run with the bound of the back-EMF's coupled pole taken away."""
     kept = simulation.back_emf_viscosity
     simulation.back_emf_viscosity = lambda simulator, circuit, state: np.zeros((circuit.joints,) * 2)
     try:
-        return simulation.simulate(payload, report)
+        return simulation.simulate(request, report)
     finally:
         simulation.back_emf_viscosity = kept
 
 
-def simulate_unheard(payload: dict[str, Any], report: Any) -> dict[str, Any]:
+def simulate_unheard(request: RunRequest, report: Any) -> RunAnswer:
     """In a child: a run that fails in what ngspice itself tells of the time, not in a step."""
 
     def heard(progress: dict[str, Any]) -> None:
@@ -131,7 +132,7 @@ def simulate_unheard(payload: dict[str, Any], report: Any) -> dict[str, Any]:
             raise SimulationError("nobody listens")
         report(progress)
 
-    return simulation.simulate(payload, heard)
+    return simulation.simulate(request, heard)
 
 
 class Arm:

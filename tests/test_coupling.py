@@ -5,6 +5,7 @@ or a matrix exponential. Circuits are ideal unless a test says otherwise, so tha
 """
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,10 +35,11 @@ from support import (
 )
 
 from cosim.errors import SimulationError
-from cosim.ngspice.child import OUTBOX, call
+from cosim.ngspice.child import call
 from cosim.plan import resolve
 from cosim.rawfile import read_raw
 from cosim.results import Run
+from cosim.runner import request_of
 
 RADIUS = 0.1333
 #: A tolerance so loose that the longest step decides.
@@ -369,12 +371,8 @@ def test_without_the_bound_the_same_rotor_goes_wrong(tmp_path: Path) -> None:
 
     def unbounded(rotor: float) -> tuple[np.ndarray[Any, Any], float]:
         plan = resolve(scene_of(tmp_path, spinning(rotor, "emf", 0.5, loose=True)))
-        payload = {
-            name: getattr(plan, name) for name in ("scene", "board", "recorded", "watched", "tolerances")
-        }
-        payload["folder"] = OUTBOX
-        payload["predicted_points"] = math.inf  # it may take what it takes
-        call("support:simulate_without_pole", payload, collect=tmp_path)
+        asked = replace(request_of(plan), predicted_points=math.inf)  # it may take what it takes
+        call("support:simulate_without_pole", asked, collect=tmp_path)
         return np.abs(read_raw(tmp_path / "signals.raw")["v1"]), rotor * GEAR**2 / EMF_TRUE
 
     speed, _ = unbounded(1e-7)
@@ -386,10 +384,9 @@ def test_without_the_bound_the_same_rotor_goes_wrong(tmp_path: Path) -> None:
 def test_a_run_ends_whose_time_nobody_takes(tmp_path: Path) -> None:
     """Told while ngspice prints, where its newer versions take no command: the next step stops it."""
     plan = resolve(scene_of(tmp_path, slider(duration_s=1e5, computer={"period_s": 0.1})))
-    payload = {name: getattr(plan, name) for name in ("scene", "board", "recorded", "watched", "tolerances")}
-    payload |= {"folder": OUTBOX, "predicted_points": math.inf}
+    asked = replace(request_of(plan), predicted_points=math.inf)
     with pytest.raises(SimulationError, match="nobody listens"):
-        call("support:simulate_unheard", payload, time_limit_s=120.0)
+        call("support:simulate_unheard", asked, time_limit_s=120.0)
 
 
 def test_divergence_is_an_error(tmp_path: Path) -> None:

@@ -60,7 +60,7 @@ def limits(monkeypatch: pytest.MonkeyPatch) -> Limits:
         (("check", "scene.toml"), {"cosim.checking.measured", "cosim.circuits.instability.search"}),
         (
             ("noise", "scene.toml", "--set", "effects.component_noise=true"),
-            {"cosim.analysis.extracted", "cosim.circuits.extraction.noise_contributions"},
+            {"cosim.circuits.extraction.extract", "cosim.circuits.extraction.noise_contributions"},
         ),
         (("nodes", "scene.toml"), {"cosim.loop.recordable"}),
         (("plan", "scene.toml"), {"cosim.circuits.extraction.design_numbers"}),
@@ -81,7 +81,7 @@ def limits(monkeypatch: pytest.MonkeyPatch) -> Limits:
         ),
         (
             ("report", "eta.toml", "-o", "out"),
-            {"cosim.analysis.extracted", "cosim.circuits.extraction.block_delays"},
+            {"cosim.circuits.extraction.extract", "cosim.circuits.extraction.block_delays"},
         ),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",

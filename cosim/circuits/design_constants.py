@@ -124,6 +124,10 @@ class Stated(DesignConstants):
         """Return the design constants alone, JSON-ready."""
         return {name: getattr(self, name) for name in self.names()}
 
+    def constants(self) -> DesignConstants:
+        """Return the design constants as such."""
+        return DesignConstants(**self.design(), motor_k=self.motor_k)
+
     def check(self, file: str) -> None:
         """Refuse data of parts by which nothing can be divided, naming each; `InputError`."""
         problems = [

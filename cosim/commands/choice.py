@@ -31,10 +31,10 @@ def plan_of(args: argparse.Namespace, scene: "Scene", child: "Child") -> "Plan":
 def open_choice(args: argparse.Namespace, variant: "Variant") -> dict[str, Any]:
     """Return what would be tried, in this order, JSON-ready; nothing runs."""
     from cosim.comparisons.effect_candidates import Candidates
-    from cosim.ngspice.child import start_early
+    from cosim.ngspice.child import on_demand
 
     forced = [f"solver.model={args.model}"] if args.model else []
-    with collected(forward=False), start_early("cosim.circuits.extraction.design_numbers") as child:
+    with collected(forward=False), on_demand() as child:
         candidates = Candidates(args.scene, (*forced, *variant.overrides), trust=args.trust, child=child)
         force_n, least_n, ranked = candidates.force_n(), candidates.tolerance_n(), candidates.ranked()
     return {

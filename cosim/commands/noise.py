@@ -9,9 +9,9 @@ from cosim.units import quantity
 
 
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
-    from cosim.ngspice.child import start_early
+    from cosim.ngspice.child import on_demand
 
-    with start_early("cosim.analysis.extracted") as child:
+    with on_demand() as child:
         from cosim.api.asking import contact, noise
 
         cases, texts = [], []

@@ -19,9 +19,9 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
-    from cosim.ngspice.child import start_early
+    from cosim.ngspice.child import on_demand
 
-    with start_early("cosim.analysis.extracted") as child:
+    with on_demand() as child:
         from cosim.api.asking import contact, stability
 
         cases, texts = [], []

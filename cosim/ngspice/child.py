@@ -17,7 +17,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -27,11 +26,13 @@ from typing import Any
 from cosim.caution import warn
 from cosim.errors import SimulationError
 from cosim.ngspice import child_messages
+from cosim.ngspice.time_limits import Watch
 from cosim.ngspice.worker import HEAD
 from cosim.numba_cache import PARENTS, cache_folder, children_folder
+from cosim.quick_start import defer
 from cosim.staging import disk_errors, make_scratch
 
-__all__ = ["Child", "call", "start_early"]
+__all__ = ["Child", "call", "on_demand", "start_early"]
 
 PREIMPORT = ("numpy", "PySpice.Spice.NgSpice.Shared", "numba")
 """What an early child imports while the parent still prepares."""
@@ -115,11 +116,20 @@ def call(
 
 def start_early(*modules: str, reads: Sequence[Path] = ()) -> "Child":
     """Start a child now that imports `PREIMPORT` and `modules` while the parent does something else."""
-    return Child((*PREIMPORT, *modules), reads)
+    child = Child((*PREIMPORT, *modules), reads)
+    child.start()
+    defer()  # the parent, too, has much to load
+    return child
+
+
+def on_demand() -> "Child":
+    """Return a child that starts with its first call, for work whose answers may all be kept already."""
+    defer()
+    return Child(PREIMPORT)
 
 
 class Child:
-    """A child process that serves calls one after the other.
+    """A child process that serves calls one after the other; it starts with the first, or by `start`.
 
     Parameters
     ----------
@@ -130,7 +140,13 @@ class Child:
     """
 
     def __init__(self, modules: Sequence[str] = (), reads: Sequence[Path] = ()) -> None:
-        self._reads = tuple(folder.resolve() for folder in reads)
+        self._modules, self._reads = tuple(modules), tuple(folder.resolve() for folder in reads)
+        self._started = self._closed = False
+
+    def start(self) -> None:
+        """Start the process, unless it runs."""
+        if self._started:
+            return
         folder = make_scratch("ngspice")
         receive, send = os.pipe()
         try:
@@ -142,7 +158,7 @@ class Child:
             env = _environment(folder)
             with open(folder / "said", "wb") as said:
                 process = subprocess.Popen(
-                    _command(send, modules, _allowed(folder, env, self._reads)),
+                    _command(send, self._modules, _allowed(folder, env, self._reads)),
                     stdin=subprocess.PIPE,
                     stdout=said,
                     stderr=said,
@@ -160,6 +176,7 @@ class Child:
         self._process, self._folder, self._receive = process, folder, receive
         self._buffer = bytearray()
         self._close = weakref.finalize(self, _dispose, process, folder, receive)
+        self._started = True
 
     def call(
         self,
@@ -173,12 +190,13 @@ class Child:
         collect: Path | None = None,
     ) -> Any:
         """Run a function in this child; see `call`."""
-        if not self._close.alive:
+        if self._closed:
             raise SimulationError("the child process was closed", deck=deck)
+        self.start()
         self._empty_outbox()
         cpu_s = None if time_limit_s is None else _CPU_SHARE * time_limit_s + _CPU_MORE_S
         body = pickle.dumps((target, pickle.dumps(payload, protocol=5), cpu_s), protocol=5)
-        watch = _Watch(time_limit_s, stall_limit_s)
+        watch = Watch(time_limit_s, stall_limit_s)
         try:
             for kind, content in self._messages(HEAD.pack(len(body)) + body, watch):
                 if kind == "result":
@@ -205,7 +223,7 @@ class Child:
     @property
     def alive(self) -> bool:
         """Whether it takes calls: it was not closed, and no call has failed."""
-        return self._close.alive
+        return not self._closed
 
     def reads_all(self, folders: Sequence[Path]) -> bool:
         """Whether it may read all these folders."""
@@ -225,7 +243,9 @@ class Child:
 
     def close(self) -> None:
         """End the child and remove its folder."""
-        self._close()
+        self._closed = True
+        if self._started:
+            self._close()
 
     def __enter__(self) -> "Child":
         return self
@@ -235,7 +255,7 @@ class Child:
     ) -> None:
         self.close()
 
-    def _messages(self, request: bytes, watch: "_Watch") -> Any:
+    def _messages(self, request: bytes, watch: Watch) -> Any:
         """Send the request and yield messages until the child closes its pipe.
 
         Sending and receiving go on together: a child that still imports does not read, and a long request
@@ -275,7 +295,7 @@ class Child:
             del self._buffer[:end]
             yield child_messages.read(body)
 
-    def _ended(self, deck: str | None, watch: "_Watch") -> SimulationError:
+    def _ended(self, deck: str | None, watch: Watch) -> SimulationError:
         """Say how the child ended without a result."""
         status = self._process.wait()
         if status < 0:
@@ -295,48 +315,6 @@ class Child:
             return ""
         words, _, _ = said.partition("Fatal Python error:")  # what follows is our stack, not ngspice's words
         return "\n".join(words.splitlines()[-_LAST_LINES:])
-
-
-class _Watch:
-    """The two limits of a call, and the simulated time last heard of."""
-
-    def __init__(self, time_limit_s: float | None, stall_limit_s: float | None) -> None:
-        self._start = self._beat = time.monotonic()
-        self._limit, self._stall = time_limit_s, stall_limit_s
-        self.time_s: float | None = None
-        self._attempt = 1
-
-    def beat(self, progress: Mapping[str, Any]) -> None:
-        """Note a report; the same simulated time again is no sign of life, except in a further attempt."""
-        time_s = progress.get("time_s")
-        if time_s is not None:
-            again, self._attempt = self._attempt, progress.get("attempt", 1)
-            if again == self._attempt and self.time_s is not None and time_s <= self.time_s:
-                return
-            self.time_s = float(time_s)
-        self._beat = time.monotonic()
-
-    def patience_s(self) -> float | None:
-        """Return how long to wait for the next message [s]."""
-        now, left = time.monotonic(), []
-        if self._limit is not None:
-            left.append(self._start + self._limit - now)
-        if self._stall is not None:
-            left.append(self._beat + self._stall - now)
-        return max(min(left), 0.0) if left else None
-
-    def check(self) -> None:
-        """Raise `TimeoutError` when a limit is passed."""
-        now = time.monotonic()
-        reached = (
-            "no simulated time was reported"
-            if self.time_s is None
-            else f"last reported t = {self.time_s:.9g} s"
-        )
-        if self._limit is not None and now - self._start >= self._limit:
-            raise TimeoutError(f"the time limit of {self._limit:g} s is over; {reached}")
-        if self._stall is not None and now - self._beat >= self._stall:
-            raise TimeoutError(f"no progress for {self._stall:g} s; {reached}")
 
 
 def _command(descriptor: int, modules: Sequence[str], allowed: Mapping[str, list[str]]) -> list[str]:
@@ -379,7 +357,7 @@ def _modules() -> list[str]:
 
 
 def _raised(
-    error: Exception | None, message: str, trace: str, *, deck: str | None, watch: _Watch
+    error: Exception | None, message: str, trace: str, *, deck: str | None, watch: Watch
 ) -> Exception:
     if error is not None:
         error.add_note("In the child process:\n" + trace)

@@ -20,6 +20,7 @@ from typing import Any, NoReturn
 from cosim.caution import collected
 from cosim.errors import CosimError
 from cosim.ngspice import sandbox
+from cosim.quick_start import collect_seldom, defer
 
 __all__ = ["HEAD", "main"]
 
@@ -145,6 +146,7 @@ def main() -> None:
     import faulthandler
 
     faulthandler.enable(all_threads=False)
+    collect_seldom()
     descriptor = int(sys.argv[1])
     if sys.argv[2] == "1":
         _die_with_parent()
@@ -152,6 +154,8 @@ def main() -> None:
     requests: SimpleQueue[bytes] = SimpleQueue()
     threading.Thread(target=_receive, args=(requests,), daemon=True).start()
     threading.Thread(target=_pulse, args=(descriptor,), daemon=True).start()
+    if sys.argv[4:]:
+        defer()
     for module in sys.argv[4:]:
         try:
             _import(module)

@@ -16,7 +16,7 @@ from cosim.circuits.design_constants import Stated
 from cosim.circuits.extraction.alter import nominal_value
 from cosim.circuits.extraction.noise_contributions import ComponentNoise
 from cosim.errors import InputError
-from cosim.ngspice.child import Child, call, start_early
+from cosim.ngspice.child import Child, call, on_demand
 from cosim.plan import resolve
 from cosim.scene import Method, PotNoise
 from cosim.scene.parameters import Field, Parameters, Unit
@@ -156,7 +156,7 @@ def _forces(
 
 def _computed(spec: StudyFile) -> dict[str, Any]:
     given: BudgetParameters = spec.parameters
-    with start_early("cosim.analysis.extracted") as child:
+    with on_demand() as child:
         scene = spec.scene("solver.model=linear")
         tip = tip_of(scene, child)
         plan = resolve(scene)

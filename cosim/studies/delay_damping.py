@@ -19,7 +19,7 @@ from cosim.analysis.stability import border, held, with_computer
 from cosim.analysis.tip import Case, Tip, reached, row, tip_of
 from cosim.checkpoint import Points
 from cosim.circuits.extraction.block_delays import SpringDelay, slowest_s, spring_delays
-from cosim.ngspice.child import Child, start_early
+from cosim.ngspice.child import Child, on_demand
 from cosim.plan import resolve
 from cosim.scene import Method, Scene
 from cosim.scene.parameters import Field, Parameters, Unit
@@ -91,7 +91,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     limits: dict[str, list[Any]] = {}
     points.expect(len(given.cases))
     every: list[dict[str, Any]] = []
-    with start_early("cosim.analysis.extracted") as child:
+    with on_demand() as child:
         for number, case in enumerate(given.cases):
             every.append(points.get(case.name, partial(_case, spec, case, number == 0, child)))
     first = every[0]

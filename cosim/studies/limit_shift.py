@@ -20,7 +20,7 @@ from cosim.analysis.stability import border, held, with_computer
 from cosim.analysis.tip import Case, Tip, row, tip_of
 from cosim.checkpoint import Points
 from cosim.errors import fail
-from cosim.ngspice.child import Child, start_early
+from cosim.ngspice.child import Child, on_demand
 from cosim.scene import Method, PotNoise, Scene
 from cosim.scene.mechanism import mechanism
 from cosim.scene.parameters import Field, Parameters, Unit
@@ -111,7 +111,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     """Find the borders of every case, and what noise does at rest."""
     given: ShiftParameters = spec.parameters
     points.expect(len(given.cases))
-    with start_early("cosim.analysis.extracted") as child:
+    with on_demand() as child:
         every = [
             points.get(case.name, partial(_case, spec, case, number == 0, child))
             for number, case in enumerate(given.cases)

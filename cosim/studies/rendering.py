@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cosim.analysis.extracted import circuit_of
 from cosim.analysis.tip import Case, Tip, Wanted, row, tip_of
 from cosim.checkpoint import Points
-from cosim.ngspice.child import Child, start_early
+from cosim.ngspice.child import Child, on_demand
 from cosim.plan import resolve
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.quantities import Damping, Frequency, Stiffness
@@ -75,7 +75,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     certified: dict[str, list[Any]] = {}
     told: dict[str, dict[str, float]] = {}
     points.expect(len(given.cases))
-    with start_early("cosim.analysis.extracted") as child:
+    with on_demand() as child:
         every = [points.get(case.name, partial(_case, spec, case, hz, child)) for case in given.cases]
     for case, found in zip(given.cases, every, strict=True):
         row(certified, {"case": case.name, **found["certificate"]})

@@ -6,15 +6,11 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.circuits.decks import Tolerances, lockstep_deck
 from cosim.circuits.design_constants import DesignConstants
-from cosim.circuits.extraction.design_numbers import read_constants
 from cosim.circuits.extraction.extract import extract
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import InputError, Problem
@@ -30,12 +26,12 @@ from cosim.loop.linear.step_layout import plan
 from cosim.loop.linear.step_maps import Plan
 from cosim.loop.pin_voltages import pins
 from cosim.loop.recorder import ROWS, Recorder, Report, statistics
+from cosim.loop.run_messages import RunAnswer, RunRequest
 from cosim.loop.setup import Memory, pack
 from cosim.loop.signals import Layout, write_signals
 from cosim.loop.state import Fault
 from cosim.loop.userclass import Said
 from cosim.loop.userlaw import UserLaw, load_law
-from cosim.ngspice.deck import Deck
 from cosim.ngspice.simulator import Simulator
 from cosim.results import RAW
 from cosim.scene import PythonOperator, Scene
@@ -194,50 +190,29 @@ def _still(a: NDArray[np.float64], drive: NDArray[np.float64], name: str) -> NDA
     return z
 
 
-def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
-    """Run one scene on the `ideal` or `linear` model.
-
-    Parameters
-    ----------
-    payload
-        As `run_spice.simulate`; and 'model': 'ideal' or 'linear', with 'band_hz' and 'tolerance' of
-        the extraction. In its place 'circuit', a `LinearCircuit`; 'constants' when they are known already.
-    report
-        called with the simulated time and the points so far
-
-    Returns
-    -------
-    dict
-        As `run_spice.simulate`; 'peaks', 'clipped_s' and 'swings' are empty, 'circuit' is what was
-        simulated
-    """
-    scene: Scene = payload["scene"]
-    board: Deck = payload["board"]
-    if payload["recorded"]:
+def simulate(request: RunRequest, report: Report) -> RunAnswer:
+    """Run one scene on the `ideal` or `linear` model; `report` is told simulated time and points so far."""
+    scene, board, constants = request.scene, request.board, request.constants
+    if request.recorded:
         raise InputError(
             Problem(
                 "nodes inside the board exist in the model spice only",
                 file=str(board.path),
                 key="record.nodes",
-                value=", ".join(payload["recorded"]),
+                value=", ".join(request.recorded),
             )
         )
-    circuit: LinearCircuit | None = payload.get("circuit")
-    if circuit is None:
-        asked: dict[str, Any] = {
-            key: payload[key] for key in ("board", "model", "band_hz", "tolerance") if key in payload
-        }
-        circuit = extract(asked, report)
+    circuit = extract(
+        {
+            "board": board,
+            "model": request.model,
+            "band_hz": scene.solver.band_hz,
+            "tolerance": scene.solver.reduction_tolerance,
+        },
+        report,
+    )
     component = component_grid(scene, board, report)
-    version = ""
-    constants: DesignConstants | None = payload.get("constants")
-    if constants is None:
-        simulator = Simulator()
-        tolerances: Tolerances = payload["tolerances"]
-        deck = lockstep_deck(board, drive(scene), tolerances, ())
-        simulator.load(deck, lines=board.lines, name=str(board.path))
-        constants, version = read_constants(simulator, str(board.path)), str(simulator.version)
-    folder = Path(payload["folder"])
+    folder = request.folder
     said = Said()
     with said.listening():  # a user's operator is loaded here
         packed = prepare(scene, constants, circuit, record=True, component=component)
@@ -263,16 +238,12 @@ def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     layout = Layout(tuple(names), packed.memory.drive, constants, state["p"])
     ledger = write_signals(folder / ROWS, folder / RAW, layout, scene.title, packed.bench.total)
     (folder / ROWS).unlink()
-    return {
-        "ledger": ledger,
-        "sample_columns": sample_columns(circuit.joints),
-        "constants": constants,
-        "stats": statistics(packed.memory, wall, cpu),
-        "component_noise": component.about if component is not None else None,
-        "peaks": {},
-        "clipped_s": {},
-        "swings": {},
-        "ngspice": version,
-        "said": said.lines,
-        "circuit": circuit,
-    }
+    return RunAnswer(
+        ledger=ledger,
+        sample_columns=sample_columns(circuit.joints),
+        stats=statistics(packed.memory, wall, cpu),
+        ngspice=str(Simulator().version),
+        printed=said.lines,
+        component_noise=component.about if component is not None else None,
+        circuit=circuit,
+    )

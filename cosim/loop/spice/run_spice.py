@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from cosim.circuits.decks import REST_RAD_PER_S, Drive, lockstep_deck, saved
 from cosim.circuits.design_constants import DesignConstants
-from cosim.circuits.extraction.design_numbers import read_constants
 from cosim.circuits.extraction.probes import external_probes
 from cosim.circuits.extraction.swing import Swing
 from cosim.circuits.extraction.swing import swings as measured_swings
@@ -24,6 +23,7 @@ from cosim.loop.columns import columns, sample_columns
 from cosim.loop.component_noise import ComponentGrid, component_grid
 from cosim.loop.dac_channels import drive
 from cosim.loop.recorder import ROWS, Recorder, Report, statistics
+from cosim.loop.run_messages import RunAnswer, RunRequest
 from cosim.loop.setup import Memory, pack
 from cosim.loop.signals import Layout, write_signals
 from cosim.loop.spice import coupling, watch
@@ -65,42 +65,25 @@ def back_emf_viscosity(simulator: Simulator, circuit: Drive, state: np.void) -> 
     return viscosity
 
 
-def simulate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
+def simulate(request: RunRequest, report: Report) -> RunAnswer:
     """Run one scene on the `spice` model, with what `convergence` does where ngspice comes to no end.
 
-    Parameters
-    ----------
-    payload
-        'scene': Scene; 'board': Deck; 'recorded', 'watched': node names; 'tolerances': Tolerances;
-        'predicted_points': of the run; 'folder': where signals.raw and samples.f64 are written
-    report
-        called with the simulated time and the points so far
-
-    Returns
-    -------
-    dict
-        'ledger', 'sample_columns', 'constants', 'stats', 'peaks' (largest |v| of each node), 'clipped_s' (how
-        long it was at its limit), 'swings' (output limits by node), 'end' (volts of
-        'nodes' and 'pins' at the last point, 'speed_rad_per_s' of the fastest joint, 'hung' as of
-        `watch.hung`; of a device at rest the 'operating_point' of the nodes), 'ngspice' (version),
-        'said' (what law and operator printed), 'component_noise' (as `ComponentGrid.about`); signals.raw and
-        samples.f64 are in the folder
+    `report` is told simulated time and points so far.
     """
     attempts = 0
 
-    def attempt(aid: Aid) -> dict[str, Any]:
+    def attempt(aid: Aid) -> RunAnswer:
         nonlocal attempts
         attempts += 1
         number = attempts  # each begins at t = 0
-        return _simulate(payload, lambda p: report({**p, "attempt": number} if "time_s" in p else p), aid)
+        return _simulate(request, lambda p: report({**p, "attempt": number} if "time_s" in p else p), aid)
 
-    return aided(payload["tolerances"], attempt)
+    return aided(request.tolerances, attempt)
 
 
-def _simulate(payload: dict[str, Any], report: Report, aid: Aid) -> dict[str, Any]:
-    scene: Scene = payload["scene"]
-    board: Deck = payload["board"]
-    recorded, watched = tuple(payload["recorded"]), tuple(payload["watched"])
+def _simulate(request: RunRequest, report: Report, aid: Aid) -> RunAnswer:
+    scene, board, constants = request.scene, request.board, request.constants
+    recorded, watched = request.recorded, request.watched
     nodes = recorded + tuple(node for node in watched if node not in recorded)
     # ngspice itself tells the time when no point is accepted for long: steps cut endlessly are no progress
     moving = False
@@ -116,14 +99,13 @@ def _simulate(payload: dict[str, Any], report: Report, aid: Aid) -> dict[str, An
     circuit = drive(scene)
     text = lockstep_deck(board, circuit, aid.tolerances, nodes, aid.lines)
     simulator.load(text, lines=board.lines, name=str(board.path))
-    constants = read_constants(simulator, str(board.path))
     if component is not None:
         component = _called(component, simulator)
     said = Said()
     memory = _packed(said, scene, constants, circuit, recorded, nodes[len(recorded) :], component=component)
     if not aid.patient:
         tolerance = scene.solver.coupling_tolerance_rad
-        bound_work(memory, payload["predicted_points"], scene.duration_s, tolerance)
+        bound_work(memory, request.predicted_points, scene.duration_s, tolerance)
     swings = _output_limits(simulator, board, measured)
     state = memory.state[0]
     state["node_limit"][: len(nodes)] = [AT_LIMIT * swings.get(node, math.inf) for node in nodes]
@@ -131,7 +113,7 @@ def _simulate(payload: dict[str, Any], report: Report, aid: Aid) -> dict[str, An
     missing: list[str] = []
     person = scene.operator.file if isinstance(scene.operator, PythonOperator) else "operator"
     recorder = Recorder(
-        memory, simulator, Path(payload["folder"]), report, deck=str(board.path), person=person, nodes=nodes
+        memory, simulator, request.folder, report, deck=str(board.path), person=person, nodes=nodes
     )
     recorder.running = False
     law = _own_law(scene, constants, state, recorder, said)  # kept alive: compiled code calls it
@@ -167,17 +149,16 @@ def _simulate(payload: dict[str, Any], report: Report, aid: Aid) -> dict[str, An
         raise
     finally:
         recorder.close()
-    return {
-        "ledger": _signals(scene, constants, circuit, recorded, state, Path(payload["folder"])),
-        "sample_columns": sample_columns(circuit.joints),
-        "constants": constants,
-        "stats": statistics(memory, wall, cpu),
-        "component_noise": component.about if component is not None else None,
+    return RunAnswer(
+        ledger=_signals(scene, constants, circuit, recorded, state, request.folder),
+        sample_columns=sample_columns(circuit.joints),
+        stats=statistics(memory, wall, cpu),
+        ngspice=str(simulator.version),
+        printed=said.lines,
+        component_noise=component.about if component is not None else None,
+        swings=swings,
         **_at_nodes(simulator, circuit, nodes, state),
-        "swings": swings,
-        "ngspice": simulator.version,
-        "said": said.lines,
-    }
+    )
 
 
 def _transient(
