@@ -5,7 +5,7 @@ BIN := .venv/bin
 WORKERS ?= auto
 OUT ?= out/demo
 
-.PHONY: demo test slow fuzz bench paper gallery lint setup clean
+.PHONY: demo test slow fuzz bench docs dist paper gallery lint setup clean
 
 demo: setup
 	$(BIN)/cosim run scenes/slope.toml --out $(OUT)
@@ -32,6 +32,14 @@ bench: setup .venv/bench
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable '.[bench]'
 	@touch $@
 
+# The site, into site/: warnings, links to nowhere among them, are errors. `cosim docs` serves it.
+docs: setup
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
+# What is released: wheel and sdist with the site inside, into dist/.
+dist: docs
+	$(BIN)/python -m build --outdir dist
+
 # The paper, figure by figure and claim by claim, and the published pictures of it.
 paper: setup
 	$(BIN)/cosim report scenes/paper/ -o out/paper
@@ -50,11 +58,13 @@ gallery: paper
 	  $(BIN)/cosim run scenes/slope_$$method.toml --out out/gallery/$$method || exit 1; done
 	$(BIN)/cosim report out/gallery/combined out/gallery/discrete out/gallery/joint_pd --out out/gallery/report
 	$(BIN)/cosim effects scenes/slope.toml --out out/gallery/effects
+	$(BIN)/cosim accuracy scenes/press.toml --out out/gallery/accuracy
 	mkdir -p reports/gallery
 	cp out/gallery/report/figures/compare.png reports/gallery/methods.png
 	cp out/gallery/report/figures/zoom.png reports/gallery/between_samples.png
 	cp out/gallery/report/figures/path.png reports/gallery/path.png
 	cp out/gallery/effects/effects.png reports/gallery/effects.png
+	cp out/gallery/accuracy/figures/accuracy.png reports/gallery/work_precision.png
 
 lint: setup
 	$(BIN)/ruff check .
@@ -65,7 +75,7 @@ setup: .venv/ready
 	@sh setup/ngspice.sh
 	@$(BIN)/cosim warm >/dev/null
 
-# The lock pins every package; it is written by `uv pip compile pyproject.toml --extra test --universal`.
+# The lock pins every package; it is written by `uv pip compile pyproject.toml --extra test --extra docs --universal`.
 .venv/ready: requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 	  || { echo "Python 3.11 or newer is needed; found `$(PYTHON) --version`. Try: make PYTHON=python3.12" >&2; exit 1; }
@@ -76,4 +86,4 @@ setup: .venv/ready
 	@touch $@
 
 clean:
-	rm -rf .venv out
+	rm -rf .venv out site dist

@@ -1,4 +1,4 @@
-"""Where the netlists and scenes that come with the program are."""
+"""Where the netlists, scenes and pages that come with the program are."""
 
 from pathlib import Path
 
@@ -26,3 +26,17 @@ def netlists_folder() -> Path:
 def scenes_folder() -> Path:
     """Return the folder with the scenes of the paper."""
     return assets_folder() / "scenes"
+
+
+def docs_folder() -> Path:
+    """Return the folder of the documentation's site: inside a wheel, or as ``make docs`` has built it.
+
+    Raises
+    ------
+    CosimError
+        Where there is none.
+    """
+    for folder in (_PACKAGE / "data" / "docs", _PACKAGE.parent / "site"):
+        if (folder / "index.html").is_file():
+            return folder
+    raise CosimError("the documentation is not built here: `make docs` in a checkout builds it into site/")

@@ -21,6 +21,7 @@ from cosim.commands import (
     check,
     compare,
     device,
+    docs,
     effects,
     export,
     hard_cases,
@@ -67,6 +68,7 @@ COMMANDS = (
     keys.COMMAND,
     nodes.COMMAND,
     new.COMMAND,
+    docs.COMMAND,
     warm.COMMAND,
 )
 

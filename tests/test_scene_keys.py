@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import ROOT, SCENES, merge, quick, scene_of, simulate, slider, toml
+from support import SCENES, merge, quick, scene_of, simulate, slider, toml
 
 from cosim import cli
 from cosim.effects import EFFECTS
@@ -124,9 +124,3 @@ def test_own_joint_dampers_are_used(tmp_path: Path) -> None:
     assert held.any()
     assert np.all(np.asarray(run.samples["ksd11"])[held] == 0.02)
     assert np.abs(run.signals["ksd11"]).max() > 0.0
-
-
-def test_the_readme_names_both_commands() -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert "cosim keys" in text
-    assert "cosim nodes" in text

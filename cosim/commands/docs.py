@@ -1,0 +1,53 @@
+"""``cosim docs``: the documentation, from what is installed, on this machine only."""
+
+import argparse
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+from cosim.commands.command import Command
+
+
+class _Quiet(SimpleHTTPRequestHandler):
+    """Serves files, and prints no line for each."""
+
+    def log_message(self, format: str, *args: Any) -> None:
+        pass
+
+
+def _arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--port", type=int, default=0, metavar="N", help="port to serve on (default: one that is free)"
+    )
+    parser.add_argument("--where", action="store_true", help="print the folder of the pages, serve nothing")
+    parser.add_argument("--open", action="store_true", help="open the first page in the browser")
+
+
+def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    from cosim.assets import docs_folder
+    from cosim.errors import fail
+
+    folder = docs_folder()
+    if args.where or args.json:
+        return {"folder": str(folder), "first": str(folder / "index.html")}, str(folder)
+    if not 0 <= args.port <= 65535:
+        fail("is out of range", key="--port", value=args.port, allowed="0 to 65535")
+    try:
+        server = ThreadingHTTPServer(("127.0.0.1", args.port), partial(_Quiet, directory=str(folder)))
+    except OSError as error:
+        fail(f"cannot be served on: {error.strerror}", key="--port", value=args.port)
+    with server:
+        address = f"http://127.0.0.1:{server.server_port}/"
+        print(f"{address}  (Ctrl-C ends)", flush=True)
+        if args.open:
+            import webbrowser
+
+            webbrowser.open(address)
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:  # the way it is meant to end
+            pass
+    return {"folder": str(folder)}, "ended"
+
+
+COMMAND = Command("docs", "serve the documentation to this machine's browser", _arguments, _run)

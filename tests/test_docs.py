@@ -1,0 +1,116 @@
+"""The pages: the site builds without a warning, and what they tell a reader to type does what they say."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from doc_blocks import RUN, Reader, blocks, check_python, check_scene, commands, lacking, words
+
+from cosim.cli import build_parser, main
+from cosim.newproject import new_project
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = {
+    str(path.relative_to(ROOT)): path.read_text(encoding="utf-8")
+    for path in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
+}
+QUICK = [name for name, text in PAGES.items() if "<!-- slow: " not in text and blocks(text)]
+SLOW = [name for name, text in PAGES.items() if "<!-- slow: " in text]
+
+
+def read(name, folder):
+    """Do what a page says."""
+    text = PAGES[name]
+    if missing := lacking(text):
+        pytest.skip(f"{', '.join(missing)}: not here")
+    reader = Reader(folder)
+    typed = commands(text)
+    if not (typed and typed[0].startswith(("cosim new", "pip"))):
+        new_project(folder / "mydevice", 2)
+        reader.folder = folder / "mydevice"
+    reader.follow(text)
+
+
+@pytest.mark.filterwarnings("ignore::cosim.caution.Doubt")
+@pytest.mark.parametrize("name", QUICK)
+def test_a_page_does_what_it_says(name, tmp_path):
+    read(name, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::cosim.caution.Doubt")
+@pytest.mark.parametrize("name", SLOW)
+def test_a_long_page_does_what_it_says(name, tmp_path):
+    read(name, tmp_path)
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_code_of_a_page_is_understood(name):
+    """The quick look: commands parse, scenes hold known keys, Python compiles, what is not run says why."""
+    for block in blocks(PAGES[name]):
+        where = f"{name}:{block.line}"
+        if block.kind == "check" or block.title or block.why_not:
+            assert len(block.why_not) != 1, where
+        else:
+            assert block.kind in RUN, f"{where}: is not run and does not say why not"
+        if block.kind == "toml" and not block.why_not and not block.title:
+            check_scene(block.text)
+        if block.kind == "python" and not block.why_not:
+            check_python(block.text)
+    for line in commands(PAGES[name]):
+        program, *arguments = words(line.split("|")[0].split(">")[0])
+        if program == "cosim" and arguments[0] != "--completion":
+            build_parser().parse_args(arguments)
+
+
+def test_the_site_builds(tmp_path):
+    """Every warning is an error: pages and headings that links name are there, all pages in the menu."""
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path / "site")],
+        cwd=ROOT, env={**os.environ, "NO_MKDOCS_2_WARNING": "1"}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    for page in (tmp_path / "site").rglob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        loaded = re.findall(r"<(?:script|img|link|iframe)\b[^>]*?(?:src|href)=[\"']?([^\"' >]+)", text)
+        assert not [each for each in loaded if each.startswith(("http", "//"))], page.name
+        for picture in re.findall(r"<img\b[^>]*>", text):
+            assert re.search(r'alt="[^"]{12,}"', picture), f"{page.name}: {picture}"
+        assert "$$" not in re.sub(r"<(pre|code)\b.*?</\1>", "", text, flags=re.DOTALL), page.name
+
+
+def test_the_command_tells_where_the_pages_are(tmp_path, monkeypatch, capsys):
+    """With a built site it names the folder; without, it says how to make one."""
+    from cosim import assets
+
+    monkeypatch.setattr(assets, "_PACKAGE", tmp_path / "cosim")
+    assert main(["docs", "--where"]) == 1
+    assert "make docs" in capsys.readouterr().err
+    (tmp_path / "cosim/data/docs").mkdir(parents=True)
+    (tmp_path / "cosim/data/docs/index.html").write_text("pages")
+    assert main(["docs", "--where"]) == 0
+    assert capsys.readouterr().out.strip() == str(tmp_path / "cosim/data/docs")
+
+
+def test_the_command_serves_the_pages(tmp_path):
+    """A browser of this machine gets the first page; Ctrl-C ends it well."""
+    import signal
+    from urllib.request import urlopen
+
+    (tmp_path / "index.html").write_text("first page")
+    code = (
+        "import sys; from pathlib import Path; import cosim.assets as a;"
+        "a.docs_folder = lambda: Path(sys.argv[1]); from cosim.cli import main; sys.exit(main(['docs']))"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    ) as server:
+        address = server.stdout.readline().split()[0]
+        with urlopen(address) as page:
+            assert page.read() == b"first page"
+        server.send_signal(signal.SIGINT)
+        rest, _ = server.communicate(timeout=20)
+        assert (rest.strip(), server.returncode) == ("ended", 0)
