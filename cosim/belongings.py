@@ -6,9 +6,12 @@ from pathlib import Path
 
 from cosim.errors import fail
 from cosim.seal import MANIFEST, coming, listed, write_manifest
-from cosim.staging import disk_errors, folder_beside
+from cosim.staging import disk_errors, folder_beside, writable_folder
 
-__all__ = ["manifest_of", "refuse_foreign", "write_files"]
+__all__ = ["manifest_of", "own_file", "refuse_foreign", "write_file", "write_files"]
+
+#: Of a file's name: the list beside it and its temporary folder have longer ones, and 255 bytes is the most.
+_LONGEST = 200
 
 
 def manifest_of(product: str) -> str:
@@ -24,7 +27,7 @@ def refuse_foreign(folder: Path, names: Iterable[str], manifest: str = MANIFEST)
     InputError
         Naming the file in the way.
     """
-    foreign = sorted(name for name in set(names) - listed(folder, manifest) if os.path.lexists(folder / name))
+    foreign = sorted(name for name in set(names) - listed(folder, manifest) if _holds_something(folder / name))
     if foreign:
         fail(
             "is in the way, and cosim has not written it as it is now: nothing was changed; choose another "
@@ -62,3 +65,56 @@ def write_files(folder: Path, content: Mapping[str, bytes], manifest: str = MANI
             os.replace(folder / coming(manifest), folder / manifest)
             for name in before - {*content, manifest}:
                 (folder / name).unlink(missing_ok=True)
+
+
+def own_file(path: str | os.PathLike[str]) -> None:
+    """Refuse to write a single file that could not be written, or that would replace what is not ours.
+
+    Ours is what the list beside it (``.NAME.cosim.json``) proves to be as `write_file` left it: nothing in
+    the file itself is trusted. A file without content may be replaced.
+
+    Raises
+    ------
+    InputError
+        Naming what is in the way.
+    """
+    file = Path(os.path.realpath(path))
+    writable_folder(file.parent)
+    if not os.path.isdir(file.parent):
+        fail("is no place for a file: there is no such folder", file=os.fspath(file.parent))
+    if len(os.fsencode(file.name)) > _LONGEST:
+        fail("is too long a name", file=os.fspath(path), allowed=f"at most {_LONGEST} bytes")
+    if not os.path.lexists(file):
+        return
+    if not os.path.isfile(file):
+        fail("is no place for a file: it is something else", file=os.fspath(path))
+    if _holds_something(file) and file.name not in listed(file.parent, _list_of(file)):
+        fail(
+            "exists, and cosim has not written it as it is now: nothing was changed; choose another name, or "
+            "move it away",
+            file=os.fspath(path),
+        )
+
+
+def write_file(path: str | os.PathLike[str], data: bytes) -> None:
+    """Write a single file whole, and a list beside it that proves it to be ours.
+
+    Raises
+    ------
+    InputError
+        As `own_file`.
+    StorageError
+        When it cannot be written; an earlier file is as it was.
+    """
+    own_file(path)
+    file = Path(os.path.realpath(path))
+    write_files(file.parent, {file.name: data}, _list_of(file))
+
+
+def _holds_something(file: Path) -> bool:
+    """Whether something is there that could be lost: anything but a file without content."""
+    return os.path.lexists(file) and not (os.path.isfile(file) and not file.stat().st_size)
+
+
+def _list_of(file: Path) -> str:
+    return f".{file.name}.cosim.json"

@@ -83,30 +83,6 @@ def folder_beside(target: str | os.PathLike[str]) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def own_file(path: str | os.PathLike[str], ours: Callable[[str], bool]) -> None:
-    """Refuse to write a file that could not be written, or that would replace one that is not of its kind.
-
-    Parameters
-    ----------
-    ours
-        Tells from the first lines of an existing file whether we wrote it: a board, a scene or a text of the
-        user's is never replaced.
-    """
-    file = Path(path)
-    writable_folder(file.parent)
-    if not os.path.isdir(file.parent):
-        fail("is no place for a file: there is no such folder", file=os.fspath(file.parent))
-    if not os.path.lexists(file):
-        return
-    if not os.path.isfile(file):
-        fail("is no place for a file: it is something else", file=os.fspath(path))
-    with disk_errors(path), file.open("rb") as stream:
-        head = stream.read(4096).decode("utf-8", "replace")
-    if head and not ours(head):
-        fail("exists and was not written by this command: nothing was changed; choose another name",
-             file=os.fspath(path))  # fmt: skip
-
-
 def writable_folder(path: str | os.PathLike[str]) -> None:
     """Refuse a folder that could not be written or made, before long work is done for it.
 

@@ -9,12 +9,12 @@ import pytest
 from support import BOARD1, ROOT, SCENES, scene_of, simulate, slider
 
 from cosim import cli
-from cosim.belongings import write_files
+from cosim.belongings import own_file, write_file, write_files
 from cosim.comparisons.effects_ledger import EffectsLedger, Row
 from cosim.errors import CosimError, InputError
 from cosim.results import FORMATS, Run
 from cosim.scene import load_scene
-from cosim.staging import own_file, writable_folder
+from cosim.staging import writable_folder
 from cosim.terminal import printable
 from reports import write_report
 
@@ -241,13 +241,58 @@ def test_inputs_are_not_written_over(
     assert contents(tmp_path) == before
 
 
-def test_an_export_is_written_over_an_export(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("command", ["export", "device"])
+def test_a_single_file_replaces_what_it_wrote_and_nobody_has_edited(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     scene = scene_of(tmp_path, slider(duration_s=0.05, solver={"model": "linear"}))
-    deck = tmp_path / "my deck.cir"
+    file, other = tmp_path / "out" / "my file", tmp_path / "out" / "another"
+    file.parent.mkdir()
+    words = [command, str(scene.file), "-o"]
     for _ in range(2):
-        assert cli.main(["export", str(scene.file), "-o", str(deck)]) == 0
-        assert f"ngspice -b '{deck}'" in capsys.readouterr().out
-    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
+        assert cli.main([*words, str(file)]) == 0
+    assert (f"ngspice -b '{file}'" in capsys.readouterr().out) == (command == "export")
+    assert cli.main([*words, str(other)]) == 0  # a second one beside it takes nothing away from the first
+    first = file.read_bytes()
+    lists = {f".{path.name}.cosim.json" for path in (file, other)}
+    assert set(contents(file.parent)) == {file.name, other.name, *lists}
+    # its beginning is what we write, and still it is the user's now: told before anything is computed
+    file.write_bytes(first + b"* years of work\n")
+    before = contents(file.parent)
+    with monkeypatch.context() as patched:
+        patched.setattr("cosim.ngspice.child.Child.call", lambda *_, **__: pytest.fail("computed first"))
+        assert cli.main([*words, str(file)]) == 2
+    assert "nothing was changed" in capsys.readouterr().err
+    assert contents(file.parent) == before
+    # what was moved to another name is nobody's: no list speaks of it
+    file.rename(file.with_name("moved"))
+    assert cli.main([*words, str(file.with_name("moved"))]) == 2
+    assert cli.main([*words, str(file)]) == 0
+    assert file.read_bytes() == first
+
+
+def test_a_list_of_somebody_else_proves_nothing(tmp_path: Path) -> None:
+    file = tmp_path / "thesis.cir"
+    write_file(file, b"deck")
+    kept = (tmp_path / ".thesis.cir.cosim.json").read_bytes()
+    file.write_bytes(b"years of work")
+    for forged in (kept, kept.replace(b'"seal"', b'"sea1"'), b"{}", b"[" * 99_999, b'{"format": 1, "files": 7}'):
+        (tmp_path / ".thesis.cir.cosim.json").write_bytes(forged)
+        with pytest.raises(InputError, match="nothing was changed"):
+            write_file(file, b"deck")
+    assert file.read_bytes() == b"years of work"
+
+
+def test_an_empty_file_may_be_written_and_a_link_leads_to_its_target(tmp_path: Path) -> None:
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "deep" / "deck.cir").touch()
+    (tmp_path / "link.cir").symlink_to(tmp_path / "deep" / "deck.cir")
+    for _ in range(2):
+        write_file(tmp_path / "link.cir", b"deck")
+    assert (tmp_path / "link.cir").is_symlink()
+    assert (tmp_path / "deep" / "deck.cir").read_bytes() == b"deck"
+    with pytest.raises(InputError, match="too long"):
+        write_file(tmp_path / ("n" * 250), b"deck")
 
 
 # --- at once
@@ -295,7 +340,7 @@ def test_a_folder_without_permission(tmp_path: Path) -> None:
 
 def test_looking_leaves_nothing_behind(tmp_path: Path) -> None:
     writable_folder(tmp_path / "a" / "b")
-    own_file(tmp_path / "x.csv", lambda head: False)
+    own_file(tmp_path / "x.csv")
     assert not list(tmp_path.iterdir())
 
 

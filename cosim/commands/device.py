@@ -19,11 +19,11 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
     with on_demand() as child:
         from cosim.api.asking import device
-        from cosim.staging import own_file
+        from cosim.belongings import own_file
         from cosim.studies.device import PRESETS, flat
 
         if args.file:
-            own_file(args.file, lambda head: head.startswith("number,"))
+            own_file(args.file)
         cases, texts, columns = [], [], {}
         every = load_variants(args)
         for variant, scene in every:
@@ -60,14 +60,16 @@ def _text(value: Any, unit: str) -> str:
 def _write(file: Path, columns: dict[str, dict[str, Any]]) -> None:
     """Write one row a number, one column a case."""
     import csv
+    import io
 
-    from cosim.staging import whole_file
+    from cosim.belongings import write_file
 
-    with whole_file(file) as temporary, temporary.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(["number", *columns])
-        for name in next(iter(columns.values())):
-            writer.writerow([name.strip(), *(case[name] for case in columns.values())])
+    table = io.StringIO()
+    writer = csv.writer(table, lineterminator="\n")
+    writer.writerow(["number", *columns])
+    for name in next(iter(columns.values())):
+        writer.writerow([name.strip(), *(case[name] for case in columns.values())])
+    write_file(file, table.getvalue().encode())
 
 
 COMMAND = Command("device", "tell force, stiffness, damping and workspace of the device", _arguments, _run)

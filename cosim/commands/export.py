@@ -28,16 +28,17 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    from cosim.belongings import own_file
     from cosim.errors import fail
-    from cosim.export import command, export, is_deck
+    from cosim.export import command, export
     from cosim.plan import resolve
     from cosim.runner import run
-    from cosim.staging import own_file, scratch_folder
+    from cosim.staging import scratch_folder
 
     found = load_variants(args)
     if len(found) > 1:
         fail("one deck holds one scene: give each name one value", key="--set", value=args.set)
-    own_file(args.file, is_deck)  # before the scene runs
+    own_file(args.file)  # before the scene runs
     plan = resolve(found[0][1], trust=args.trust)
     with scratch_folder("export") as folder:
         # The computer's outputs have to be known first: the scene runs once.

@@ -1,5 +1,5 @@
 """A scene as one plain ngspice deck, to be run without this program."""
 
-from cosim.export.scene_deck import command, export, is_deck
+from cosim.export.scene_deck import command, export
 
-__all__ = ["command", "export", "is_deck"]
+__all__ = ["command", "export"]

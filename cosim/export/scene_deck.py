@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from cosim.belongings import own_file, write_file
 from cosim.circuits.decks import testbench
 from cosim.errors import InputError, Problem, fail
 from cosim.export.mechanics import mechanics
@@ -20,7 +21,6 @@ from cosim.plan import Plan
 from cosim.results import Run
 from cosim.scene import Jitter, PotNoise, PythonOperator, Scene
 from cosim.scene.mechanism import mechanism, operator, start
-from cosim.staging import own_file, whole_file
 
 KINDS = ("monolithic", "replay")
 #: What a monolithic deck cannot carry: key of `[effects]`, its null form, and what it is.
@@ -59,12 +59,10 @@ def export(plan: Plan, run: Run, path: str | os.PathLike[str], kind: str = "mono
         For a run of another board or another time, a scene that a monolithic deck cannot carry (end stops,
         potentiometer noise, an operator in Python), or a file that cannot be written.
     """
+    own_file(path)
     lines = deck_lines(plan, run, kind)
-    target = Path(path)
-    own_file(target, is_deck)
-    with whole_file(target) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return target
+    write_file(path, ("\n".join(lines) + "\n").encode())
+    return Path(path)
 
 
 def deck_lines(plan: Plan, run: Run, kind: str = "monolithic") -> list[str]:
@@ -74,11 +72,6 @@ def deck_lines(plan: Plan, run: Run, kind: str = "monolithic") -> list[str]:
     _check_run(plan, run)
     _check_clock(plan.scene)
     return _monolithic(plan, run) if kind == "monolithic" else _replay(plan, run)
-
-
-def is_deck(head: str) -> bool:
-    """Whether these are the first lines of an exported deck."""
-    return re.match(r".*\n\* Run with: ngspice -b", head) is not None
 
 
 def _check_run(plan: Plan, run: Run) -> None:
