@@ -27,7 +27,9 @@ def refuse_foreign(folder: Path, names: Iterable[str], manifest: str = MANIFEST)
     InputError
         Naming the file in the way.
     """
-    foreign = sorted(name for name in set(names) - listed(folder, manifest) if _holds_something(folder / name))
+    foreign = sorted(
+        name for name in set(names) - listed(folder, manifest) if _holds_something(folder / name)
+    )
     if foreign:
         fail(
             "is in the way, and cosim has not written it as it is now: nothing was changed; choose another "

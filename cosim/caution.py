@@ -13,7 +13,19 @@ from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from typing import Any
 
-__all__ = ["MOST_ALIKE", "Caution", "Doubt", "caution_of", "collected", "grouped", "listening", "warn"]
+from typing_extensions import TypedDict
+
+__all__ = [
+    "MOST_ALIKE",
+    "Caution",
+    "CautionFields",
+    "Doubt",
+    "caution_of",
+    "collected",
+    "grouped",
+    "listening",
+    "warn",
+]
 
 
 class Doubt(UserWarning):
@@ -49,6 +61,14 @@ class Caution:
     def as_dict(self) -> dict[str, str]:
         """Return the caution as JSON-ready fields."""
         return {"code": self.code, "text": self.text, "advice": self.advice}
+
+
+class CautionFields(TypedDict):
+    """What `Caution.as_dict` returns."""
+
+    code: str
+    text: str
+    advice: str
 
 
 def caution_of(fields: Mapping[str, Any]) -> Caution:

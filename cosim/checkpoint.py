@@ -16,7 +16,9 @@ from pathlib import Path
 from typing import Any, Self, TextIO
 
 from cosim.errors import SimulationError, fail
+from cosim.seal import plain_json
 from cosim.staging import disk_errors
+from cosim.stored_form import fits
 
 Progress = Callable[[int, int, str], None]
 
@@ -43,6 +45,8 @@ class Points:
     ----------
     seconds_before
         Seconds spent on the points that were found on disk.
+    restored
+        How many points were found on disk.
 
     Raises
     ------
@@ -57,6 +61,7 @@ class Points:
         self._stream: TextIO | None = None
         self._path = path
         self.seconds_before = 0.0
+        self.restored = 0
         if path is None:
             return
         with disk_errors(path):
@@ -78,6 +83,7 @@ class Points:
         found = [_point(line) for line in lines] if _parsed(head) == {"digest": digest} else []
         points = [point for point in found if point is not None]
         self._known = {key: value for key, value, _ in points}
+        self.restored = len(self._known)
         self.seconds_before = sum(seconds for _, _, seconds in points)
         if not points or found != [*points, None]:  # the last line is the empty one behind the last break
             stream.truncate(0)
@@ -89,15 +95,16 @@ class Points:
         """Announce `more` points, for the display of progress."""
         self._total += more
 
-    def get(self, key: str, compute: Callable[[], Any]) -> Any:
+    def get(self, key: str, compute: Callable[[], Any], form: Any = Any) -> Any:
         """Return the point `key`, computed unless it is known; its value must be JSON-ready.
 
+        A kept value that is not of the `form` (`cosim.stored_form`) is none of ours, and computed again.
         Raises whatever `compute` raises; the points before it are kept.
         """
         if self._on_progress is not None:
             self._on_progress(self._done, max(self._total, self._done + 1), key)
         self._done += 1
-        if key not in self._known:
+        if key not in self._known or not fits(self._known[key], form):
             begun = time.perf_counter()
             value = compute()
             self._known[key] = value
@@ -188,7 +195,7 @@ def _crc(key: str, value: Any, seconds: float) -> int:
 
 def _parsed(line: str) -> Any:
     try:
-        return json.loads(line)
+        return plain_json(line)
     except (ValueError, RecursionError):
         return None
 

@@ -204,6 +204,8 @@ def read_raw(path: str | os.PathLike[str]) -> Signals:
     start, shape = end + 1 + len(_BINARY), (points, variables)
     try:
         missing = start + 8 * points * variables - file.stat().st_size
+        if min(points, variables) < 0:
+            fail("has a damaged header", file=str(file))
         if missing > 0 or len(names) != variables:
             fail(f"was cut short: {max(missing, 0)} bytes are missing", file=str(file))
         table = np.empty(shape)

@@ -25,9 +25,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim import stored_form
 from cosim.caution import Caution, caution_of
 from cosim.errors import CosimError, InputError, fail
 from cosim.rawfile import Signals, read_raw
+from cosim.record_form import Record
 from cosim.scene import Scene, scene_from_dict
 from cosim.seal import check_files, file_sums, intact, listed, read_sealed, sealed
 from cosim.staging import Staging, disk_errors
@@ -43,13 +45,6 @@ _SEALED = (RAW, SAMPLES, SCENE, BOARD)
 _FORMS = tuple(f"signals.{ending}" for ending in FORMATS)
 #: Where `cosim report` puts its page unless it is told another place.
 PAGE_FOLDER = "report"
-#: What a record must hold to be a run's.
-_CONTENT = {
-    **dict.fromkeys(("scene", "plan", "measures", "ledger", "stats", "provenance", "files", "forms"), dict),
-    "events": list,
-    "warnings": list,
-    "said": list,
-}
 # Rows handled at once when exporting: some megabytes, whatever the length of the run.
 _CHUNK = 1 << 15
 
@@ -228,18 +223,20 @@ class Run:
         if not os.path.isfile(place / RECORD):
             fail("is not a result folder: it holds no run.json", file=str(place))
         record = read_sealed(place / RECORD, _FORMAT_VERSION)
-        if any(not isinstance(record.get(name), kind) for name, kind in _CONTENT.items()):
-            fail("is no record of a run", file=str(place / RECORD))
-        check_files(place, record["files"])
+        stored_form.check(record, Record, str(place / RECORD))
+        check_files(place, {**dict.fromkeys((RAW, SAMPLES, SCENE), ""), **record["files"]})
         try:
             scene = scene_from_dict(record["scene"])
         except InputError as error:  # written when a scene had other keys
             told = [replace(problem, file=str(place / RECORD)) for problem in error.problems]
             raise InputError(told) from error
+        signals, samples = read_raw(place / RAW), read_csv(place / SAMPLES)
+        _check_times(place / RAW, signals)
+        _check_times(place / SAMPLES, samples)
         return Run(
             scene=scene,
-            signals=read_raw(place / RAW),
-            samples=read_csv(place / SAMPLES),
+            signals=signals,
+            samples=samples,
             plan=record["plan"],
             events=record["events"],
             measures=record["measures"],
@@ -249,6 +246,22 @@ class Run:
             warnings=tuple(map(caution_of, record["warnings"])),
             said=tuple(map(str, record["said"])),
         )
+
+
+def _check_times(file: Path, table: Mapping[str, NDArray[np.float64]]) -> None:
+    """Refuse signals that no run has: without time, with time that runs back, with what is no number.
+
+    Their seal is right; whoever wrote them sealed them so.
+    """
+    times = np.asarray(table["time"]) if "time" in table else np.zeros(0)
+    if ("time" not in table and len(table)) or (isinstance(table, Signals) and not times.size):
+        fail("holds nothing of a run over time", file=str(file), key="time")
+    whole = [table.table] if isinstance(table, Signals) else [*table.values()]
+    for block in (part[at : at + _CHUNK] for part in whole for at in range(0, len(part), _CHUNK)):
+        if not np.isfinite(block).all():
+            fail("holds what is no finite number", file=str(file))
+    if (np.diff(times) < 0.0).any():
+        fail("holds times that run back", file=str(file), key="time")
 
 
 def written_files(folder: Path) -> set[str]:
@@ -261,7 +274,7 @@ def written_files(folder: Path) -> set[str]:
     except InputError:
         return set()
     page = {f"{PAGE_FOLDER}/{name}" for name in listed(folder / PAGE_FOLDER)}
-    return {RECORD, *intact(folder, {**record.get("files", {}), **record.get("forms", {})}), *page}
+    return {RECORD, *intact(folder, record.get("files")), *intact(folder, record.get("forms")), *page}
 
 
 def json_text(value: Any) -> str:

@@ -6,9 +6,10 @@ signature: whoever writes a result can seal what they like.
 
 import hashlib
 import json
+import math
 import os
 from collections.abc import Iterable, Mapping
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, NoReturn
 
 from cosim.errors import InputError, fail
@@ -20,6 +21,7 @@ __all__ = [
     "file_sums",
     "intact",
     "listed",
+    "plain_json",
     "read_object",
     "read_sealed",
     "sealed",
@@ -41,19 +43,33 @@ def check_files(folder: Path, sums: Mapping[str, str]) -> None:
     """Raise an `InputError` for the first file that is missing or not what `sums` says."""
     for name, expected in sums.items():
         file = folder / name
-        if Path(name).name != name or not os.path.isfile(file):
+        if PurePosixPath(name).name != name or not os.path.isfile(file):
             fail("is missing: the result is not whole", file=str(file))
         if _sum(file) != expected:
             fail("is damaged: its content is not what the run has written", file=str(file))
 
 
-def intact(folder: Path, sums: Mapping[str, str]) -> set[str]:
-    """Return the names among `sums` whose files in `folder` are what they were when they were written."""
+def intact(folder: Path, sums: Any) -> set[str]:
+    """Return the names among `sums` whose files in `folder` are what they were when they were written.
+
+    What they name is replaced and deleted: a name that leads out of the folder is none of ours, whoever has
+    listed it.
+    """
+    if not isinstance(sums, Mapping):
+        return set()
     return {
         name
         for name, expected in sums.items()
-        if os.path.isfile(folder / name) and _sum(folder / name) == expected
+        if _stays_inside(folder, name) and os.path.isfile(folder / name) and _sum(folder / name) == expected
     }
+
+
+def _stays_inside(folder: Path, name: str) -> bool:
+    """Whether a relative path is a file's in a folder, by itself and by the links on its way."""
+    path = PurePosixPath(name)
+    if path.is_absolute() or not path.name or "\0" in name or str(path) != name or ".." in path.parts:
+        return False
+    return (folder / name).parent.resolve().is_relative_to(folder.resolve())
 
 
 def write_manifest(folder: Path, names: Iterable[str], manifest: str = MANIFEST) -> None:
@@ -73,7 +89,7 @@ def listed(folder: Path, manifest: str = MANIFEST) -> set[str]:
             record = read_sealed(folder / name, _MANIFEST_FORM)
         except InputError:  # none, or one that proves nothing
             continue
-        ours |= {name, *intact(folder, record["files"])}
+        ours |= {name, *intact(folder, record.get("files"))}
     return ours
 
 
@@ -93,10 +109,11 @@ def read_object(file: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        When it cannot be read, is no object, or holds a number that is not finite.
+        When it cannot be read, is no object, is nested deeper than anything of ours, or holds a number that
+        is not finite or text that is none.
     """
     try:
-        value = json.loads(file.read_text(encoding="utf-8"), parse_constant=_no_number)
+        value = plain_json(file.read_text(encoding="utf-8"))
     except OSError as error:
         fail(f"cannot be read: {error.strerror or error}", file=str(file))
     except RecursionError:
@@ -120,11 +137,7 @@ def read_sealed(file: Path, form: int) -> dict[str, Any]:
     if record.get("format") != form:
         fail("was written by another version of cosim: run the scene again", file=str(file))
     seal = record.pop(_SEAL, None)
-    try:
-        intact = seal == _content_sum(record)
-    except RecursionError:
-        intact = False
-    if not intact:
+    if seal != _content_sum(record):
         fail("is damaged: its content is not what was written", file=str(file))
     return record
 
@@ -140,6 +153,41 @@ def _sum(file: Path) -> str:
 def _content_sum(record: Mapping[str, Any]) -> str:
     # JSON keeps every digit of a number and the order of keys: what is read back gives the same text
     return hashlib.sha256(json.dumps(record, allow_nan=False).encode()).hexdigest()
+
+
+#: Levels of lists and objects in what we write are fewer, and so are the digits of whole numbers.
+_DEEPEST, _LARGEST = 40, 1 << 64
+
+
+def plain_json(text: str) -> Any:
+    """Parse JSON of ours: what could not be computed with, printed or written again is refused.
+
+    Raises
+    ------
+    ValueError
+        For text that is no JSON, and for JSON that no file of ours has.
+    RecursionError
+        For text that the parser itself cannot follow.
+    """
+    value = json.loads(text, parse_constant=_no_number)
+    level = [value]
+    for _ in range(_DEEPEST):
+        inner = []
+        for each in level:
+            if isinstance(each, dict):
+                inner += [*each, *each.values()]
+            elif isinstance(each, list):
+                inner += each
+            elif isinstance(each, str):
+                each.encode()  # half of a pair of surrogates is no character
+            elif isinstance(each, float) and not math.isfinite(each):
+                _no_number(str(each))
+            elif isinstance(each, int) and abs(each) > _LARGEST:
+                raise ValueError(f"{str(each)[:20]}... is too large a number")
+        level = inner
+        if not level:
+            return value
+    raise ValueError("it is nested too deeply")
 
 
 def _no_number(text: str) -> NoReturn:

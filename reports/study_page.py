@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.caution import Caution, grouped
+from cosim.stored_form import used
 from cosim.studies.claims import Claim
 from cosim.studies.study import StudyResult, table_text
 from cosim.studies.study import Table as StudyTable
@@ -175,7 +176,7 @@ def _summary(claims: Sequence[_Claim]) -> list[str]:
 
 def _draw(name: str, result: StudyResult) -> list[Picture]:
     draw = import_module(f"reports.studies.{result.study}").draw
-    with look():
+    with look(), used(result.kept_in, bool(result.kept_in)):
         return [picture(f"{name}_{part}", heading, drawn) for part, heading, drawn in draw(result)]
 
 

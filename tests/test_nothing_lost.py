@@ -276,7 +276,13 @@ def test_a_list_of_somebody_else_proves_nothing(tmp_path: Path) -> None:
     write_file(file, b"deck")
     kept = (tmp_path / ".thesis.cir.cosim.json").read_bytes()
     file.write_bytes(b"years of work")
-    for forged in (kept, kept.replace(b'"seal"', b'"sea1"'), b"{}", b"[" * 99_999, b'{"format": 1, "files": 7}'):
+    for forged in (
+        kept,
+        kept.replace(b'"seal"', b'"sea1"'),
+        b"{}",
+        b"[" * 99_999,
+        b'{"format": 1, "files": 7}',
+    ):
         (tmp_path / ".thesis.cir.cosim.json").write_bytes(forged)
         with pytest.raises(InputError, match="nothing was changed"):
             write_file(file, b"deck")

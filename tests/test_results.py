@@ -287,7 +287,7 @@ def test_damaged_results_are_refused(run: Run, tmp_path: Path) -> None:
         ('{"format": 2}', "is damaged"),
         ('{"format": 2, "seal": NaN}', "NaN is not a finite number"),
         (record.replace("0.0043", "0.0044"), "is damaged"),
-        (json.dumps(sealed({"format": 2, "plan": {}})), "is no record of a run"),
+        (json.dumps(sealed({"format": 2, "plan": {}})), "does not hold what a result holds"),
     ):
         (folder / "run.json").write_text(text)
         with pytest.raises(InputError, match=words):

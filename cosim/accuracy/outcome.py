@@ -9,18 +9,70 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import TypedDict
 
 from cosim.ngspice.child import Child, call
 from cosim.plan import Plan
 from cosim.results import Run
 
-__all__ = ["AXES", "instants", "motion", "peers", "summary", "trace_errors"]
+__all__ = [
+    "AXES", "Failed", "First", "Second", "Summary", "instants", "motion", "peers", "summary", "trace_errors",
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 #: Signals that errors are measured on: position of the tip [m], force of the operator on the device [N].
 AXES = ("x", "y", "fx", "fy")
 #: Most instants at which two runs are compared.
 _MOST_INSTANTS = 400
+
+
+class _Motion(TypedDict, total=False):
+    x: list[float]
+    y: list[float]
+    fx: list[float]
+    fy: list[float]
+
+
+class Summary(TypedDict):
+    """A kept run, as `summary` returns it."""
+
+    measures: dict[str, float]
+    motion: _Motion
+    wall_s: float
+    cpu_s: float
+    setup_s: float
+    points: int
+    rejected: int
+    states: int | None
+
+
+class First(Summary):
+    """The first reference, with the instants at which the others are compared with it."""
+
+    times: list[float]
+
+
+class Failed(TypedDict):
+    """A setting that did not run, and why."""
+
+    failed: str
+
+
+class _Reason(TypedDict):
+    reason: str
+
+
+class _Peer(TypedDict):
+    motion: _Motion
+    wall_s: list[float]
+    cpu_s: list[float]
+    points: int
+
+
+class Second(Summary):
+    """The second reference, with its decks in plain ngspice by label."""
+
+    decks: dict[str, _Peer | _Reason]
 
 
 def instants(run: Run) -> Array:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 import cosim
-from cosim.accuracy.outcome import instants, peers, summary, trace_errors
+from cosim.accuracy.outcome import Failed, First, Second, Summary, instants, peers, summary, trace_errors
 from cosim.accuracy.pareto import Row, cheapest, clipped, finest, marked
 from cosim.accuracy.solver_settings import MODELS, Setting, carries, grid, reference, second_reference
 from cosim.catalogue import OF_A_RUN, UNITS
@@ -30,6 +30,7 @@ from cosim.plan import Plan, resolve
 from cosim.runner import run
 from cosim.scene import Scene, load_scene
 from cosim.staging import disk_errors, scratch_folder
+from cosim.stored_form import used
 
 __all__ = ["POINTS", "Accuracy", "Row", "accuracy"]
 
@@ -135,7 +136,11 @@ def accuracy(
     settings = grid(scene, models)
     with disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    with Points(folder / POINTS, hashlib.sha256(text.encode()).hexdigest(), on_progress) as points:
+    file = folder / POINTS
+    with (
+        Points(file, hashlib.sha256(text.encode()).hexdigest(), on_progress) as points,
+        used(str(file), points.restored > 0),
+    ):
         points.expect(2 + len(settings) * repeats)
         runner = _Runner(path, overrides, trust, child, points)
         try:
@@ -144,32 +149,32 @@ def accuracy(
             found = [[runner.point(setting, k) for setting in settings] for k in range(repeats)]
         finally:
             runner.close()
-    quantities = _quantities(first, measures, scene)
-    kept = {name: value for name, value in first["measures"].items() if name not in _NO_ERROR}
-    judged = partial(_errors, first, tuple(kept))
-    floor = judged(second)
-    for name, share in judged(second["decks"].get(_TIGHT_PEER, {})).items():
-        floor[name] = max(floor.get(name, 0.0), share)
-    rows = [
-        _row(setting, [part[i] for part in found], judged) for i, setting in enumerate(settings)
-    ] + _peer_rows(second["decks"], judged)
-    rows = marked([clipped(row, floor) for row in rows], quantities)
-    left = {model: _left_out(scene, model) for model in models if not carries(scene, model)}
-    references = [reference(scene).label, second_reference(scene).label]
-    references += [_TIGHT_PEER] if "motion" in second["decks"].get(_TIGHT_PEER, {}) else []
-    return Accuracy(
-        scene=scene,
-        quantities=quantities,
-        references=tuple(references),
-        floor=floor,
-        values=kept,
-        rows=tuple(rows),
-        left_out=left,
-        model_error={model: finest(rows, model) for model in left},
-        neglected=_neglected(plan, first),
-        tolerance=tolerance,
-        cheapest=cheapest(rows, quantities, tolerance),
-    )
+        quantities = _quantities(first, measures, scene)
+        kept = {name: value for name, value in first["measures"].items() if name not in _NO_ERROR}
+        judged = partial(_errors, first, tuple(kept))
+        floor = judged(second)
+        for name, share in judged(second["decks"].get(_TIGHT_PEER, {})).items():
+            floor[name] = max(floor.get(name, 0.0), share)
+        rows = [
+            _row(setting, [part[i] for part in found], judged) for i, setting in enumerate(settings)
+        ] + _peer_rows(second["decks"], judged)
+        rows = marked([clipped(row, floor) for row in rows], quantities)
+        left = {model: _left_out(scene, model) for model in models if not carries(scene, model)}
+        references = [reference(scene).label, second_reference(scene).label]
+        references += [_TIGHT_PEER] if "motion" in second["decks"].get(_TIGHT_PEER, {}) else []
+        return Accuracy(
+            scene=scene,
+            quantities=quantities,
+            references=tuple(references),
+            floor=floor,
+            values=kept,
+            rows=tuple(rows),
+            left_out=left,
+            model_error={model: finest(rows, model) for model in left},
+            neglected=_neglected(plan, first),
+            tolerance=tolerance,
+            cheapest=cheapest(rows, quantities, tolerance),
+        )
 
 
 class _Runner:
@@ -222,7 +227,7 @@ class _Runner:
             times = instants(result)
             return {**summary(result, times), "times": times.tolist()}
 
-        found = self._points.get(setting.label, lambda: self._run(setting, then))
+        found = self._points.get(setting.label, lambda: self._run(setting, then), First)
         self._times = found["times"]
         return dict(found)
 
@@ -244,7 +249,7 @@ class _Runner:
             return {**summary(result, times), "decks": timed}
 
         key = f"{setting.label}, {_PEER if repeats else 'alone'}"
-        return dict(self._points.get(key, lambda: self._run(setting, then)))
+        return dict(self._points.get(key, lambda: self._run(setting, then), Second))
 
     def _decks(self, setting: Setting, result: Any) -> dict[str, str]:
         """Return the peer's decks by label: a grid of settings, and one that is tight."""
@@ -272,7 +277,7 @@ class _Runner:
             except CosimError as error:
                 return {"failed": error.in_brief}
 
-        return dict(self._points.get(f"{setting.label} #{repetition + 1}", measured))
+        return dict(self._points.get(f"{setting.label} #{repetition + 1}", measured, Summary | Failed))
 
 
 def _quantities(first: Mapping[str, Any], asked: Sequence[str], scene: Scene) -> tuple[str, ...]:

@@ -14,10 +14,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from typing_extensions import NotRequired, TypedDict
+
 import cosim
 from cosim.belongings import manifest_of, refuse_foreign, write_files
 from cosim.catalogue import OF_A_RUN, UNITS, needing_no_run
-from cosim.caution import caution_of, collected, warn
+from cosim.caution import CautionFields, caution_of, collected, warn
 from cosim.checkpoint import Points, Progress
 from cosim.comparisons.measuring import Measurer, check_measures, measure, needs_a_run
 from cosim.errors import InputError, Problem, SimulationError, StorageError
@@ -41,6 +43,14 @@ _ELEMENTS = {"r": "Ohm", "c": "F", "l": "H"}
 _ELEMENT = re.compile(r"[rcl]\d+|[rcl]_\w+")
 #: A range of more points than this is a slip of the pen.
 MOST_POINTS = 10_000
+
+
+class _Point(TypedDict):
+    """A kept point: measures and what to doubt about them."""
+
+    measures: dict[str, float]
+    warnings: list[CautionFields]
+    errors: NotRequired[dict[str, float]]
 
 
 @dataclass(frozen=True)
@@ -174,7 +184,8 @@ def sweep(
                     if isinstance(plan, InputError):
                         raise plan
                     with collected(label):
-                        got = points.get(key, partial(_measured, plan, part, child, measurer))
+                        compute = partial(_measured, plan, part, child, measurer)
+                        got = points.get(key, compute, _Point)
                         warn(*map(caution_of, got["warnings"]))  # of a point that was kept, too
                         row |= got["measures"]
                         bound |= got.get("errors", {})

@@ -3,20 +3,40 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+import os
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
+from typing_extensions import TypedDict
+
+from cosim import stored_form
 from cosim.errors import InputError, Problem, fail
 from cosim.ngspice import gate
-from cosim.ngspice.deck import Amplifier, Deck
+from cosim.ngspice.deck import MOST_JOINTS, Amplifier, Deck, board_pins
 from cosim.ngspice.lines import Line
 from cosim.ngspice.parts import Part
 from cosim.ngspice.safety import KEPT, refusal
+from cosim.seal import read_object
 
 __all__ = ["FILE", "load", "save"]
 
 FILE = "board.json"
+
+
+class _Record(TypedDict):
+    """The form of the file; that its run was trusted does not make a line so."""
+
+    lines: tuple[Line, ...]
+    board: str
+    pins: tuple[str, ...]
+    joints: int
+    amplifiers: tuple[Amplifier, ...]
+    parts: tuple[Part, ...]
+    notes: tuple[str, ...]
+    path: Path
+    reactances: int
+    declared: tuple[str, ...]
+    digest: str
 
 
 def save(board: Deck, folder: Path) -> None:
@@ -34,38 +54,26 @@ def load(folder: Path, *, trust: bool = False) -> Deck:
         Where there is none, a damaged one, or one with statements that are not allowed.
     """
     file = folder / FILE
-    try:
-        record = json.loads(file.read_text(encoding="utf-8"))
-        board = Deck(
-            lines=tuple(_line(line, trust) for line in record["lines"]),
-            board=record["board"],
-            pins=tuple(record["pins"]),
-            joints=record["joints"],
-            amplifiers=tuple(Amplifier(**each) for each in record["amplifiers"]),
-            parts=tuple(Part(**each) for each in record["parts"]),
-            notes=tuple(record["notes"]),
-            path=Path(record["path"]),
-            reactances=record["reactances"],
-        )
-    except FileNotFoundError:
+    if not os.path.isfile(file):
         fail(
             "the result keeps no board: it was written by an earlier version; run the scene again",
             file=str(file),
         )
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        fail(f"cannot be read: {error}", file=str(file))
-    if board.digest != record["digest"]:
+    record = stored_form.made(read_object(file), _Record, str(file))
+    digest = record.pop("digest")
+    lines = tuple(replace(line, trusted=trust and line.trusted) for line in record.pop("lines"))
+    board = Deck(lines=lines, **record)
+    if not 1 <= board.joints <= MOST_JOINTS or not lines:
+        fail("is no board", file=str(file), key="joints", value=board.joints)
+    if not set(board.pins) >= set(board_pins(board.joints)):
+        fail("is no board: it lacks pins", file=str(file), key="pins")
+    if board.digest != digest:
         fail("is not what the run has written: its content was changed", file=str(file))
     problems = [] if trust else [p for line in board.lines[1:] if (p := _refusal(line)) is not None]
     if problems:
         raise InputError(problems)
     gate.check(board.lines)
     return board
-
-
-def _line(record: dict[str, Any], trust: bool) -> Line:
-    """Read a line; that its run was trusted does not make it so."""
-    return Line(**{**record, "trusted": trust and bool(record.get("trusted"))})
 
 
 def _refusal(line: Line) -> Problem | None:

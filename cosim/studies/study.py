@@ -13,13 +13,14 @@ import json
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from importlib import import_module
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import cosim
+from cosim import stored_form
 from cosim.checkpoint import Points
 from cosim.errors import InputError, Problem, fail, nearest
 from cosim.plan import resolve
@@ -95,7 +96,10 @@ class Verdict:
 
 @dataclass(frozen=True)
 class StudyResult:
-    """What a study found; `seconds` is what computing it took, in all its sittings."""
+    """What a study found.
+
+    `seconds` is what computing it took, in all its sittings; `kept_in` the file that it was read from.
+    """
 
     study: str
     title: str
@@ -104,6 +108,7 @@ class StudyResult:
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
     digest: str = ""
+    kept_in: str = ""
 
     def table(self, name: str) -> Table:
         """Return a table by its name; `KeyError` when there is none."""
@@ -266,6 +271,8 @@ def run_study(
     digest = spec.digest()
     known = _load(folder)
     if known is not None and known.digest == digest:
+        if known.study != spec.study.name:
+            fail("is of another study; remove it to compute it again", file=known.kept_in)
         return known
     require_ours(folder, listed)  # told before anything is computed
     kept = folder.parent / f"{folder.name}.{POINTS}"
@@ -273,7 +280,8 @@ def run_study(
         folder.parent.mkdir(parents=True, exist_ok=True)
     with Points(kept, digest, on_progress) as points:
         begun = time.perf_counter()
-        result = spec.study.analyse(spec, points)
+        with stored_form.used(str(kept), points.restored > 0):
+            result = spec.study.analyse(spec, points)
         seconds = points.seconds_before + time.perf_counter() - begun
     result = StudyResult(**{**vars(result), "seconds": seconds, "digest": digest})
     with Staging(folder, listed) as stage, disk_errors(folder):
@@ -302,10 +310,11 @@ def _load(folder: Path) -> StudyResult | None:
     if not os.path.isfile(file):
         return None
     data = read_sealed(file, _FORMAT_VERSION)
-    del data["format"]
-    try:
-        tables = tuple(Table(**table) for table in data.pop("tables"))
-        verdicts = tuple(Verdict(**verdict) for verdict in data.pop("verdicts"))
-        return StudyResult(**{**data, "tables": tables, "verdicts": verdicts, "notes": tuple(data["notes"])})
-    except (TypeError, KeyError) as error:
-        fail(f"holds no result of a study ({error}); remove it to compute it again", file=str(file))
+    result: StudyResult = stored_form.made(data, StudyResult, str(file))
+    for table in result.tables:
+        if (
+            len({len(values) for values in table.columns.values()}) > 1
+            or PurePath(table.name).name != table.name
+        ):
+            fail("holds no table of a study", file=str(file), key=table.name)
+    return replace(result, kept_in=str(file))

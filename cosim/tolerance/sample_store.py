@@ -6,9 +6,10 @@ The file's bytes depend on the samples alone: not on who measured which, in what
 from __future__ import annotations
 
 import json
+import os
 import re
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
+from typing_extensions import TypedDict
 
 from cosim.errors import fail
+from cosim.seal import plain_json
 from cosim.staging import disk_errors, whole_file
+from cosim.stored_form import fits
 
 __all__ = ["SAMPLES", "Samples"]
 
@@ -28,6 +32,15 @@ SAMPLES, STUDY, PARTS = "samples.parquet", "study.json", "parts"
 _PART = re.compile(r"(\d{12})-(\d+)\.parquet")
 #: Samples of a group of rows in the file.
 _GROUP = 1 << 16
+
+
+class _About(TypedDict):
+    """The form of the file that names a study."""
+
+    digest: str
+    names: list[str]
+    first: int
+    last: int
 
 
 class Samples:
@@ -47,19 +60,26 @@ class Samples:
     Raises
     ------
     InputError
-        For a folder that holds another study, or that cannot be written.
+        For a folder that holds another study or samples of nobody's, or that cannot be written.
     """
 
     def __init__(self, folder: Path, digest: str, names: Sequence[str], first: int, last: int) -> None:
         self.folder, self.digest, self.names = folder, digest, tuple(names)
         self.first, self.last = first, last
         self._parts = folder / PARTS
+        self._seen: dict[tuple[Any, ...], bool] = {}
         about = {"digest": digest, "names": list(names), "first": first, "last": last}
         with disk_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
             known = _read(folder / STUDY)
             if known is not None and known != about:
                 fail("holds another study; choose another folder with -o, or remove it", file=str(folder))
+            if os.path.lexists(folder / SAMPLES) and (known is None or not self._whole()):
+                fail(
+                    "is not what a study of this folder has written: nothing was changed; choose another "
+                    "folder with -o, or move it away",
+                    file=str(folder / SAMPLES),
+                )
             if known is None:
                 with whole_file(folder / STUDY) as file:
                     file.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
@@ -86,14 +106,12 @@ class Samples:
         return pa.schema([("sample", pa.int64()), *measures, ("failed", pa.string())])
 
     def done(self) -> list[tuple[int, int]]:
-        """Return which samples are there, as (first, behind the last) in order; damaged parts are removed."""
-        if (self.folder / SAMPLES).exists() and _rows(self.folder / SAMPLES) == self.last - self.first:
+        """Return which samples are there, as (first, behind the last) in order; damaged ones are not."""
+        if self._whole():
             return [(self.first, self.last)]
         found: list[tuple[int, int]] = []
-        for first, count, path in self._listed():
-            if _rows(path) != count:
-                path.unlink()
-            elif found and first <= found[-1][1]:
+        for first, count, _ in self._listed():
+            if found and first <= found[-1][1]:
                 found[-1] = found[-1][0], max(found[-1][1], first + count)
             else:
                 found.append((first, first + count))
@@ -111,7 +129,7 @@ class Samples:
     def finish(self) -> Path:
         """Write the file of all samples, and take the parts away."""
         target = self.folder / SAMPLES
-        if not (target.exists() and _rows(target) == self.last - self.first):
+        if not self._whole():
             with (
                 disk_errors(self.folder),
                 whole_file(target) as file,
@@ -120,15 +138,22 @@ class Samples:
                 for table in _regrouped(self._ordered()):
                     writer.write_table(table, row_group_size=_GROUP)
         with disk_errors(self.folder):
-            shutil.rmtree(self._parts, ignore_errors=True)
+            for path in self._parts.iterdir() if self._parts.is_dir() else ():
+                if _PART.fullmatch(path.name) and not path.is_symlink():
+                    path.unlink()
+            with suppress(OSError):  # somebody else's file is in it
+                self._parts.rmdir()
         return target
 
     def take(self, other: Path) -> None:
         """Take over the samples of another folder of the same study: a shard's."""
         known = _read(other / STUDY)
-        if known is None or known.get("digest") != self.digest:
+        if known is None or known.get("digest") != self.digest or not fits(known, _About):
             fail("holds no samples of this study", file=str(other))
-        source = Samples(other, self.digest, self.names, int(known["first"]), int(known["last"]))
+        first, last = known["first"], known["last"]
+        if not (self.first <= first < last <= self.last and known["names"] == list(self.names)):
+            fail("holds no samples of this study", file=str(other))
+        source = Samples(other, self.digest, self.names, first, last)
         whole = source.folder / SAMPLES
         tables: Iterator[Any] = (
             (pa.Table.from_batches([batch]) for batch in pq.ParquetFile(whole).iter_batches(_GROUP))
@@ -155,9 +180,45 @@ class Samples:
         found = []
         for path in self._parts.iterdir() if self._parts.is_dir() else ():
             match = _PART.fullmatch(path.name)
-            if match is not None:
-                found.append((int(match[1]), int(match[2]), path))
+            if match is None:
+                continue
+            first, count = int(match[1]), int(match[2])
+            if self.first <= first < first + count <= self.last and self._sound(path, first, count):
+                found.append((first, count, path))
         return sorted(found, key=lambda part: (part[0], -part[1]))
+
+    def _whole(self) -> bool:
+        """Whether the file of all samples is there and sound."""
+        return self._sound(self.folder / SAMPLES, self.first, self.last - self.first)
+
+    def _sound(self, path: Path, first: int, count: int) -> bool:
+        """Whether a file holds these samples in order.
+
+        A file may be damaged, or a stranger's: then its samples are measured again. What was looked at once
+        is not looked at again while it stays as it is.
+        """
+        try:
+            about = path.stat()
+            seen = (path, about.st_size, about.st_mtime_ns, first, count)
+            if seen not in self._seen:
+                self._seen[seen] = not path.is_symlink() and self._holds(pq.ParquetFile(path), first, count)
+        except (OSError, pa.ArrowException):
+            return False
+        return self._seen[seen]
+
+    def _holds(self, file: pq.ParquetFile, first: int, count: int) -> bool:
+        if file.metadata.num_rows != count or not file.schema_arrow.equals(self._schema()):
+            return False
+        at = first
+        for batch in file.iter_batches(_GROUP):
+            if any(column.null_count for column in batch.columns):
+                return False
+            if not np.array_equal(batch["sample"].to_numpy(), np.arange(at, at + len(batch))):
+                return False
+            if any(np.isinf(batch[name].to_numpy()).any() for name in self.names):  # lacking ones are NaN
+                return False
+            at += len(batch)
+        return True
 
     def read(self) -> tuple[Array, dict[int, str]]:
         """Return all measures (n, measures) of a finished study, and sample -> why it failed."""
@@ -182,19 +243,11 @@ def _regrouped(tables: Iterator[Any]) -> Iterator[Any]:
         yield pa.concat_tables(held).combine_chunks()
 
 
-def _rows(path: Path) -> int:
-    """Return the number of rows of a file; -1 for one that is damaged or not there."""
-    try:
-        return int(pq.read_metadata(path).num_rows)
-    except (OSError, pa.ArrowInvalid):
-        return -1
-
-
 def _read(path: Path) -> dict[str, Any] | None:
     try:
-        known = json.loads(path.read_text(encoding="utf-8"))
+        known = plain_json(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         return None
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return {}
     return known if isinstance(known, dict) else {}

@@ -22,6 +22,7 @@ from cosim.comparisons.measuring import check_measures, needs_a_run
 from cosim.errors import InputError, fail
 from cosim.plan import Plan, resolve
 from cosim.scene import load_scene
+from cosim.seal import read_object
 from cosim.tolerance.batch import Batch
 from cosim.tolerance.corner_search import Corner, corner
 from cosim.tolerance.cube_points import Method, Sampling, sampling
@@ -279,8 +280,8 @@ def check_folder(folder: Path, digest: str) -> None:
     if not os.path.isfile(file):
         return
     try:
-        known = json.loads(file.read_text(encoding="utf-8")).get("digest")
-    except (OSError, ValueError, AttributeError):
+        known = read_object(file).get("digest")
+    except InputError:
         known = None
     if known != digest:
         fail("holds another study; choose another folder with -o, or remove it", file=str(folder))
