@@ -321,7 +321,7 @@ def forged_points(path: Path, digest: str, values: dict[str, Any]) -> None:
 def test_a_forged_point_of_a_sweep_is_computed_again(
     value: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cosim.comparisons.sweep._digest", lambda *_: "known")
+    monkeypatch.setattr("cosim.comparisons.sweep._digest", lambda *_, **__: "known")
     honest = {"measures": {"k_max": 5.0}, "warnings": []}
     monkeypatch.setattr("cosim.comparisons.sweep._measured", lambda *_: honest)
     keys = [f"seed={n}: k_max" for n in (1, 2)]
