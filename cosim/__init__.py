@@ -1,8 +1,8 @@
 """Circuit-level co-simulation of haptic devices.
 
 The names of the front door load what they need when they are first used: `load_scene`, `Scene`, `resolve`,
-`Plan`, `run`, `Run`, `sweep`, `compare`, `stability`, `noise`, `device`, `check`, `Sample`, `Command`, and
-the errors.
+`Plan`, `run`, `Run`, `sweep`, `compare`, `monte_carlo`, `study`, `stability`, `noise`, `device`, `check`,
+`Sample`, `Command`, and the errors.
 
 Examples
 --------
@@ -28,6 +28,7 @@ os.environ.setdefault("NUMBA_CACHE_LOCATOR_CLASSES", LOCATORS)
 #: Public names, and the module that each comes from; types stand in `__init__.pyi`.
 _PUBLIC = {
     **dict.fromkeys(("run", "sweep", "compare"), "cosim.api.simulating"),
+    **dict.fromkeys(("monte_carlo", "study"), "cosim.api.many_devices"),
     **dict.fromkeys(("stability", "noise", "device", "check"), "cosim.api.asking"),
     **dict.fromkeys(("Plan", "resolve"), "cosim.plan"),
     **dict.fromkeys(("Scene", "load_scene"), "cosim.scene"),
@@ -38,8 +39,8 @@ _PUBLIC = {
 
 __all__ = [
     "Command", "CosimError", "InputError", "Plan", "Run", "Sample", "Scene", "SimulationError",
-    "StorageError", "check", "compare", "device", "errors", "load_scene", "noise", "resolve", "run",
-    "stability", "sweep",
+    "StorageError", "check", "compare", "device", "errors", "load_scene", "monte_carlo", "noise",
+    "resolve", "run", "stability", "study", "sweep",
 ]  # fmt: skip
 
 

@@ -3,6 +3,8 @@ from cosim.api.asking import check as check
 from cosim.api.asking import device as device
 from cosim.api.asking import noise as noise
 from cosim.api.asking import stability as stability
+from cosim.api.many_devices import monte_carlo as monte_carlo
+from cosim.api.many_devices import study as study
 from cosim.api.simulating import compare as compare
 from cosim.api.simulating import run as run
 from cosim.api.simulating import sweep as sweep

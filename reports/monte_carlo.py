@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from cosim.tolerance.intervals import Estimate
 
 Array = NDArray[np.float64]
+#: Figures of a measure; the last two need a fitted surface.
+PARTS = ("distribution", "estimate", "blame", "leading")
 #: Bars of the tornado, points of a scatter, rows of tables.
 _BARS, _POINTS, _ROWS, _WORST = 15, 4000, 40, 5
 
@@ -82,7 +84,7 @@ def write_monte_carlo(
     html = render(
         "study.html.j2", title="Tolerances: what the built devices do",
         command=replay.removesuffix(" --sample"),
-        summary=[*_sentences(found), CONVENTION], sections=sections, claims=[], warnings=grouped(cautions),
+        summary=[*sentences(found), CONVENTION], sections=sections, claims=[], warnings=grouped(cautions),
     )  # fmt: skip
     files = {
         "samples.csv": found.samples_csv(),
@@ -93,7 +95,22 @@ def write_monte_carlo(
     return write_page(out, html, [each for section in sections for each in section.pictures], files)
 
 
-def _sentences(found: "Findings") -> list[str]:
+def draw(found: "Findings", part: str, name: str) -> Drawn:
+    """Return one figure of a measure; parts are those of `PARTS`."""
+    if part == "distribution":
+        return _distribution(found, name, _known(found, name))
+    if part == "estimate":
+        return _estimates(found, name, _known(found, name))
+    return (_tornado if part == "blame" else _scatter)(found, name)
+
+
+def _known(found: "Findings", name: str) -> Array:
+    column = found.study.column(name)
+    return column[np.isfinite(column)]
+
+
+def sentences(found: "Findings") -> list[str]:
+    """Return what was found in sentences."""
     study = found.study
     how = study.sampling
     kind = {"plain": "plain samples", "lhs": "Latin hypercubes", "sobol": "scrambled Sobol points"}
@@ -144,8 +161,7 @@ def _overview(found: "Findings") -> _Section:
 
 def _measure(found: "Findings", name: str, replay: str) -> _Section:
     study, unit = found.study, UNITS.get(name, "")
-    column = study.column(name)
-    column = column[np.isfinite(column)]
+    column = _known(found, name)
     title = name.replace("_", " ").capitalize()
     pictures = [picture(f"{name}_distribution", "Distribution", _distribution(found, name, column))]
     pictures.append(picture(f"{name}_estimate", "Estimate against samples", _estimates(found, name, column)))
@@ -278,7 +294,8 @@ def _correlation(found: "Findings") -> Drawn:
     return Drawn(drawing, "Pearson's correlation over the samples that have all measures.")
 
 
-def _bill(found: "Findings") -> _Section:
+def bill_table(found: "Findings", most: int = _ROWS) -> tuple[list[str], list[list[str]]]:
+    """Return heading and rows of the tolerance bill, what costs most first."""
     names = list(found.surfaces)
     rows = [
         [
@@ -286,13 +303,18 @@ def _bill(found: "Findings") -> _Section:
             *(f"{line.slope[n]:.4g}" for n in names), grade_text(line.loosest), grade_text(line.better),
             "-" if line.gain is None else _percent(line.gain),
         ]
-        for line in found.bill[:_ROWS]
+        for line in found.bill[:most]
     ]  # fmt: skip
     head = [
         "component", "tolerance", *(f"share of variance, {n}" for n in names),
         *(f"change by 1 %, {heading(n, UNITS.get(n, ''))}" for n in names),
         "loosest", "next better", "adds to yield",
     ]  # fmt: skip
+    return head, rows
+
+
+def _bill(found: "Findings") -> _Section:
+    head, rows = bill_table(found)
     wanted = "the present yield" if found.wanted is None else f"a yield of {100 * found.wanted:g} %"
     note = (
         f"Loosest: the largest sold tolerance with which {wanted} is kept, all others as they are. Both "

@@ -1,18 +1,29 @@
-"""A run in a notebook: one figure, and the summary with measures and the main picture."""
+"""Results in a notebook: runs, sweeps, studies and batches of devices show and draw themselves."""
 
+from collections.abc import Iterable, Sequence
 from html import escape
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from cosim.catalogue import UNITS
 from cosim.units import quantity
-from reports.page import FIGURES, draw_all
+from reports.page import FIGURES, Picture, draw_all, picture
+from reports.style import look
 from reports.summary import summary
 from reports.view import RunLike, View
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["figure", "html"]
+    from cosim.comparisons.sweep import Sweep
+    from cosim.studies.study import StudyResult
+    from cosim.tolerance.findings import Findings
+
+__all__ = ["figure", "findings_figure", "findings_html", "html", "study_figure", "study_html", "sweep_figure",
+           "sweep_html"]  # fmt: skip
+
+#: Rows of a table in a cell; files and pages have all.
+_MOST_ROWS = 12
 
 
 def figure(run: RunLike, name: str | None = None) -> "Figure":
@@ -23,8 +34,6 @@ def figure(run: RunLike, name: str | None = None) -> "Figure":
     ValueError
         For an unknown name, or a figure for which the run lacks the signals.
     """
-    from reports.style import look
-
     names = [each[0] for each in FIGURES]
     if name is not None and name not in names:
         raise ValueError(f"no figure {name!r}; there are {', '.join(names)}")
@@ -42,22 +51,133 @@ def figure(run: RunLike, name: str | None = None) -> "Figure":
 def html(run: RunLike) -> str:
     """Return the summary, cautions, the measures with their units and the main picture as HTML."""
     view = View(run)
-    rows = "".join(
-        f"<tr><td>{escape(name)}</td><td>{escape(_number(row['value'], row['unit']))}</td>"
-        f"<td>{escape(str(row['text']))}</td></tr>"
-        for name, row in run.measures.items()
-    )
-    doubts = "".join(f"<li>{escape(str(caution))}</li>" for caution in run.warnings)
+    rows = [
+        [name, _number(row["value"], row["unit"]), str(row["text"])] for name, row in run.measures.items()
+    ]
     pictures, _ = draw_all(view, first=True)
+    title = str(view.scene_at("title", default="Co-simulation"))
+    doubts = [str(caution) for caution in run.warnings]
+    return _cell(title, summary(view), doubts, _table([], rows), pictures)
+
+
+def sweep_figure(found: "Sweep") -> "Figure":
+    """Return a sweep's figure.
+
+    Raises
+    ------
+    ValueError
+        Where the first range is not of numbers, or no point has a measure.
+    """
+    from reports.sweep import draw
+
+    with look():
+        drawn = draw(found)
+    if drawn is None:
+        raise ValueError("nothing to draw: the first range is not of numbers, or no point has a measure")
+    return drawn.figure
+
+
+def sweep_html(found: "Sweep") -> str:
+    """Return a sweep's table, what failed, and its picture as HTML."""
+    from reports.sweep import draw
+
+    rows = [
+        [*values, *("-" if column[k] is None else _number(column[k], UNITS.get(name, ""))
+                    for name, column in found.measures.items())]
+        for k, values in enumerate(found.values)
+    ]  # fmt: skip
+    with look():
+        drawn = draw(found)
+        pictures = [] if drawn is None else [picture("sweep", f"Sweep of {', '.join(found.names)}", drawn)]
+    failed = [f"{point}: {why}" for point, why in found.failed.items()]
+    table = _table([*found.names, *found.measures], rows)
+    return _cell(f"Sweep of {', '.join(found.names)}", [], failed, table, pictures)
+
+
+def findings_figure(found: "Findings", part: str, measure: str | None = None) -> "Figure":
+    """Return a figure of a batch of devices: a part of `reports.monte_carlo.PARTS`, of one measure.
+
+    Raises
+    ------
+    ValueError
+        For an unknown part or measure, or a measure without a fitted surface.
+    """
+    from reports.monte_carlo import PARTS, draw
+
+    name = found.study.names[0] if measure is None else measure
+    if part not in PARTS or name not in found.study.names:
+        raise ValueError(f"no figure {part!r} of {name!r}; there are {', '.join(PARTS)} of "
+                         f"{', '.join(found.study.names)}")  # fmt: skip
+    if part in PARTS[2:] and name not in found.surfaces:
+        raise ValueError(f"{name} has no fitted surface: more samples, or a measure that changes")
+    with look():
+        return draw(found, part, name).figure
+
+
+def findings_html(found: "Findings") -> str:
+    """Return what a batch of devices does: sentences, distribution, and the head of the bill as HTML."""
+    from reports.monte_carlo import bill_table, draw, sentences
+
+    name = found.study.names[0]
+    with look():
+        pictures = [picture(name, f"Distribution of {name}", draw(found, "distribution", name))]
+    head, rows = bill_table(found, _MOST_ROWS) if found.surfaces else ([], [])
+    return _cell("The built devices", sentences(found), [], _table(head, rows), pictures)
+
+
+def study_figure(result: "StudyResult", name: str | None = None) -> "Figure":
+    """Return a study's figure: that of a name, or its first.
+
+    Raises
+    ------
+    ValueError
+        For a name that the study does not draw.
+    """
+    with look():
+        drawn = import_module(f"reports.studies.{result.study}").draw(result)
+        for each, _, found in drawn:
+            if name is None or each == name:
+                chosen: Figure = found.figure
+                return chosen
+    raise ValueError(f"no figure {name!r}; there are {', '.join(each[0] for each in drawn)}")
+
+
+def study_html(result: "StudyResult") -> str:
+    """Return a study's notes, verdicts, tables and pictures as HTML."""
+    from reports.study_page import draw_study, text_table, verdict_word
+
+    verdicts = [[v.id, v.claim, v.expected, v.found, verdict_word(v)] for v in result.verdicts]
+    tables = [_table(["", "claim", "expected", "found", "verdict"], verdicts)] if verdicts else []
+    for table in result.tables:
+        shown = text_table(table, f"{table.name}.csv")
+        if shown.rows:
+            tables.append(f"<h5>{escape(shown.title)}</h5>{_table(shown.head, shown.rows)}")
+    return _cell(result.title, result.notes, [], "".join(tables), draw_study("study", result))
+
+
+def _cell(
+    title: str, sentences: Iterable[str], doubts: Sequence[str], table: str, pictures: Iterable[Picture]
+) -> str:
+    warned = "".join(f"<li>{escape(each)}</li>" for each in doubts)
     return "".join(
         (
-            f"<h4>{escape(str(view.scene_at('title', default='Co-simulation')))}</h4>",
-            *(f"<p>{escape(sentence)}</p>" for sentence in summary(view)),
-            f"<ul>{doubts}</ul>" if doubts else "",
-            f"<table>{rows}</table>",
-            *(f'<img alt="{escape(each.title)}" src="{each.source}">' for each in pictures),
+            f"<h4>{escape(title)}</h4>",
+            *(f"<p>{escape(sentence)}</p>" for sentence in sentences),
+            f"<ul>{warned}</ul>" if warned else "",
+            table,
+            *(
+                f'<figure><img alt="{escape(each.title)}" src="{each.source}">'
+                f"<figcaption>{escape(each.caption)}</figcaption></figure>"
+                for each in pictures
+            ),
         )
     )
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    top = f"<tr>{''.join(f'<th>{escape(each)}</th>' for each in head)}</tr>" if head else ""
+    body = "".join(f"<tr>{''.join(f'<td>{escape(each)}</td>' for each in row)}</tr>" for row in rows)
+    return f"<table>{top}{body}</table>"
 
 
 def _number(value: object, unit: str) -> str:

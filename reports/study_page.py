@@ -9,7 +9,7 @@ from typing import Any
 from cosim.caution import Caution, grouped
 from cosim.stored_form import used
 from cosim.studies.claims import Claim
-from cosim.studies.study import StudyResult, table_text
+from cosim.studies.study import StudyResult, Verdict, table_text
 from cosim.studies.study import Table as StudyTable
 from reports.page import Picture, picture, render, write_page
 from reports.style import look
@@ -105,7 +105,7 @@ def write_study_page(
     judged = _claims(results, claims)
     sections, pictures = [], []
     for name, result in results:
-        drawn = _draw(name, result)
+        drawn = draw_study(name, result)
         pictures += drawn
         ids = {verdict.id for verdict in result.verdicts}
         sections.append(
@@ -115,7 +115,7 @@ def write_study_page(
                 [claim for claim in judged if claim.id in ids],
                 result.notes,
                 drawn,
-                [_table(table, f"data/{name}_{table.name}.csv") for table in result.tables],
+                [text_table(table, f"data/{name}_{table.name}.csv") for table in result.tables],
                 f"Computed in {result.seconds:.3g} s.",
             )
         )
@@ -136,10 +136,14 @@ def _claims(results: Sequence[tuple[str, StudyResult]], asked: Sequence[Claim]) 
     found: dict[str, _Claim] = {claim.id: _Claim(claim.id, claim.says, claim.counts, []) for claim in asked}
     for name, result in results:
         for v in result.verdicts:
-            words = _OWN if v.own else _HOLDS
-            row = _Judged(v.claim, v.expected, v.found, words[v.holds], name, result.title)
+            row = _Judged(v.claim, v.expected, v.found, verdict_word(v), name, result.title)
             found.setdefault(v.id, _Claim(v.id, "", "", [])).rows.append(row)
     return list(found.values())
+
+
+def verdict_word(verdict: Verdict) -> str:
+    """Return whether a claim holds, or an own check passed, in words."""
+    return (_OWN if verdict.own else _HOLDS)[verdict.holds]
 
 
 def _summary(claims: Sequence[_Claim]) -> list[str]:
@@ -174,13 +178,15 @@ def _summary(claims: Sequence[_Claim]) -> list[str]:
     return sentences
 
 
-def _draw(name: str, result: StudyResult) -> list[Picture]:
+def draw_study(name: str, result: StudyResult) -> list[Picture]:
+    """Return a study's figures, their names begun with `name`."""
     draw = import_module(f"reports.studies.{result.study}").draw
     with look(), used(result.kept_in, bool(result.kept_in)):
         return [picture(f"{name}_{part}", heading, drawn) for part, heading, drawn in draw(result)]
 
 
-def _table(table: StudyTable, file: str) -> TextTable:
+def text_table(table: StudyTable, file: str) -> TextTable:
+    """Return a table as a page shows it; one of many rows stays in its file."""
     columns = list(table.columns.values())
     count = len(columns[0]) if columns else 0
     numbers = {

@@ -127,9 +127,18 @@ def look() -> Iterator[None]:
         yield
 
 
+class _Shown(Figure):
+    """A figure that a notebook shows although pyplot, which would tell it how, is not loaded."""
+
+    def _repr_png_(self) -> bytes:
+        stream = io.BytesIO()
+        self.savefig(stream, format="png", dpi=100)
+        return stream.getvalue()
+
+
 def figure(height_in: float, rows: int = 1, columns: int = 1, **grid: Any) -> tuple[Figure, NDArray[Any]]:
     """Return a figure of the page's width with its axes as an array of shape ``(rows, columns)``."""
-    drawing = Figure(figsize=(WIDTH_IN, height_in))
+    drawing = _Shown(figsize=(WIDTH_IN, height_in))
     return drawing, drawing.subplots(rows, columns, squeeze=False, **grid)
 
 

@@ -11,6 +11,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NotRequired
 
@@ -71,6 +72,21 @@ class Sweep:
     measures: dict[str, tuple[float | None, ...]]
     failed: dict[str, str]
     errors: Mapping[str, tuple[float | None, ...]] = field(default_factory=dict)
+
+    def plot(self) -> Any:
+        """Return a matplotlib figure: each measure over the first range.
+
+        Raises
+        ------
+        ValueError
+            Where the first range is not of numbers, or no point has a measure.
+        """
+        return import_module("reports.notebook").sweep_figure(self)
+
+    def _repr_html_(self) -> str:
+        """Return table and picture, for notebooks."""
+        text: str = import_module("reports.notebook").sweep_html(self)
+        return text
 
 
 def parse_range(text: str) -> Setting:

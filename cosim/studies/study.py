@@ -117,6 +117,21 @@ class StudyResult:
                 return table
         raise KeyError(name)
 
+    def plot(self, name: str | None = None) -> Any:
+        """Return a matplotlib figure of the study: that of a name, or its first.
+
+        Raises
+        ------
+        ValueError
+            For a name that the study does not draw.
+        """
+        return import_module("reports.notebook").study_figure(self, name)
+
+    def _repr_html_(self) -> str:
+        """Return notes, verdicts, tables and pictures, for notebooks."""
+        text: str = import_module("reports.notebook").study_html(self)
+        return text
+
 
 @dataclass(frozen=True)
 class Study:

@@ -7,6 +7,7 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,26 @@ class Findings:
     wanted: float | None = None
     corners: Mapping[str, Corner] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    def plot(self, name: str = "distribution", measure: str | None = None) -> Any:
+        """Return a matplotlib figure of a measure, the first where none is named.
+
+        Parameters
+        ----------
+        name
+            'distribution', 'estimate' (mean of the first samples), 'blame' or 'leading' (components).
+
+        Raises
+        ------
+        ValueError
+            For an unknown name or measure, or a measure without a fitted surface.
+        """
+        return import_module("reports.notebook").findings_figure(self, name, measure)
+
+    def _repr_html_(self) -> str:
+        """Return yields, distribution and the head of the bill, for notebooks."""
+        text: str = import_module("reports.notebook").findings_html(self)
+        return text
 
     def correlation(self) -> NDArray[np.float64]:
         """Return the correlation of the measures (measures, measures)."""

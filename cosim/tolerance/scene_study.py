@@ -22,6 +22,7 @@ from cosim.comparisons.measuring import check_measures, needs_a_run
 from cosim.errors import InputError, fail
 from cosim.plan import Plan, resolve
 from cosim.scene import load_scene
+from cosim.scene.load import SceneLike
 from cosim.seal import read_object
 from cosim.tolerance.batch import Batch
 from cosim.tolerance.corner_search import Corner, corner
@@ -70,7 +71,7 @@ class Asked:
         Whether to search the worst case.
     """
 
-    scene: str | Path
+    scene: SceneLike
     overrides: tuple[str, ...] = ()
     measures: tuple[str, ...] = ()
     specs: tuple[Spec, ...] = ()
