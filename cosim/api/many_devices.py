@@ -72,9 +72,9 @@ def monte_carlo(
     Examples
     --------
     >>> from cosim.assets import scenes_folder
-    >>> found = monte_carlo(scenes_folder() / "press.toml", ["k_max > 500"], samples=3)
-    >>> found.yields["k_max > 500 N/m"].value
-    1.0
+    >>> found = monte_carlo(scenes_folder() / "press.toml", ["eta < 0.1"], samples=3)
+    >>> {spec: share.value for spec, share in found.yields.items()}
+    {'eta <= 0.1': 1.0}
     """
     from cosim.tolerance.scene_study import Asked, Processes, check_folder, prepare
     from cosim.tolerance.scene_study import monte_carlo as drawn
@@ -127,8 +127,8 @@ def study(
     --------
     >>> from cosim.assets import scenes_folder
     >>> found = study(scenes_folder() / "paper/0_2_passive.toml")
-    >>> all(verdict.holds for verdict in found.verdicts)
-    True
+    >>> [verdict.id for verdict in found.verdicts if verdict.holds is False]
+    []
     """
     from cosim.studies.study import load_study, run_study
 
