@@ -221,7 +221,7 @@ def tolerances(scene: Scene) -> dict[str, Tolerance]:
             problems.append(
                 Problem(
                     "is no change of this measure",
-                    file=str(scene.file) if scene.file else None,
+                    file=scene.file_name,
                     key=key,
                     value=stated,
                     allowed=f'a share such as 0.01 or "1 %", or an amount such as "0.05 {unit}"'
@@ -260,7 +260,7 @@ def _unknown(scene: Scene, key: str, name: str) -> Problem:
     near = nearest(name, (*classes, *NAMES))
     return Problem(
         "no such measure" + (f"; nearest is {near}" if near else ""),
-        file=str(scene.file) if scene.file else None,
+        file=scene.file_name,
         key=key,
         value=name,
         allowed=", ".join((*CLASSES, *NAMES) if key.startswith("tolerance.") else NAMES),
@@ -279,7 +279,7 @@ def check_names(scene: Scene) -> None:
     problems += [
         Problem(
             "an own measure needs a class whose name no other measure has",
-            file=str(scene.file) if scene.file else None,
+            file=scene.file_name,
             key="measures.names",
             value=name,
         )

@@ -172,7 +172,7 @@ def _recorded(scene: Scene) -> tuple[str, ...]:
         return ()
     strange = [node for node in scene.record.nodes if not is_name(node)]
     if strange:
-        file = str(scene.file) if scene.file else None
+        file = scene.file_name
         raise InputError(
             Problem("is not the name of a node", file=file, key="record.nodes", value=node)
             for node in strange
@@ -187,7 +187,7 @@ def _placed(problem: Problem, scene: Scene) -> Problem:
     """Name the scene's file and key in what the loader says of a part that the scene swaps."""
     if problem.file is not None or problem.key not in scene.device.parts:
         return problem
-    return replace(problem, file=str(scene.file) if scene.file else None, key=f"device.parts.{problem.key}")
+    return replace(problem, file=scene.file_name, key=f"device.parts.{problem.key}")
 
 
 def swaps(scene: Scene) -> dict[str, PartSwap | str]:
@@ -242,7 +242,7 @@ def _resolved(scene: Scene, trust: bool, board: Deck | None) -> Plan:
         raise InputError(
             Problem(
                 f"the board has {board.joints} joint(s), the linkage {scene.joints}",
-                file=str(scene.file) if scene.file else None,
+                file=scene.file_name,
                 key="device.board",
                 value=str(scene.device.board),
             )
@@ -266,7 +266,7 @@ def _resolved(scene: Scene, trust: bool, board: Deck | None) -> Plan:
         raise InputError(
             Problem(
                 f"too many nodes: {len(watched)} outputs of amplifiers are watched anyway",
-                file=str(scene.file) if scene.file else None,
+                file=scene.file_name,
                 key="record.nodes",
                 value=f"{len(recorded)} nodes",
                 allowed=f"<= {MOST_NODES - len(watched)}",
@@ -309,7 +309,7 @@ def _check_chosen(scene: Scene) -> None:
             Problem(
                 "the effects are still to be chosen: `cosim run` does so and keeps the choice as scene.toml "
                 "in its result; `cosim plan` shows what it would try",
-                file=str(scene.file) if scene.file else None,
+                file=scene.file_name,
                 key="effects",
                 value="auto",
             )
@@ -325,7 +325,7 @@ def _check_path(scene: Scene) -> None:
         raise InputError(
             Problem(
                 "with all spring gains zero u makes no torque; without an analog spring the path must be cmd",
-                file=str(scene.file) if scene.file else None,
+                file=scene.file_name,
                 key="computer.command_path",
                 value="u",
                 allowed="cmd",
@@ -342,5 +342,5 @@ def _check_stops(scene: Scene, model: str) -> None:
     if model == "spice":
         said = "the model spice does not locate impacts: leave it out, or use the models ideal or linear"
     if said:
-        file, key = str(scene.file) if scene.file else None, f"device.{kind}.stop_restitution"
+        file, key = scene.file_name, f"device.{kind}.stop_restitution"
         raise InputError(Problem(said, file=file, key=key, value=table.stop_restitution))

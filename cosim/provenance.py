@@ -45,7 +45,7 @@ def provenance(
         "date": datetime.fromtimestamp(run_date(), UTC).isoformat(timespec="seconds"),
         "command": list(sys.argv if command is None else command),
         "seed": scene.seed,
-        "scene_file": str(scene.file) if scene.file else None,
+        "scene_file": scene.file_name,
         "scene_digest": scene.digest(),
         "effects_digest": effects_digest(scene),
         **more,

@@ -278,7 +278,7 @@ def _check_duration(plan: Plan) -> None:
                 f"the run would compute for about {quantity(seconds, 's')} (see cosim plan): check "
                 f"duration_s, "
                 "computer.period_s, solver.max_step_s and the noise, or raise this limit",
-                file=str(plan.scene.file) if plan.scene.file else None,
+                file=plan.scene.file_name,
                 key="solver.time_limit_s",
                 value=limit,
                 unit="s",

@@ -17,11 +17,11 @@ from asked_computer import ARM, K_DP, KP, V_FS, ask, poses, record
 from linear_runs import CONSTANTS, ideal
 from support import BOARD1, BOARD2, GEAR, Array, merge, quick, scene_of, slider
 
+from cosim.effects.period_jitter import lateness
 from cosim.errors import InputError, SimulationError
 from cosim.loop.computer import Method
 from cosim.loop.computer import Path as CommandPath
 from cosim.loop.linear.run_linear import prepare
-from cosim.loop.noise import period_jitter
 
 MODELS = ("ideal", "linear", "spice")
 RADIUS = 0.1333
@@ -152,19 +152,19 @@ def test_a_hand_swings_with_its_mass_only_where_it_has_one(tmp_path: Path, model
 
 @pytest.mark.parametrize("kind", ["uniform", "normal"])
 def test_jitter_is_drawn_as_stated(kind: str) -> None:
-    late = period_jitter(kind, 11, 200_001, 0.1)
+    late = lateness(kind, 11, 200_001, 0.1)
     assert late[0] == 0.0
     rms = 0.1 / math.sqrt(3) if kind == "uniform" else 0.1
     # mean and rms of 2e5 values: five standard errors
     assert abs(late[1:].mean()) < 5 * rms / math.sqrt(2e5)
     assert late[1:].std() == pytest.approx(rms, rel=5 / math.sqrt(2 * 2e5))
     assert np.abs(late).max() <= (0.1 if kind == "uniform" else 0.45)
-    assert (late == period_jitter(kind, 11, 200_001, 0.1)).all()
-    assert not np.allclose(late[1:], period_jitter(kind, 12, 200_001, 0.1)[1:])
+    assert (late == lateness(kind, 11, 200_001, 0.1)).all()
+    assert not np.allclose(late[1:], lateness(kind, 12, 200_001, 0.1)[1:])
 
 
 def test_a_wide_normal_jitter_keeps_samples_in_order() -> None:
-    assert np.abs(period_jitter("normal", 1, 10_000, 0.45)).max() <= 0.45
+    assert np.abs(lateness("normal", 1, 10_000, 0.45)).max() <= 0.45
 
 
 @pytest.mark.parametrize("kind", ["uniform", "normal"])
@@ -179,7 +179,7 @@ def test_samples_come_at_their_instants_and_the_computer_does_not_know(
     )  # fmt: skip
     run = quick(tmp_path, tables)
     ticks = np.arange(51)
-    late = period_jitter(kind, 5, 51, share)
+    late = lateness(kind, 5, 51, share)
     at = ticks * period + period * late
     seen = np.asarray(run.samples["time"])
     assert (seen == at[: len(seen)]).all()

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from cosim.circuits.cache import Asked
-from cosim.loop.noise import period_jitter, stream
+from cosim.effects.period_jitter import lateness
+from cosim.loop.noise import stream
 
 ASKED = Asked("* a deck\n.end\n", "linear", 1e3, 1e-6)
 OTHERS = {"text": "* a deck \n.end\n", "model": "ideal", "band_hz": 1001.0, "tolerance": 1e-5}
@@ -32,5 +33,5 @@ def test_sources_joints_and_kinds_draw_apart():
     drawn = [stream(1, *name).standard_normal(4) for name in named]
     assert len({tuple(values) for values in drawn}) == len(named)
     assert np.array_equal(stream(1, "a", 0).standard_normal(4), drawn[0])
-    high, low = (period_jitter("uniform", seed, 8, 0.1) for seed in (1 + 2**40, 1))
+    high, low = (lateness("uniform", seed, 8, 0.1) for seed in (1 + 2**40, 1))
     assert not np.array_equal(high, low)

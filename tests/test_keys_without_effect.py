@@ -7,7 +7,7 @@ import pytest
 from support import SCENES, scene_of, slider
 
 from cosim.effects import EFFECTS
-from cosim.effects.idle_keys import ACTS_THROUGH, forgotten, stated_in_vain
+from cosim.effects.idle_keys import forgotten, stated_in_vain
 from cosim.plan import resolve
 from cosim.scene import Scene, load_scene
 from cosim.studies.study import is_study, load_study
@@ -55,7 +55,7 @@ def test_keys_are_told_while_their_effect_is_off(tmp_path: Path, effect: str) ->
     value, keys = VALUES[effect]
     told = stated_in_vain(scene(tmp_path, effect, None, keys), EFFECTS)
     assert len(told) == len(keys)
-    for key, said in zip(ACTS_THROUGH[effect], told, strict=False):
+    for key, said in zip(next(e.keys for e in EFFECTS if e.name == effect), told, strict=False):
         if not key.startswith("device.chain"):
             assert f"has no effect: effects.{effect} is off" in said
     assert {said.partition(" = ")[0] for said in told} == set(keys)
@@ -96,11 +96,9 @@ def test_a_hand_without_dynamics(tmp_path: Path) -> None:
 
 
 def test_every_key_is_one_of_the_schema() -> None:
-    names = {effect.name for effect in EFFECTS}
-    assert names >= set(ACTS_THROUGH)
-    assert set(VALUES) | {"operator_dynamics"} == set(ACTS_THROUGH)
-    for keys in ACTS_THROUGH.values():
-        for key in keys:
+    assert set(VALUES) | {"operator_dynamics"} == {effect.name for effect in EFFECTS if effect.keys}
+    for effect in EFFECTS:
+        for key in effect.keys:
             table: Any = Scene
             *path, name = key.split(".")
             for part in path:

@@ -10,7 +10,6 @@ from support import SCENES, merge, quick, scene_of, simulate, slider, toml
 
 from cosim import cli
 from cosim.effects import EFFECTS
-from cosim.effects.idle_keys import ACTS_THROUGH
 from cosim.results import Run
 from cosim.scene import load_scene
 from cosim.scene.keys import keys, section
@@ -28,8 +27,7 @@ def test_every_key_has_a_meaning_and_no_other_has() -> None:
 def test_every_effect_is_a_key_and_is_named_by_none_that_is_none() -> None:
     known = {effect.name for effect in EFFECTS} | {"auto"}
     assert {path.partition(".")[2] for path in ALL if path.startswith("effects.")} == known
-    assert set(ACTS_THROUGH) <= known
-    assert {key for keys_ in ACTS_THROUGH.values() for key in keys_} <= set(ALL)
+    assert {key for effect in EFFECTS for key in effect.keys} <= set(ALL)
 
 
 def _dotted(table: dict[str, object], path: str = "") -> list[str]:

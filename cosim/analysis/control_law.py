@@ -62,7 +62,7 @@ def law_point(scene: Scene, constants: DesignConstants, linkage: Linkage, q: Arr
         For a scene without a wall, with shafts, or with a law of the user's own.
     """
     c, n = scene.computer, scene.joints
-    file = str(scene.file) if scene.file else None
+    file = scene.file_name
     if scene.wall is None:
         raise InputError(Problem("there is no contact to be held without a wall", file=file, key="wall"))
     if c.law is not None:
@@ -169,7 +169,7 @@ def external_force(scene: Scene, linkage: Linkage, q: Array, t: float) -> Array:
         raise InputError(
             Problem(
                 "an operator in Python has no slopes to study",
-                file=str(scene.file) if scene.file else None,
+                file=scene.file_name,
                 key="operator",
             )
         )
@@ -216,7 +216,7 @@ def resting_pose(
     """
     linkage = mechanism(scene, constants.gear)
     at = scene.duration_s if t is None else t
-    file = str(scene.file) if scene.file else None
+    file = scene.file_name
     found = root(lambda q: rests(scene, constants, circuit, linkage, q, at)[0], near, tol=1e-13)
     left, scale, _ = rests(scene, constants, circuit, linkage, found.x, at)
     if not (math.isfinite(scale) and np.abs(left).max() <= _BALANCED * max(scale, 1e-9)):

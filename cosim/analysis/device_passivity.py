@@ -14,6 +14,7 @@ from cosim.analysis.control_law import law_point
 from cosim.analysis.passivity import Device, Law, wall
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
+from cosim.effects.dac_skew import skew_s
 from cosim.scene import CommandPath, Method, Scene
 from cosim.scene.mechanism import mechanism
 
@@ -62,8 +63,7 @@ def law_of(scene: Scene) -> Law:
     late = 0.0
     if scene.effects.delay:
         late += (c.delay_periods + c.delay_fraction) * c.period_s
-    if scene.effects.dac_skew:
-        late += c.dac.skew_s
+    late += skew_s(scene)
     if scene.effects.dac_settling:
         late += 0.5 * c.dac.settling_s
     periods, rest = divmod(late, c.period_s)

@@ -18,6 +18,7 @@ from cosim.analysis.control_law import law_point
 from cosim.analysis.stability import border, held, stability, touching, with_computer
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
+from cosim.effects.dac_skew import skew_s
 from cosim.errors import fail
 from cosim.scene import Method, Scene
 from cosim.scene.mechanism import mechanism
@@ -67,7 +68,7 @@ def impedance(
     keep = 0.0 if cutoff is None else math.exp(-2.0 * math.pi * cutoff * period)
     speed = (1.0 - keep) / period * (1.0 - 1.0 / z) / (1.0 - keep / z)
     late = (c.delay_periods + c.delay_fraction) * period if effects.delay else 0.0
-    late += c.dac.skew_s if effects.dac_skew else 0.0
+    late += skew_s(scene)
     path = -np.expm1(-s * period) / (s * period) * np.exp(-s * late)
     if effects.dac_settling and c.dac.settling_s > 0.0:
         path = path * -np.expm1(-s * c.dac.settling_s) / (s * c.dac.settling_s)
@@ -170,6 +171,6 @@ def displayed(
     if margin < 1.0 and not stability(held(out, constants, circuit, pose)).stable:
         fail(
             f"at {margin:g} of its border the wall is not stable: its stable range does not begin at zero",
-            file=str(scene.file), key="computer",
+            file=scene.file_name, key="computer",
         )  # fmt: skip
     return out

@@ -17,8 +17,12 @@ from numpy.typing import NDArray
 from cosim.analysis.control_law import LawPoint, external_force, law_point, rests
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
+from cosim.effects.dac_skew import skew_s
+from cosim.effects.linkage import LINKAGE
+from cosim.effects.sampling import COMPUTER
+from cosim.effects.sensing import SENSING
 from cosim.loop.dac_channels import is_geometric
-from cosim.scene import Jitter, Onset, Scene
+from cosim.scene import Onset, Scene
 from cosim.scene.mechanism import mechanism, operator
 from mech import Chain
 from mech.linkage import Linkage
@@ -142,7 +146,7 @@ def linearise(
         period_s=computer.period_s,
         lag_s=late * computer.period_s if effects.delay else 0.0,
         settle_s=computer.dac.settling_s if effects.dac_settling else 0.0,
-        skew_s=computer.dac.skew_s if effects.dac_skew else 0.0,
+        skew_s=skew_s(scene),
         outputs=outputs, current_a=current, notes=left_out,
     )  # fmt: skip
 
@@ -237,15 +241,8 @@ def _weight_stiffness(linkage: Linkage, q: Array) -> Array:
 def _left_out(
     scene: Scene, circuit: LinearCircuit, linkage: Linkage, q: Array, current: Array
 ) -> tuple[str, ...]:
-    said = []
-    if scene.effects.coulomb:
-        said.append("Coulomb friction, which only takes energy")
-    if scene.effects.encoder:
-        said.append("the steps of the encoders")
-    if scene.effects.dac:
-        said.append("the codes of the DACs")
-    if scene.effects.period_jitter is not Jitter.NONE:
-        said.append("the jitter of the sampling instants")
+    effects = (*LINKAGE, *SENSING, *COMPUTER)
+    said = [each.not_held for each in effects if each.not_held and each.is_in_force(scene)]
     if scene.computer.onset is Onset.ANCHORED:
         said.append("that the springs are relaxed where the contact began, not at the wall")
     if is_geometric(scene):

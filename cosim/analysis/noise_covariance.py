@@ -302,7 +302,7 @@ def noise_covariance(
     InputError
         Where noise or scene are not linear about the contact, with the reason.
     """
-    kind, file = scene.effects.pot_noise, str(scene.file) if scene.file else None
+    kind, file = scene.effects.pot_noise, scene.file_name
     reasons = {
         PotNoise.NONE: "the scene has no noise of its potentiometers",
         PotNoise.POSITION: "noise that belongs to the angle is no noise in time: at rest it is silent",

@@ -147,7 +147,7 @@ def touching(scene: Scene, constants: DesignConstants) -> Array:
     """
     from cosim.scene.mechanism import mechanism
 
-    file = str(scene.file) if scene.file else None
+    file = scene.file_name
     if scene.wall is None:
         raise InputError(Problem("there is no contact to be held without a wall", file=file, key="wall"))
     linkage = mechanism(scene, constants.gear)

@@ -126,7 +126,7 @@ class Tip:
             raise InputError(
                 Problem(
                     "a joint has no viscosity that delay could eat, neither back-EMF nor friction",
-                    file=str(self.scene.file) if self.scene.file else None, key="effects.viscous",
+                    file=self.scene.file_name, key="effects.viscous",
                     value=least, unit="N m s/rad",
                 )
             )  # fmt: skip
@@ -150,7 +150,7 @@ def tip_of(scene: Scene, child: Child | None = None) -> Tip:
     if scene.wall is None:
         raise InputError(
             Problem("what is rendered is looked at along a wall's normal",
-                    file=str(scene.file) if scene.file else None, key="wall")
+                    file=scene.file_name, key="wall")
         )  # fmt: skip
     linear = scene
     if scene.solver.model is not CircuitModelName.SPICE:

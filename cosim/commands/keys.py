@@ -21,10 +21,10 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
-    from cosim.effects.idle_keys import ACTS_THROUGH
+    from cosim.effects import EFFECTS
     from cosim.scene.keys import section
 
-    used = {key: effect for effect, keys in ACTS_THROUGH.items() for key in keys}
+    used = {key: effect.name for effect in EFFECTS for key in effect.keys}
     found = section(args.section)
     rows = [{**asdict(key), "effect": used.get(key.path)} for key in found]
     return {"keys": rows}, "\n".join(_text(key, used.get(key.path)) for key in found)

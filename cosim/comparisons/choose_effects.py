@@ -278,7 +278,7 @@ def _check_measures(search: _Search, settings: Settings) -> None:
         raise InputError(
             Problem(
                 "this scene has no such measure (steady figures need contact in the last fifth of the run)",
-                file=str(scene.file) if scene.file else None,
+                file=scene.file_name,
                 key=f"tolerance.{name}",
                 value=str(scene.tolerance.measures[name]),
                 allowed=", ".join(found),

@@ -75,7 +75,7 @@ def check(scene: Scene) -> None:
             problems += [
                 Problem(
                     f"{words}{name}",
-                    file=str(scene.file) if scene.file else None,
+                    file=scene.file_name,
                     key=f"effects.{effect.name}",
                     value=effect.value(scene),
                 )
@@ -97,7 +97,7 @@ def circuit_model(scene: Scene) -> str:
         When the forced model cannot carry an effect in force, or a node to be recorded; all at once.
     """
     forced = scene.solver.model
-    file = str(scene.file) if scene.file else None
+    file = scene.file_name
     if forced is CircuitModelName.AUTO:
         for model in ("ideal", "linear"):
             if not scene.record.nodes and all(model in effect.carriers(scene) for effect in EFFECTS):

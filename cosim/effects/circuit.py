@@ -160,7 +160,7 @@ CIRCUIT = (
     Effect("potentiometer", "ideal", ("full",), "netlist", ALL, size=_track, at_full=ALL),
     Effect(
         "temperature", False, (True,), "netlist", ALL, size=amplifier_errors.temperature,
-        lacks=amplifier_errors.nominal,
+        lacks=amplifier_errors.nominal, keys=("device.temperature_c",),
     ),
 )  # fmt: skip
 

@@ -37,4 +37,9 @@ def _cost(scene: Scene, constants: Stated) -> Cost:
 
 
 #: In the order in which a plan lists them.
-NOISE = (Effect("component_noise", False, (True,), "netlist", ALL, size=_size, cost=_cost),)
+NOISE = (
+    Effect(
+        "component_noise", False, (True,), "netlist", ALL, size=_size, cost=_cost,
+        keys=("device.component_noise_bandwidth_hz",),
+    ),
+)  # fmt: skip

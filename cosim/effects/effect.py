@@ -6,6 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from cosim.circuits.design_constants import Stated
 from cosim.scene import Scene
 from cosim.scene.schema import CHOICES
@@ -66,6 +69,11 @@ def free(scene: Scene, constants: Stated) -> Cost:
     return Cost(0.0, 0, "nothing")
 
 
+def nothing(state: np.void, scene: Scene) -> NDArray[np.float64]:
+    """Pack an effect that needs nothing in the loops' record."""
+    return np.zeros(0)
+
+
 def always(scene: Scene) -> str:
     """Return that nothing is missing."""
     return ""
@@ -89,6 +97,13 @@ class Effect:
     requires : names of effects without which this one means nothing; asking for it without them is an error
     excludes : names of effects that cannot be in force together with it
     at_full : circuit models that can carry its level `full`
+    keys : keys of the scene that act through it alone
+    pack : puts it, where it is in force, into the record of both loops (`cosim.loop.state.STATE`), which knows
+        its last tick by then; returns what it drew, which must live as long as the record
+    fresh_intervals : whether no two intervals between events are the same, so that no map serves twice
+    not_held : what theory of a held contact leaves out of it, in words; '' where nothing is
+    not_exported : why no exported deck can carry it; '' where one can
+    not_monolithic : what of it a monolithic deck cannot carry; '' where it can
     """
 
     name: str
@@ -102,6 +117,12 @@ class Effect:
     requires: tuple[str, ...] = ()
     excludes: tuple[str, ...] = ()
     at_full: frozenset[str] = frozenset({"spice"})
+    keys: tuple[str, ...] = ()
+    pack: Callable[[np.void, Scene], NDArray[np.float64]] = nothing
+    fresh_intervals: bool = False
+    not_held: str = ""
+    not_exported: str = ""
+    not_monolithic: str = ""
 
     @property
     def design(self) -> bool:

@@ -1,53 +1,14 @@
-"""Keys of a scene that act through an effect only, and which of them a scene states in vain."""
+"""Which keys a scene states in vain: those that act through an effect only (`Effect.keys`), which is off."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 from cosim.effects.effect import Effect
 from cosim.scene import Scene
 
-__all__ = ["ACTS_THROUGH", "forgotten", "stated_in_vain"]
-
-_JOINTS = ("device.chain", "device.slider")
-
-#: Effect -> keys that it alone uses; of a mechanism, those of both linkages.
-ACTS_THROUGH: Mapping[str, tuple[str, ...]] = {
-    "delay": ("computer.delay_periods", "computer.delay_fraction"),
-    "period_jitter": ("computer.jitter_share",),
-    "encoder": ("computer.encoder.pulses_per_rev", "computer.encoder.decoding"),
-    "dac": ("computer.dac.bits", "computer.dac.range_v"),
-    "dac_settling": ("computer.dac.settling_s",),
-    "dac_skew": ("computer.dac.skew_s",),
-    "pot_noise": (
-        "device.potentiometer.noise_rad",
-        "device.potentiometer.noise_bandwidth_hz",
-        "device.potentiometer.position_period_rad",
-    ),
-    "pot_linearity": ("device.potentiometer.linearity_rad", "device.potentiometer.linearity_period_rad"),
-    "pot_calibration": ("device.potentiometer.gain_error", "device.potentiometer.zero_rad"),
-    "component_noise": ("device.component_noise_bandwidth_hz",),
-    "temperature": ("device.temperature_c",),
-    "operator_dynamics": ("operator.mass_kg", "operator.damping_n_s_per_m"),
-    **{
-        effect: tuple(f"{joint}.{key}" for joint in _JOINTS for key in keys)
-        for effect, keys in {
-            "gravity": ("gravity_m_per_s2",),
-            "viscous": ("viscous_n_m_s",),
-            "coulomb": ("coulomb_n_m", "coulomb_speed_rad_per_s"),
-            "rotor_inertia": ("rotor_inertia_kg_m2",),
-            "end_stops": (
-                "stops_rad",
-                "stop_stiffness_n_m_per_rad",
-                "stop_damping_n_m_s",
-                "stop_restitution",
-            ),
-            "shaft": ("shaft_stiffness_n_m_per_rad", "shaft_damping_n_m_s"),
-            "backlash": ("backlash_rad",),
-        }.items()
-    },
-}
+__all__ = ["forgotten", "stated_in_vain"]
 
 
 def stated_in_vain(scene: Scene, effects: tuple[Effect, ...]) -> list[str]:
@@ -70,7 +31,7 @@ def _in_vain(scene: Scene, effects: tuple[Effect, ...]) -> Iterator[tuple[str, s
             continue
         if effect.name == "operator_dynamics" and scene.operator.type != "hand":
             continue  # a fixed mass is always there
-        for key in ACTS_THROUGH.get(effect.name, ()):
+        for key in effect.keys:
             value = _stated(scene, key)
             if value is not None:
                 yield effect.name, f"{key} = {_shown(value)} has no effect: effects.{effect.name} is off"

@@ -140,26 +140,49 @@ def _least(values: float | tuple[float, ...]) -> float:
     return min(values) if isinstance(values, tuple) else values
 
 
+def _of_joints(*names: str) -> tuple[str, ...]:
+    """Return keys of a mechanism, those of both linkages."""
+    return tuple(f"device.{kind}.{name}" for kind in ("chain", "slider") for name in names)
+
+
 #: In the order in which a plan lists them.
 LINKAGE = (
-    Effect("gravity", False, (True,), "linkage", ALL, size=_gravity),
+    Effect("gravity", False, (True,), "linkage", ALL, size=_gravity, keys=_of_joints("gravity_m_per_s2")),
     Effect("coriolis", False, (True,), "linkage", ALL, size=_coriolis, lacks=_lacks_bends),
-    Effect("viscous", False, (True,), "linkage", ALL, size=_viscous, lacks=_lacks_viscous),
+    Effect(
+        "viscous", False, (True,), "linkage", ALL,
+        size=_viscous, lacks=_lacks_viscous, keys=_of_joints("viscous_n_m_s"),
+    ),
     Effect(
         "coulomb", False, (True,), "linkage", ALL,
         size=_coulomb, cost=_coulomb_cost, lacks=_lacks_coulomb,
+        keys=_of_joints("coulomb_n_m", "coulomb_speed_rad_per_s"),
+        not_held="Coulomb friction, which only takes energy",
     ),
-    Effect("rotor_inertia", False, (True,), "linkage", ALL, size=_rotor, lacks=_lacks_rotor),
-    Effect("end_stops", False, (True,), "linkage", ALL, size=_stops, lacks=_lacks_stops),
+    Effect(
+        "rotor_inertia", False, (True,), "linkage", ALL,
+        size=_rotor, lacks=_lacks_rotor, keys=_of_joints("rotor_inertia_kg_m2"),
+    ),
+    Effect(
+        "end_stops", False, (True,), "linkage", ALL, size=_stops, lacks=_lacks_stops,
+        keys=_of_joints(
+            "stops_rad", "stop_stiffness_n_m_per_rad", "stop_damping_n_m_s", "stop_restitution"
+        ),
+        not_monolithic="end stops",
+    ),
     Effect(
         "shaft", False, (True,), "linkage", ALL,
         size=_shaft, cost=_shaft_cost, lacks=_lacks_shaft, requires=("rotor_inertia",),
+        keys=_of_joints("shaft_stiffness_n_m_per_rad", "shaft_damping_n_m_s"),
     ),
     Effect(
         "backlash", False, (True,), "linkage", ALL,
         size=_backlash, cost=_backlash_cost, lacks=_lacks_backlash, requires=("shaft",),
+        keys=_of_joints("backlash_rad"),
+        not_monolithic="flanks of gears that remember which of them carries",
     ),
     Effect(
-        "operator_dynamics", False, (True,), "operator", ALL, size=_person, lacks=_lacks_hand
+        "operator_dynamics", False, (True,), "operator", ALL, size=_person, lacks=_lacks_hand,
+        keys=("operator.mass_kg", "operator.damping_n_s_per_m"),
     ),
 )  # fmt: skip

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from cosim.circuits.design_constants import Stated
 from cosim.effects import EFFECTS
-from cosim.scene import Jitter, Level, PotNoise, Scene
+from cosim.scene import Level, PotNoise, Scene
 
 #: Points of a sample beyond the longest steps: what the restart behind its jump and its ramp takes; in
 #: `spice` at ngspice's relative tolerance `_RTOL`, and with its fourth root at others.
@@ -66,7 +66,7 @@ def predict(scene: Scene, constants: Stated, model: str) -> dict[str, float]:
     if model == "spice" and scene.effects.opamp_slew:
         micro *= SLEW_STEPS
     apart = EXACT_S[model] if _is_exact(scene) else 0.0
-    if scene.effects.period_jitter is not Jitter.NONE:
+    if any(each.fresh_intervals and each.is_in_force(scene) for each in EFFECTS):
         apart += samples * (EXACT_INTERVAL_S if _is_exact(scene) else INTERVAL_S)[model]
     if scene.computer.law is not None:
         apart += samples * LAW_S

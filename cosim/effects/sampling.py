@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from cosim.circuits.design_constants import Stated
+from cosim.effects.dac_skew import DAC_SKEW
 from cosim.effects.effect import ALL, Cost, Effect, Size
+from cosim.effects.period_jitter import PERIOD_JITTER
 from cosim.effects.scale import scale
 from cosim.scene import Method, Scene
 
@@ -32,32 +34,6 @@ def _settling_cost(scene: Scene, constants: Stated) -> Cost:
 
 def _lacks_settling(scene: Scene) -> str:
     return "" if scene.computer.dac.settling_s > 0.0 else "computer.dac.settling_s is zero"
-
-
-def _skew(scene: Scene, constants: Stated) -> Size:
-    at, skew = scale(scene, constants), scene.computer.dac.skew_s
-    glitch = at.capped(at.analog_n_per_m * at.speed_m_per_s * (at.period_s + skew))
-    return Size(skew, "s", glitch, "of glitch when a contact begins", "k v T: new gain, old equilibrium")
-
-
-def _skew_cost(scene: Scene, constants: Stated) -> Cost:
-    return Cost(1.0 / scene.computer.period_s, 0, "one more jump a sample")
-
-
-def _lacks_skew(scene: Scene) -> str:
-    if scene.computer.dac.skew_s == 0.0:
-        return "computer.dac.skew_s is zero"
-    return ""
-
-
-def _jitter(scene: Scene, constants: Stated) -> Size:
-    late = scene.computer.jitter_share * scene.computer.period_s
-    return Size(late, "s", scale(scene, constants).of_delay(late), "early or late", "k v dt")
-
-
-def _jitter_cost(scene: Scene, constants: Stated) -> Cost:
-    words = "intervals of ever new length: their maps are made anew in ideal and linear"
-    return Cost(0.0, 0, words)
 
 
 def _geometric(scene: Scene, constants: Stated) -> Size:
@@ -95,16 +71,20 @@ def _delay_cost(scene: Scene, constants: Stated) -> Cost:
 
 #: In the order in which a plan lists them.
 COMPUTER = (
-    Effect("dac", False, (True,), "computer", ALL, size=_dac),
+    Effect(
+        "dac", False, (True,), "computer", ALL, size=_dac,
+        keys=("computer.dac.bits", "computer.dac.range_v"), not_held="the codes of the DACs",
+    ),
     Effect(
         "dac_settling", False, (True,), "computer", ALL,
-        size=_settling, cost=_settling_cost, lacks=_lacks_settling,
+        size=_settling, cost=_settling_cost, lacks=_lacks_settling, keys=("computer.dac.settling_s",),
     ),
-    Effect("dac_skew", False, (True,), "computer", ALL, size=_skew, cost=_skew_cost, lacks=_lacks_skew),
-    Effect("delay", False, (True,), "computer", ALL, size=_delay, cost=_delay_cost, lacks=_lacks_delay),
+    DAC_SKEW,
     Effect(
-        "period_jitter", "none", ("uniform", "normal"), "computer", ALL, size=_jitter, cost=_jitter_cost
+        "delay", False, (True,), "computer", ALL, size=_delay, cost=_delay_cost, lacks=_lacks_delay,
+        keys=("computer.delay_periods", "computer.delay_fraction"),
     ),
+    PERIOD_JITTER,
     Effect(
         "geometric_stiffness", False, (True,), "computer", ALL,
         size=_geometric, lacks=_lacks_springs,

@@ -59,9 +59,26 @@ def _table_cost(scene: Scene, constants: Stated) -> Cost:
 SENSING = (
     Effect(
         "pot_noise", "none", ("white", "peak_to_peak", "static", "position"), "potentiometer", ALL,
-        size=_pot_noise, cost=_pot_cost,
+        size=_pot_noise, cost=_pot_cost, not_monolithic="noise",
+        keys=(
+            "device.potentiometer.noise_rad",
+            "device.potentiometer.noise_bandwidth_hz",
+            "device.potentiometer.position_period_rad",
+        ),
     ),
-    Effect("pot_linearity", False, (True,), "potentiometer", ALL, size=_linearity, cost=_table_cost),
-    Effect("pot_calibration", False, (True,), "potentiometer", ALL, size=_calibration, cost=_table_cost),
-    Effect("encoder", False, (True,), "computer", ALL, size=_encoder),
+    Effect(
+        "pot_linearity", False, (True,), "potentiometer", ALL, size=_linearity, cost=_table_cost,
+        keys=("device.potentiometer.linearity_rad", "device.potentiometer.linearity_period_rad"),
+        not_monolithic="errors that belong to the angle",
+    ),
+    Effect(
+        "pot_calibration", False, (True,), "potentiometer", ALL, size=_calibration, cost=_table_cost,
+        keys=("device.potentiometer.gain_error", "device.potentiometer.zero_rad"),
+        not_monolithic="errors that belong to the angle",
+    ),
+    Effect(
+        "encoder", False, (True,), "computer", ALL, size=_encoder,
+        keys=("computer.encoder.pulses_per_rev", "computer.encoder.decoding"),
+        not_held="the steps of the encoders",
+    ),
 )  # fmt: skip

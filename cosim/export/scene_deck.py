@@ -12,6 +12,7 @@ import numpy as np
 
 from cosim.belongings import own_file, write_file
 from cosim.circuits.decks import testbench
+from cosim.effects import EFFECTS
 from cosim.errors import InputError, Problem, fail
 from cosim.export.mechanics import mechanics
 from cosim.export.waveform import channels, source, stopping_source
@@ -19,18 +20,10 @@ from cosim.ngspice.gate import admit
 from cosim.ngspice.lines import Line
 from cosim.plan import Plan
 from cosim.results import Run
-from cosim.scene import Jitter, PotNoise, PythonOperator, Scene
+from cosim.scene import PotNoise, PythonOperator, Scene
 from cosim.scene.mechanism import mechanism, operator, start
 
 KINDS = ("monolithic", "replay")
-#: What a monolithic deck cannot carry: key of `[effects]`, its null form, and what it is.
-_NOT_CARRIED: tuple[tuple[str, str | bool, str], ...] = (
-    ("end_stops", False, "end stops"),
-    ("backlash", False, "flanks of gears that remember which of them carries"),
-    ("pot_noise", "none", "noise"),
-    ("pot_linearity", False, "errors that belong to the angle"),
-    ("pot_calibration", False, "errors that belong to the angle"),
-)
 
 
 def export(plan: Plan, run: Run, path: str | os.PathLike[str], kind: str = "monolithic") -> Path:
@@ -70,7 +63,7 @@ def deck_lines(plan: Plan, run: Run, kind: str = "monolithic") -> list[str]:
     if kind not in KINDS:
         fail("there is no such kind of export", key="kind", value=kind, allowed=", ".join(KINDS))
     _check_run(plan, run)
-    _check_clock(plan.scene)
+    _check_exported(plan.scene)
     return _monolithic(plan, run) if kind == "monolithic" else _replay(plan, run)
 
 
@@ -78,7 +71,7 @@ def _check_run(plan: Plan, run: Run) -> None:
     file = str(run.signals.path)
     if plan.scene.effects.component_noise:
         fail("a deck has no component noise: leave the effect out", key="effects.component_noise",
-             file=str(plan.scene.file) if plan.scene.file else None, value=True, allowed="false")  # fmt: skip
+             file=plan.scene.file_name, value=True, allowed="false")  # fmt: skip
     missing = [name for name in plan.circuit.channels if name not in run.signals]
     if missing:
         fail(f"this is the run of another scene: it has not recorded {', '.join(missing)}", file=file)
@@ -121,17 +114,17 @@ def _monolithic(plan: Plan, run: Run) -> list[str]:
 
 def _check_carried(scene: Scene) -> None:
     """Refuse what a monolithic deck cannot carry; all of it at once."""
-    file = str(scene.file) if scene.file else None
+    file = scene.file_name
     problems = [
         Problem(
-            f"a monolithic deck has no {words}: switch it off, or export a replay",
+            f"a monolithic deck has no {each.not_monolithic}: switch it off, or export a replay",
             file=file,
-            key=f"effects.{name}",
-            value=value,
-            allowed=str(null).lower(),
+            key=f"effects.{each.name}",
+            value=each.value(scene),
+            allowed=str(each.null).lower(),
         )
-        for name, null, words in _NOT_CARRIED
-        if (value := getattr(getattr(scene.effects, name), "value", getattr(scene.effects, name))) != null
+        for each in EFFECTS
+        if each.not_monolithic and each.is_in_force(scene)
     ]
     if isinstance(scene.operator, PythonOperator):
         message, known = "a monolithic deck cannot call Python", "none, mass, hand"
@@ -140,16 +133,17 @@ def _check_carried(scene: Scene) -> None:
         raise InputError(problems)
 
 
-def _check_clock(scene: Scene) -> None:
-    """Refuse samples at instants of their own: the deck's clocks are pulses."""
-    if scene.effects.period_jitter is not Jitter.NONE:
-        fail(
-            "the clocks of an exported deck tick evenly",
-            file=str(scene.file) if scene.file else None,
-            key="effects.period_jitter",
-            value=scene.effects.period_jitter.value,
-            allowed="none",
-        )
+def _check_exported(scene: Scene) -> None:
+    """Refuse what no deck can carry."""
+    for each in EFFECTS:
+        if each.not_exported and each.is_in_force(scene):
+            fail(
+                each.not_exported,
+                file=scene.file_name,
+                key=f"effects.{each.name}",
+                value=each.value(scene),
+                allowed=str(each.null).lower(),
+            )
 
 
 def _deck(plan: Plan, what: str, elements: list[str], shown: list[str]) -> list[str]:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.effects.dac_skew import skew_s
 from cosim.scene import Scene
 
 #: A DAC without settling time jumps right after its sample instant; a deck needs a slope [s].
@@ -103,8 +104,8 @@ def clocks(scene: Scene) -> list[str]:
     computer, effects = scene.computer, scene.effects
     period, rise = computer.period_s, settling_s(scene) or RISE_S
     starts = [computer.delay_fraction * period if effects.delay else 0.0]
-    if effects.dac_skew and computer.dac.skew_s > 0.0:
-        starts.append(starts[0] + computer.dac.skew_s)
+    if skew_s(scene) > 0.0:
+        starts.append(starts[0] + skew_s(scene))
     return [
         f"Vclock{k} clock{k} 0 pulse(0 1 {start!r} {rise!r} {rise!r} {period - rise!r} {2 * period!r})"
         for k, start in enumerate(starts)

@@ -17,8 +17,6 @@ _INTERPOLATED_RMS = np.sqrt(2.0 / 3.0)
 _POINTS_PER_PERIOD = 64
 #: A linearity error is drawn for a turn either way; a calibration holds wherever a scene's joints may be.
 _TURN_RAD, _FARTHEST_RAD = 2.0 * np.pi, 100.0
-#: Samples come early or late by less than half a period, so that they keep their order.
-_LATEST = 0.45
 
 
 @dataclass(frozen=True)
@@ -174,23 +172,3 @@ def _sum(
         for start, width, values in ((lo, step, table), (other_lo, other_step, other))
     ]
     return float(at[0]), fine, parts[0] + parts[1]
-
-
-def period_jitter(kind: str, seed: int, ticks: int, share: float) -> NDArray[np.float64]:
-    """By how much of a period each sample comes late; [ticks]. The first, at power-up, comes in time.
-
-    Parameters
-    ----------
-    kind : 'uniform' (`share` is half the width) or 'normal' (its standard deviation, cut off at
-        `_LATEST`: a value beyond is drawn again)
-    """
-    random = stream(seed, f"period_jitter/{kind}", 0)
-    late = np.zeros(ticks)
-    if kind == "uniform":
-        late[1:] = share * (2.0 * random.random(ticks - 1) - 1.0)
-        return late
-    missing = np.arange(1, ticks)
-    while len(missing):
-        late[missing] = share * random.standard_normal(len(missing))
-        missing = missing[np.abs(late[missing]) > _LATEST]
-    return late

@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from cosim.circuits.decks import Drive
 from cosim.circuits.design_constants import DesignConstants
+from cosim.effects import EFFECTS
 from cosim.errors import InputError, Problem
 from cosim.loop.columns import columns, sample_columns
 from cosim.loop.component_noise import ComponentGrid
 from cosim.loop.computer import COMPUTER, Method, Path
 from cosim.loop.dac_channels import channels, is_geometric
-from cosim.loop.noise import Noise, no_noise, period_jitter, potentiometer_noise, with_errors
+from cosim.loop.noise import Noise, no_noise, potentiometer_noise, with_errors
 from cosim.loop.numba_calls import name_hash
 from cosim.loop.state import QUEUE, STATE
 from cosim.scene import Scene, choices
@@ -105,6 +106,7 @@ class Memory:
     Attributes
     ----------
     state : one `STATE` record
+    drawings : what effects drew for it (`Effect.pack`)
     rows, samples : buffers that compiled code fills and Python drains, [capacity, columns]
     """
 
@@ -115,14 +117,14 @@ class Memory:
     drive: Drive
     operator: Operator
     knots: NDArray[np.float64]
-    jitter: NDArray[np.float64]
+    drawings: list[NDArray[np.float64]]
     component: ComponentGrid | None = None
 
     @property
     def draws(self) -> int:
         """Random numbers drawn for the run."""
         drawn = self.component.draws if self.component is not None else 0
-        return self.noise.draws + max(len(self.jitter) - 1, 0) + drawn
+        return self.noise.draws + sum(max(len(each) - 1, 0) for each in self.drawings) + drawn
 
 
 def pack(
@@ -167,14 +169,12 @@ def pack(
     s["dac_first"] = n + s["speeds"]
     if scene.effects.dac_settling:
         s["settle"] = scene.computer.dac.settling_s
-    if scene.effects.dac_skew:
-        s["skew"] = scene.computer.dac.skew_s
     s["c"] = computer_record(scene, constants)
     _put_delay(s, scene)
     period = scene.computer.period_s
     s["last_tick"] = math.floor(scene.duration_s / period * (1 + 1e-12))
     s["t_end"] = scene.duration_s
-    jitter = _put_jitter(s, scene)
+    drawings = [each.pack(s, scene) for each in EFFECTS if each.is_in_force(scene)]
     drawn = noise(scene)
     if drawn.dt > 0:
         s["noise"], s["noise_rows"], s["noise_dt"] = drawn.grid.ctypes.data, len(drawn.grid), drawn.dt
@@ -193,7 +193,7 @@ def pack(
     s["nodes"], s["nodes_recorded"] = len(recorded) + len(watched), len(recorded)
     knots = np.array([t for t in person.knots_s if 0.0 < t < scene.duration_s])
     s["knot_times"], s["knots"] = knots.ctypes.data, len(knots)
-    return Memory(state, rows, samples, drawn, circuit, person, knots, jitter, component)
+    return Memory(state, rows, samples, drawn, circuit, person, knots, drawings, component)
 
 
 def _put_delay(s: np.void, scene: Scene) -> None:
@@ -207,26 +207,13 @@ def _put_delay(s: np.void, scene: Scene) -> None:
             [
                 Problem(
                     "a sample would be lost",
-                    file=str(scene.file),
+                    file=scene.file_name,
                     key="computer.delay_periods",
                     value=scene.computer.delay_periods,
                     allowed=f"<= {QUEUE - 2}",
                 )
             ]
         )
-
-
-def _put_jitter(s: np.void, scene: Scene) -> NDArray[np.float64]:
-    """Draw by how much each sample comes early or late [s]; nothing without the effect."""
-    period = scene.computer.period_s
-    jitter = np.zeros(0)
-    if scene.effects.period_jitter is not choices.Jitter.NONE and scene.computer.jitter_share > 0.0:
-        share = scene.computer.jitter_share
-        jitter = period * period_jitter(
-            scene.effects.period_jitter.value, scene.seed, int(s["last_tick"]) + 1, share
-        )
-        s["jitter"] = jitter.ctypes.data
-    return jitter
 
 
 def _put_steps(s: np.void, scene: Scene, grids: list[float]) -> None:
@@ -264,6 +251,7 @@ def shift_samples(memory: Memory, share: float) -> None:
     This varies when between two samples something happens, and nothing else. In place of a period jitter.
     """
     state = memory.state[0]
-    memory.jitter = np.full(int(state["last_tick"]) + 2, -share * float(state["c"]["period"]))
-    memory.jitter[0] = 0.0
-    state["jitter"] = memory.jitter.ctypes.data
+    late = np.full(int(state["last_tick"]) + 2, -share * float(state["c"]["period"]))
+    late[0] = 0.0
+    memory.drawings.append(late)
+    state["jitter"] = late.ctypes.data

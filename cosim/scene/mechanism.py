@@ -83,7 +83,7 @@ def operator(scene: Scene) -> Operator:
     try:
         return _operator(scene)
     except ParameterError as error:
-        file = str(scene.file) if scene.file else None
+        file = scene.file_name
         raise InputError(Problem(str(error), file=file, key="operator")) from error
 
 
@@ -116,7 +116,7 @@ def start(scene: Scene, linkage: Chain | Slider) -> tuple[NDArray[np.float64], N
             q = np.asarray(linkage.inverse(np.array(given.tip_m), elbow=given.elbow), dtype=float)
         except ValueError as error:
             key = "device.start.tip_m"
-            problem = Problem(str(error), file=str(scene.file), key=key, value=given.tip_m, unit="m")
+            problem = Problem(str(error), file=scene.file_name, key=key, value=given.tip_m, unit="m")
             raise InputError(problem) from None
     v = np.array(given.v_rad_per_s, dtype=float) if given.v_rad_per_s else np.zeros(n)
     return q, v

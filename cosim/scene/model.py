@@ -90,6 +90,11 @@ class Scene(SceneTables):
         return self._file
 
     @property
+    def file_name(self) -> str | None:
+        """Path of its file as errors tell it; ``None`` where there is none."""
+        return str(self._file) if self._file else None
+
+    @property
     def joints(self) -> int:
         """Number of joints of the linkage."""
         return len(self.device.chain.lengths_m) if self.device.chain is not None else 1

@@ -29,7 +29,7 @@ def number_of(scene: Scene, key: str) -> float:
     except (AttributeError, IndexError, TypeError):
         value = None
     if isinstance(value, bool) or not isinstance(value, float | int):
-        file = str(scene.file) if scene.file else None
+        file = scene.file_name
         raise InputError(Problem("is no number of this scene", file=file, key=key))
     return float(value)
 

@@ -112,7 +112,7 @@ def workspace(scene: Scene) -> tuple[Workspace, Array]:
         travel = slider.radius_m * (high - low) * np.abs(slider.direction)
         return Workspace(0.0, float(travel[0]), float(travel[1]), "between its stops"), np.zeros((1, 1))
     if not isinstance(linkage, Chain) or linkage.n != 2 or device.chain is None:
-        fail("the workspace is that of one or two joints", file=str(scene.file), key="device.linkage")
+        fail("the workspace is that of one or two joints", file=scene.file_name, key="device.linkage")
     stops = device.chain.stops_rad
     turn = stops[0] if stops else (-math.pi, math.pi)
     elbow = (_MARGIN_RAD, math.pi - _MARGIN_RAD)
@@ -121,7 +121,7 @@ def workspace(scene: Scene) -> tuple[Workspace, Array]:
     bend = (max(elbow[0], stops[1][0]), min(elbow[1], stops[1][1])) if stops else elbow
     turn = (turn[0], min(turn[1], turn[0] + 2.0 * math.pi))
     if not bend[0] < bend[1]:
-        fail("the stops leave no pose with this elbow", file=str(scene.file), key="device.chain.stops_rad")
+        fail("the stops leave no pose with this elbow", file=scene.file_name, key="device.chain.stops_rad")
     poses = np.array([[a, b] for b in np.linspace(*bend, 41) for a in np.linspace(*turn, 73)])
     # |det J| dq1 dq2 is the area swept; Gauss and Legendre in the bend, no turn changes it
     node, weight = np.polynomial.legendre.leggauss(24)

@@ -176,7 +176,7 @@ class Falls:
 def _reach(scene: Scene) -> float:
     """Tip speed for a joint speed [m]."""
     if scene.device.slider is None:
-        fail("the drop test needs the slider of Fig. 12", file=str(scene.file), key="device.linkage")
+        fail("the drop test needs the slider of Fig. 12", file=scene.file_name, key="device.linkage")
     return scene.device.slider.radius_m
 
 

@@ -158,7 +158,7 @@ def first_contact(samples: Array, reach: float) -> Contact | None:
 def _reach(scene: Scene) -> float:
     if scene.device.slider is None or scene.computer.method is not Method.CONTINUOUS or scene.effects.encoder:
         fail("the onset needs the slider of Fig. 12, the method continuous and encoders without steps",
-             file=str(scene.file), key="device.linkage")  # fmt: skip
+             file=scene.file_name, key="device.linkage")  # fmt: skip
     return scene.device.slider.radius_m
 
 

@@ -89,7 +89,7 @@ def tip(scene: Scene, gear: float) -> Tip:
     """Return the tip of a slider; that of a chain depends on pose and direction, which rules do not know."""
     slider = scene.device.slider
     if slider is None:
-        fail("these maps are drawn for one joint, a slider", file=str(scene.file), key="device.linkage")
+        fail("these maps are drawn for one joint, a slider", file=scene.file_name, key="device.linkage")
     linkage = mechanism(scene, gear)
     mass = float(linkage.mass_matrix(np.zeros(1), operator(scene))[0, 0]) / slider.radius_m**2
     friction = slider.coulomb_n_m / slider.radius_m if scene.effects.coulomb else 0.0
