@@ -98,8 +98,8 @@ class Effect:
     excludes : names of effects that cannot be in force together with it
     at_full : circuit models that can carry its level `full`
     keys : keys of the scene that act through it alone
-    pack : puts it, where it is in force, into the record of both loops (`cosim.loop.state.STATE`), which knows
-        its last tick by then; returns what it drew, which must live as long as the record
+    pack : puts it, where it is in force, into the record of both loops (`cosim.loop.state.STATE`), whose last
+        tick is known by then; returns what it drew, which must live as long as the record
     fresh_intervals : whether no two intervals between events are the same, so that no map serves twice
     not_held : what theory of a held contact leaves out of it, in words; '' where nothing is
     not_exported : why no exported deck can carry it; '' where one can
