@@ -1,6 +1,5 @@
 """What goes wrong inside of a run: the parent hears of it, tells it in words, and nothing is left behind."""
 
-import os
 import re
 import shutil
 import subprocess
@@ -427,50 +426,3 @@ def test_new_boards_run_without_an_edit(tmp_path: Path, joints: int) -> None:
     scene = min((folder / "scenes").glob("*.toml"))
     assert cli.main(["run", str(scene), "-o", str(folder / "out"), "--set", "duration_s=0.2"]) == 0
     assert Run.load(folder / "out").scene.joints == joints
-
-
-# --- installed from a wheel --------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_a_wheel_lays_out_a_project_and_runs_it_anywhere(tmp_path: Path) -> None:
-    """In an environment of its own, which borrows only the installed dependencies."""
-    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "-o", str(tmp_path), str(ROOT)]
-    if subprocess.run(build, capture_output=True, check=False).returncode != 0:
-        build.remove("--no-isolation")  # fetches the build backend
-        subprocess.run(build, capture_output=True, check=True)
-    (wheel,) = tmp_path.glob("cosim-*.whl")
-    venv = tmp_path / "venv"
-    subprocess.run([sys.executable, "-m", "venv", str(venv)], check=True)
-    python = venv / "bin" / "python"
-    subprocess.run([python, "-m", "pip", "install", "-q", "--no-deps", "--no-index", str(wheel)], check=True)
-    packages = next((venv / "lib").glob("python*/site-packages"))
-    # an import by path only: the checkout's own editable install is not followed
-    dependencies = Path(np.__file__).parents[1]
-    (packages / "dependencies.pth").write_text(f"import sys; sys.path.append({str(dependencies)!r})\n")
-    elsewhere = tmp_path / "else where"
-    elsewhere.mkdir()
-    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-
-    def cosim(*arguments: str) -> str:
-        done = subprocess.run(
-            [venv / "bin" / "cosim", *arguments],
-            cwd=elsewhere,
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
-    where = subprocess.run(
-        [python, "-c", "import cosim; print(cosim.__file__)"],
-        cwd=elsewhere, env=environment, capture_output=True, text=True,
-    ).stdout  # fmt: skip
-    assert str(venv) in where
-    cosim("new", "mydevice")
-    cosim("run", "mydevice/scenes/slope.toml", "-o", "out", "--set", "duration_s=0.5")
-    cosim("report", "out")
-    assert (elsewhere / "out" / "report" / "report.html").stat().st_size > 100_000
-    assert "18 amplifiers" in cosim("plan", "mydevice/scenes/press.toml")
