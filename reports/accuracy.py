@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cosim.units import quantity
-from reports.page import picture, render, write_page
+from reports.page import PAGE_NAME, picture, render, write_page
 from reports.study_page import Section, TextTable
 from reports.style import FAINT, INK, JOINTS, LIMIT, Drawn, figure, look
 
@@ -20,8 +20,10 @@ if TYPE_CHECKING:
 
     from cosim.accuracy.work_precision import Accuracy
 
-__all__ = ["draw", "words", "write_accuracy"]
+__all__ = ["FILES", "draw", "words", "write_accuracy"]
 
+#: What is written besides the picture.
+FILES = (PAGE_NAME, "accuracy.csv", "accuracy.json")
 _COLORS = {"ideal": JOINTS[2], "linear": JOINTS[0], "spice": JOINTS[1], "peer": JOINTS[5]}
 _MARKS = {
     "as the scene states it": "*",
@@ -58,7 +60,7 @@ def write_accuracy(found: Accuracy, folder: Path) -> Path:
         sections=[section], claims=[], warnings=[],
     )  # fmt: skip
     text = json.dumps(found.as_dict(), indent=1, allow_nan=False) + "\n"
-    return write_page(folder, html, [shown], {"accuracy.csv": _csv(found), "accuracy.json": text})
+    return write_page(folder, html, [shown], dict(zip(FILES[1:], (_csv(found), text), strict=True)))
 
 
 def words(found: Accuracy) -> list[str]:
@@ -221,9 +223,7 @@ def _front(found: Accuracy) -> TextTable:
         for row in rows
     ]  # fmt: skip
     numbers = set(range(1, len(head)))
-    return TextTable(
-        "The Pareto front", head, cells, numbers, "All settings are in the file.", "accuracy.csv"
-    )
+    return TextTable("The Pareto front", head, cells, numbers, "All settings are in the file.", FILES[1])
 
 
 def _failures(found: Accuracy) -> TextTable:

@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports.page import render, write_page
+from reports.page import PAGE_NAME, render, write_page
 from reports.study_page import Section, TextTable
 
 if TYPE_CHECKING:
     from cosim.accuracy.hard_cases.hard_case import Outcome
 
+FILES = (PAGE_NAME, "hard_cases.csv")
 _HEAD = [
     "#", "case", "model", "what is found", "expected", "got", "off by", "bound", "where the bound comes from",
     "time [s]", "",
@@ -30,7 +31,7 @@ def write_hard_cases(found: Sequence[Outcome], folder: Path) -> Path:
     """
     rows = [_row(each) for each in found]
     held = sum(each.held for each in found)
-    table = TextTable("Case by case", _HEAD, rows, {0, 4, 5, 6, 7, 9}, "", "hard_cases.csv")
+    table = TextTable("Case by case", _HEAD, rows, {0, 4, 5, 6, 7, 9}, "", FILES[1])
     note = (
         f"{held} of {len(found)} hold. Every expected value is theory's: a closed form, a matrix "
         "exponential, an elliptic integral; none is this program's output."
@@ -44,7 +45,7 @@ def write_hard_cases(found: Sequence[Outcome], folder: Path) -> Path:
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(_HEAD)
     writer.writerows(rows)
-    return write_page(folder, html, [], {"hard_cases.csv": stream.getvalue()})
+    return write_page(folder, html, [], {FILES[1]: stream.getvalue()})
 
 
 def _row(each: Outcome) -> list[str]:

@@ -20,7 +20,7 @@ from cosim.tolerance.monte_carlo import worst
 from cosim.tolerance.scene_study import RECORD
 from cosim.tolerance.sensitivity import deviations
 from cosim.units import heading, quantity
-from reports.page import Picture, picture, render, write_page
+from reports.page import PAGE_NAME, Picture, picture, render, write_page
 from reports.style import FAINT, FORCE, INK, JOINTS, LIMIT, Drawn, figure, legend, look
 
 if TYPE_CHECKING:
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 #: Figures of a measure; the last two need a fitted surface.
 PARTS = ("distribution", "estimate", "blame", "leading")
+#: What is written besides the figures.
+FILES = (PAGE_NAME, "samples.csv", "components.csv", "bill.csv", RECORD)
 #: Bars of the tornado, points of a scatter, rows of tables.
 _BARS, _POINTS, _ROWS, _WORST = 15, 4000, 40, 5
 
@@ -86,12 +88,9 @@ def write_monte_carlo(
         command=replay.removesuffix(" --sample"),
         summary=[*sentences(found), CONVENTION], sections=sections, claims=[], warnings=grouped(cautions),
     )  # fmt: skip
-    files = {
-        "samples.csv": found.samples_csv(),
-        "components.csv": components_csv(found.study.tolerances),
-        "bill.csv": found.bill_csv(),
-        RECORD: json_text({"digest": digest, "replay": replay, **found.as_dict()}) + "\n",
-    }
+    record = json_text({"digest": digest, "replay": replay, **found.as_dict()}) + "\n"
+    tables = (found.samples_csv(), components_csv(found.study.tolerances), found.bill_csv(), record)
+    files = dict(zip(FILES[1:], tables, strict=True))
     return write_page(out, html, [each for section in sections for each in section.pictures], files)
 
 

@@ -96,3 +96,24 @@ def test_ngspices_own_loop_draws_the_same(tmp_path: Path) -> None:
     nominal, shape = extracted_calls(value)[1]["drawn__1"]
     r = nominal + shape.inverse(np.random.default_rng(3).random((10_000, 2)))
     assert stats.ks_2samp(theirs, r[:, 1] / r.sum(axis=1)).pvalue > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--list", "-o", "x"], "--out: has no meaning beside --list"),
+        (["--list", "-n", "5"], "-n: has no meaning beside --list"),
+        (["--sample", "0", "--worst-case"], "--worst-case: has no meaning beside --sample"),
+        (["--sample", "0", "-o", "x"], "--out: has no meaning beside --sample"),
+        (["--shard", "1/2", "--merge", "a"], "--merge: has no meaning beside --shard"),
+        (["--shard", "1/2", "--worst-case"], "--worst-case: has no meaning beside --shard"),
+        (["--merge", "a", "--workers", "2"], "--workers: has no meaning beside --merge"),
+        (["--until", "k_max +- 5", "-n", "5"], "-n: has no meaning beside --until"),
+        (["--yield", "99%"], "--yield: needs a --spec"),
+    ],
+)
+def test_no_option_is_ignored_in_silence(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["mc", PRESS, "--measure", "k_max", *words]) == 2
+    assert said in capsys.readouterr().err

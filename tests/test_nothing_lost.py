@@ -378,3 +378,29 @@ def test_a_long_line_is_not_echoed_whole(tmp_path: Path, capsys: pytest.CaptureF
         assert cli.main(["check", str(board), *more]) == 2
         out, err = capsys.readouterr()
         assert 0 < len(out + err) < 3000
+
+
+@pytest.mark.parametrize(
+    ("given", "name"),
+    [
+        (["mc", "{scene}", "-n", "2", "--measure", "k_max"], "samples.csv"),
+        (["mc", "{scene}", "-n", "2", "--measure", "k_max"], "samples.parquet"),
+        (["accuracy", "{scene}"], "accuracy.json"),
+        (["hard-cases", "21"], "hard_cases.csv"),
+    ],
+)
+def test_a_file_in_the_way_of_a_study_is_told_before_it_begins(
+    given: list[str], name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    (tmp_path / name).write_text("years of work")
+    for work in (
+        "tolerance.engine._here",
+        "accuracy.work_precision.run",
+        "accuracy.hard_cases.hard_case.run",
+    ):
+        monkeypatch.setattr(f"cosim.{work}", lambda *_, **__: pytest.fail("computed first"))
+    words = [word.format(scene=SCENES / "press.toml") for word in given]
+    assert cli.main([*words, "-o", str(tmp_path)]) == 2
+    assert name in capsys.readouterr().err
+    assert contents(tmp_path) == {name: b"years of work"}

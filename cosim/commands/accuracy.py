@@ -51,10 +51,12 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
     with start_early("cosim.loop.early_imports", reads=[Path(args.scene).parent]) as child:
         from cosim.accuracy.work_precision import accuracy
+        from cosim.belongings import refuse_foreign
         from cosim.commands.progress import progress
         from cosim.comparisons.measuring import check_measures
         from cosim.errors import fail
         from cosim.variants import parse_settings
+        from reports.accuracy import FILES, words, write_accuracy
 
         check_measures(args.measure)
         if not 0.0 < args.tol <= 1.0:
@@ -65,6 +67,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         if any(len(setting.values) > 1 for setting in fixed):
             fail("a study is of one scene: give each name one value", key="--set", value=args.set)
         out = Path(args.out) if args.out else Path("out/accuracy")
+        refuse_foreign(out, FILES)  # told before anything is run
         with progress("accuracy") as show:
             found = accuracy(
                 args.scene, out,
@@ -74,8 +77,6 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
                 tolerance=args.tol, repeats=args.repeat, peer=not args.no_peer, trust=args.trust,
                 child=child, on_progress=show,
             )  # fmt: skip
-    from reports.accuracy import words, write_accuracy
-
     page = write_accuracy(found, out)
     return found.as_dict() | {"page": str(page)}, "\n".join(
         [*_table(found), "", *words(found), f"wrote {page}"]

@@ -23,12 +23,15 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.commands.progress import progress
 
     cases = chosen(args.names, slow=args.slow)
+    if args.out:
+        from cosim.belongings import refuse_foreign
+        from reports.hard_cases import FILES, write_hard_cases
+
+        refuse_foreign(Path(args.out), FILES)  # told before the first case
     with progress("hard cases") as show:
         found = list(run_cases(cases, show))
     lines = _table(found)
     if args.out:
-        from reports.hard_cases import write_hard_cases
-
         lines.append(f"wrote {write_hard_cases(found, Path(args.out))}")
     return {"cases": [_as_dict(each) for each in found]}, "\n".join(lines)
 

@@ -13,13 +13,33 @@ if TYPE_CHECKING:
     from cosim.tolerance.scene_study import Asked, Prepared, Processes
     from cosim.tolerance.varying import Tolerances
 
+_USUAL_SAMPLES = 200
+#: What `--list` and the like are asked for alone, and the options that have no meaning beside each.
+_ALONE = {
+    "--list": (
+        "samples",
+        "sample",
+        "until",
+        "wanted",
+        "worst_case",
+        "workers",
+        "chunk",
+        "shard",
+        "merge",
+        "out",
+    ),
+    "--sample": ("until", "wanted", "worst_case", "workers", "chunk", "shard", "merge", "out"),
+    "--shard": ("wanted", "worst_case", "merge"),
+    "--merge": ("workers", "chunk"),
+    "--until": ("samples",),
+}
 #: Lines of the bill that are printed; the file has all.
 _MOST_LINES = 12
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", help="scene file (TOML)")
-    parser.add_argument("-n", "--samples", type=int, default=200, metavar="N", help="devices (default: 200)")
+    parser.add_argument("-n", "--samples", type=int, metavar="N", help=f"devices (default: {_USUAL_SAMPLES})")
     parser.add_argument(
         "--measure", action="append", default=[], metavar="NAME", help="measure of the devices; repeatable"
     )
@@ -62,6 +82,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.tolerance.scene_study import check_folder, measure_shard, monte_carlo, prepare
     from cosim.tolerance.spec import parse_specs
 
+    _check_together(args)
     prepared = prepare(_asked(args, parse_specs(args.spec)))
     if args.list:
         return _listed(prepared.tolerances)
@@ -75,13 +96,33 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         with progress("mc") as show:
             said = measure_shard(prepared, processes, _shard(args.shard), show)
         return {"folder": str(out), "done": said}, f"wrote {out}: {said}"
+    from cosim.belongings import refuse_foreign
+    from reports.monte_carlo import FILES, write_monte_carlo
+
+    refuse_foreign(out, FILES)  # told before the first sample
     with collected() as cautions, progress("mc") as show:
         found = monte_carlo(prepared, show, processes)
-    from reports.monte_carlo import write_monte_carlo
-
     page = write_monte_carlo(found, out, replay(args), digest, cautions)
     result = found.as_dict() | {"page": str(page)}
     return result, "\n".join([*_text(found), f"wrote {page}"])
+
+
+def _check_together(args: argparse.Namespace) -> None:
+    """Refuse options that another one leaves without a meaning: none is ignored in silence."""
+    from cosim.errors import InputError, Problem
+
+    def given(name: str) -> bool:
+        value = getattr(args, name)
+        return value is not None and value is not False and value != "" and value != []
+
+    problems = [
+        Problem(f"has no meaning beside {option}", key="--yield" if name == "wanted" else
+                "-n" if name == "samples" else f"--{name.replace('_', '-')}")
+        for option, others in _ALONE.items() if given(option[2:])
+        for name in others if given(name)
+    ]  # fmt: skip
+    if problems:
+        raise InputError(problems)
 
 
 def _processes(args: argparse.Namespace, out: Path) -> "Processes":
@@ -115,12 +156,18 @@ def _asked(args: argparse.Namespace, specs: tuple[Any, ...]) -> "Asked":
         share = number(args.wanted.strip().removesuffix("%"))
         if share is None or not args.wanted.strip().endswith("%"):
             fail("is no yield", key="--yield", value=args.wanted, allowed="per cent, such as 99%")
+        if not specs:
+            fail("needs a --spec: a yield is the share that passes", key="--yield", value=args.wanted)
         wanted = share / 100.0
     forced = (f"solver.model={args.model}",) if args.model else ()
     return Asked(
-        args.scene, (*forced, *overrides(args.set)), tuple(args.measure), specs, args.samples, args.sampling,
-        args.seed, args.until, wanted, args.worst_case, args.trust,
+        args.scene, (*forced, *overrides(args.set)), tuple(args.measure), specs, _samples(args),
+        args.sampling, args.seed, args.until, wanted, args.worst_case, args.trust,
     )  # fmt: skip
+
+
+def _samples(args: argparse.Namespace) -> int:
+    return _USUAL_SAMPLES if args.samples is None else int(args.samples)
 
 
 def replay(args: argparse.Namespace) -> str:
@@ -133,7 +180,7 @@ def replay(args: argparse.Namespace) -> str:
     words += [word for text in args.spec for word in ("--spec", text)]
     words += ["--model", args.model] if args.model else []
     words += ["--seed", str(args.seed)] if args.seed is not None else []
-    words += ["--sampling", args.sampling, "-n", str(args.samples)] if args.sampling != "plain" else []
+    words += ["--sampling", args.sampling, "-n", str(_samples(args))] if args.sampling != "plain" else []
     return f"{shlex.join(words)} --sample"
 
 

@@ -240,9 +240,14 @@ def pilot_size(until: tuple[str, float], pilot: Study, specs: Sequence[Spec]) ->
         estimate = intervals.share(passed(pilot, specs), pilot.sampling)
         p = min(max(estimate.value, 1.0 - estimate.high), 1.0 - estimate.low)
         p = p if 0.0 < p < 1.0 else (estimate.low if p >= 1.0 else estimate.high)
-        return max(math.ceil(p * (1.0 - p) * (z / half) ** 2), math.ceil(2.0 / half))
+        return _whole(max(p * (1.0 - p) * (z / half) * (z / half), 2.0 / half))
     sigma = intervals.spread(_known(pilot.column(what)), pilot.sampling)
-    return max(math.ceil((z * sigma.high / half) ** 2), 16)
+    return max(_whole((z * sigma.high / half) * (z * sigma.high / half)), 16)
+
+
+def _whole(number: float) -> int:
+    """Return the next whole number; of what overflows, one that no study reaches."""
+    return math.ceil(min(number, 1e18))
 
 
 def _known(values: Array) -> Array:
