@@ -109,7 +109,9 @@ def test_ngspices_own_loop_draws_the_same(tmp_path: Path) -> None:
         (["--shard", "1/2", "--worst-case"], "--worst-case: has no meaning beside --shard"),
         (["--merge", "a", "--workers", "2"], "--workers: has no meaning beside --merge"),
         (["--until", "k_max +- 5", "-n", "5"], "-n: has no meaning beside --until"),
-        (["--yield", "99%"], "--yield: needs a --spec"),
+        (["--yield", "99%"], "needs a --spec"),
+        (["--seed", "-1"], "--seed = -1: is no seed"),
+        (["--seed", "9" * 30], "is no seed"),
     ],
 )
 def test_no_option_is_ignored_in_silence(

@@ -10,6 +10,8 @@ from cosim.commands.command import Command, measure_argument, trust_arguments
 if TYPE_CHECKING:
     from cosim.accuracy.work_precision import Accuracy
 
+#: A median of more seconds is no better, and takes days.
+_MOST_REPEATS = 100
 _MODELS = ("ideal", "linear", "spice")
 
 
@@ -61,8 +63,8 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         check_measures(args.measure)
         if not 0.0 < args.tol <= 1.0:
             fail("is no share", key="--tol", value=args.tol, allowed="above 0, at most 1")
-        if args.repeat < 1:
-            fail("at least one run is needed", key="--repeat", value=args.repeat, allowed=">= 1")
+        if not 1 <= args.repeat <= _MOST_REPEATS:
+            fail("is no number of runs", key="--repeat", value=args.repeat, allowed=f"1 to {_MOST_REPEATS}")
         fixed = parse_settings(args.set)
         if any(len(setting.values) > 1 for setting in fixed):
             fail("a study is of one scene: give each name one value", key="--set", value=args.set)
