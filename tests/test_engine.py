@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import textwrap
 import time
 from pathlib import Path
 
@@ -106,6 +107,40 @@ def interrupted(folder, kill_after_s, whom):
     else:
         process.send_signal(whom)
         process.wait(60)
+
+
+AT_THE_START = """
+import sys
+from pathlib import Path
+from multiprocessing.context import SpawnProcess
+from engine_jobs import job
+from cosim.tolerance.engine import run
+start = SpawnProcess.start
+def interrupted(self):
+    start(self)
+    {what}
+SpawnProcess.start = interrupted
+run(job(sys.argv[1], 20), Path(sys.argv[1]) / "mc", workers=2, chunk=5)
+"""
+
+
+@pytest.mark.parametrize(
+    ("what", "code"),
+    [
+        ("raise KeyboardInterrupt", -signal.SIGINT),
+        ("self.kill(); self.join(); SpawnProcess.start = start", 0),
+    ],
+)
+def test_a_study_ends_whatever_happens_while_a_process_starts(tmp_path, what, code):
+    """Ctrl-C before the pool knows of its process left the command waiting for that one at its end."""
+    (tmp_path / "start.py").write_text(
+        "if __name__ == '__main__':\n" + textwrap.indent(AT_THE_START.format(what=what), "    ")
+    )
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    command = [sys.executable, str(tmp_path / "start.py"), str(tmp_path)]
+    ended = subprocess.run(command, env=env, timeout=60, capture_output=True, text=True)
+    assert ended.returncode == code, ended.stderr
+    assert code or (tmp_path / "mc" / "samples.parquet").exists()
 
 
 @pytest.mark.few(1)

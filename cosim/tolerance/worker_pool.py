@@ -6,6 +6,7 @@ import os
 import signal
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
@@ -44,18 +45,23 @@ class _Worker:
     def __init__(self, make: Maker) -> None:
         context = get_context("spawn")  # a fork would copy the threads of numerical libraries
         self.pipe, theirs = context.Pipe()
-        self.process: BaseProcess = context.Process(target=_serve, args=(theirs, make), daemon=False)
-        self.process.start()
+        # a daemon: Ctrl-C may come before the pool knows of it, and an interpreter waits for others
+        self.process: BaseProcess = context.Process(target=_serve, args=(theirs, make), daemon=True)
+        with suppress(BrokenPipeError):  # it died while it started: its pipe says so
+            self.process.start()
         theirs.close()
         self.chunk: Chunk | None = None
 
     def give(self, chunk: Chunk) -> None:
         self.chunk = chunk
-        self.pipe.send(chunk)
+        with suppress(BrokenPipeError):  # it died idle: what it would have answered ends likewise
+            self.pipe.send(chunk)
 
     def close(self) -> None:
         """End the process."""
         self.pipe.close()
+        if self.process.pid is None:
+            return
         self.process.join(2.0)
         if self.process.is_alive():
             self.process.kill()
