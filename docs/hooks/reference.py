@@ -38,10 +38,10 @@ def code(text: str) -> str:
 
 def scene() -> str:
     """Write the keys of a scene, a table for each section."""
-    from cosim.effects.idle_keys import ACTS_THROUGH
+    from cosim.effects import EFFECTS
     from cosim.scene.keys import keys
 
-    through = {key: effect for effect, names in ACTS_THROUGH.items() for key in names}
+    through = {key: effect.name for effect in EFFECTS for key in effect.keys}
     sections: dict[str, list[Any]] = {}
     for key in keys():
         sections.setdefault(key.path.partition(".")[0] if "." in key.path else "", []).append(key)
