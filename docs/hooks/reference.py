@@ -5,6 +5,7 @@ next build; nothing of it is written twice.
 """
 
 import argparse
+import html
 import inspect
 import re
 from collections.abc import Callable, Iterable, Sequence
@@ -14,6 +15,8 @@ from typing import Any
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parents[2]
+#: A signature that is longer stands on several lines.
+_LINE = 70
 
 
 def on_files(files: Files, config: Any) -> Files:
@@ -33,6 +36,8 @@ def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def code(text: str) -> str:
     """Return text as code, nothing as nothing."""
+    if "|" in text:  # which ends a cell, and in back-ticks cannot be written otherwise
+        return f"<code>{html.escape(text).replace('|', '&#124;')}</code>"
     return f"`{text}`" if text else ""
 
 
@@ -44,21 +49,23 @@ def scene() -> str:
     through = {key: effect.name for effect in EFFECTS for key in effect.keys}
     sections: dict[str, list[Any]] = {}
     for key in keys():
-        sections.setdefault(key.path.partition(".")[0] if "." in key.path else "", []).append(key)
+        sections.setdefault(key.path.rpartition(".")[0], []).append(key)
     text = [
         "# Scene keys",
         "",
         "A scene is a TOML file. Every key is listed with its unit, its range and its default; "
         "`cosim keys SECTION` prints the same. A number has the unit at the end of its name (`period_s`, "
         "`stiffness_n_per_m`). What a scene does not state has its default; a key that acts through an "
-        "effect is idle while that is off.",
+        "effect is idle while that is off. Names in angle brackets are yours.",
         "",
     ]
     for name, found in sections.items():
-        text += [f"## {'Top level' if not name else f'[{name}]'} {{ #{name or 'top'} }}", ""]
+        anchor = re.sub(r"[<>.]+", "-", name).strip("-") or "top"
+        text += [f"## {_prose(f'[{name}]') if name else 'Top level'} {{ #{anchor} }}", ""]
         rows = [
             [
-                code(key.path), key.unit, f"{key.kind}: {key.allowed}" if key.allowed else key.kind,
+                code(key.path.removeprefix(f"{name}.")), key.unit,
+                f"{key.kind}: {key.allowed}" if key.allowed else key.kind,
                 "**required**" if key.default == "required" else code(key.default),
                 key.meaning + (f"; through `effects.{through[key.path]}`" if key.path in through else ""),
             ]
@@ -166,7 +173,7 @@ def commands() -> str:
 
 
 def _usage(sub: argparse.ArgumentParser) -> str:
-    formatter = argparse.HelpFormatter(sub.prog, width=96)
+    formatter = argparse.HelpFormatter(sub.prog, width=84)
     formatter.add_usage(sub.usage, sub._actions, sub._mutually_exclusive_groups)
     return formatter.format_help().strip()
 
@@ -226,7 +233,7 @@ def _object(name: str, value: Any, level: int) -> list[str]:
     if inspect.isclass(value) and level == 2:
         for member, method in vars(value).items():
             found = getattr(method, "__func__", method)
-            if not member.startswith("_") and inspect.isfunction(found) and found.__doc__:
+            if not member.startswith(("_", "model_")) and inspect.isfunction(found) and found.__doc__:
                 text += _object(f"{name}.{member}", found, 3)
             elif not member.startswith("_") and isinstance(method, property) and method.__doc__:
                 text += [
@@ -240,10 +247,28 @@ def _object(name: str, value: Any, level: int) -> list[str]:
 
 def _signature(value: Any) -> str:
     try:
-        text = str(inspect.signature(value))
+        found = inspect.signature(value)
     except (TypeError, ValueError):
         return "(...)"
-    return re.sub(r"\b(?:[a-z_]\w*\.)+([A-Z]\w*)", r"\1", text).replace("'", "")
+    text = _short(str(found))
+    if len(text) < _LINE:
+        return text
+    lines, keyword = [], False
+    for each in found.parameters.values():
+        if each.kind is each.KEYWORD_ONLY and not keyword:
+            keyword = True
+            lines.append("*")
+        lines.append(_short(str(each)))
+    gives = found.return_annotation
+    gives = gives.__name__ if inspect.isclass(gives) else _short(str(gives))
+    back = "" if found.return_annotation is found.empty else f" -> {gives}"
+    return "(\n" + "".join(f"    {line},\n" for line in lines) + f"){back}"
+
+
+def _short(text: str) -> str:
+    """Return annotations without modules, and without quotes of their own; defaults keep theirs."""
+    text = re.sub(r"(: |-> )'([^']*)'", r"\1\2", text)
+    return re.sub(r"\b(?:[a-z_]\w*\.)+([A-Z]\w*)", r"\1", text)
 
 
 _HEAD = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
