@@ -41,7 +41,7 @@ print(json.dumps(call("cosim.commands.about:seen_inside", None)))
 if {inside!r}:
     from cosim.cli import main
     print(json.dumps(call("sandbox_targets:divider", None)))
-    main(["--version", "--verbose"])
+    sys.exit(main(["--version", "--verbose"]))
 """
 
 
