@@ -16,7 +16,7 @@ test: setup
 	$(BIN)/python -m pytest -q -n $(WORKERS) --dist worksteal
 
 slow: setup
-	$(BIN)/python -m pytest -q -m slow
+	$(BIN)/python -m pytest -q -n $(WORKERS) --dist worksteal -m slow
 
 # Half an hour and more: 20,000 inputs, 500 commands, 50 kills, and the netlist loader by coverage where atheris is.
 SEED ?= 1

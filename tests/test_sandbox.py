@@ -5,6 +5,8 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +53,13 @@ def targets_on_path(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.fixture
+def world() -> Iterator[Path]:
+    """A folder that a plain user reaches: pytest closes its own to others at each start of another pytest."""
+    with tempfile.TemporaryDirectory(prefix="world", ignore_cleanup_errors=True) as folder:
+        yield Path(folder)
+
+
 def _python_of(who: dict[str, Any]) -> tuple[str, str]:
     """Return a Python that this user can start, and its modules: root's own may lie in a closed home."""
     modules = os.pathsep.join([str(HERE.parent), *(entry for entry in sys.path if entry)])
@@ -71,9 +80,6 @@ def _attempt(base: Path, user: str, inside: str = "") -> list[str]:
 
     'plain' is nobody where the tests run as root: no privileges, no namespaces.
     """
-    for above in (base, *base.parents):
-        if user == "plain" and above.owner() == "root" and str(above) not in ("/", "/tmp"):
-            above.chmod(above.stat().st_mode | 0o055)
     secret, home = base / "secret", base / "home"
     secret.write_text("the secret")
     home.mkdir()
@@ -105,21 +111,20 @@ def _all_refused(base: Path, found: dict[str, str], said: str) -> None:
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("user", ["as we are", "plain"])
-def test_a_simulation_reaches_nothing_else(tmp_path_factory: pytest.TempPathFactory, user: str) -> None:
+def test_a_simulation_reaches_nothing_else(world: Path, user: str) -> None:
     """As the user of the tests, and where that is root as nobody."""
     if user == "plain" and os.geteuid() != 0:
         pytest.skip("the tests run as a plain user already")
-    base = Path(tmp_path_factory.mktemp("world"))
-    found, (_, said) = map(json.loads, _attempt(base, user))
+    found, (_, said) = map(json.loads, _attempt(world, user))
     if "seccomp" not in said:
         pytest.skip("this machine filters no system calls")
-    _all_refused(base, found, said)
+    _all_refused(world, found, said)
 
 
 @pytest.mark.few(2)
 @pytest.mark.skipif(not container.SUPPORTED, reason="the numbers of calls are of x86_64 and aarch64")
 @pytest.mark.parametrize("kind", container.KINDS)
-def test_a_container_weakens_nothing(tmp_path_factory: pytest.TempPathFactory, kind: str) -> None:
+def test_a_container_weakens_nothing(world: Path, kind: str) -> None:
     """A plain user and root below what Docker's default profile refuses; user namespaces forbidden.
 
     The engine itself is not here: its filter of calls is, with the capabilities it leaves, and for good.
@@ -128,8 +133,7 @@ def test_a_container_weakens_nothing(tmp_path_factory: pytest.TempPathFactory, k
     if root and os.geteuid() != 0:
         pytest.skip("the tests run as a plain user")
     user = "plain" if os.geteuid() == 0 and not root else "as we are"
-    base = Path(tmp_path_factory.mktemp("world"))
-    first, *rest = _attempt(base, user, kind)
+    first, *rest = _attempt(world, user, kind)
     answers, status = json.loads(first)
     fields = dict(row.split(":", 1) for row in status.splitlines() if ":" in row)
     left = container.ROOTS_CAPABILITIES if root else 0
@@ -145,7 +149,7 @@ def test_a_container_weakens_nothing(tmp_path_factory: pytest.TempPathFactory, k
 
     found, (_, said), volts = map(json.loads, rest[:3])
     assert "no programs, processes or sockets (seccomp)" in said
-    _all_refused(base, found, said)
+    _all_refused(world, found, said)
     assert volts == pytest.approx(2.5, rel=1e-9)  # ngspice works
     (told,) = (row for row in rest[3:] if row.startswith("sandbox"))
     assert told.split(maxsplit=1)[1] == said
