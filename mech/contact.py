@@ -10,6 +10,7 @@ from numba import njit
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from mech.compiled import inner
 from mech.records import OperatorKind, Touch
 
 __all__ = ["operator_force", "pushed", "stop_torque"]
@@ -103,7 +104,7 @@ def operator_force(op: Record, t: float, r: Vector, rdot: Vector, f_out: Vector)
                 f_out[k] += op.force[a, k + 1] + x * (op.force[b, k + 1] - op.force[a, k + 1])
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def stop_torque(p: Record, i: int, q: float, v: float) -> float:
     """Torque of the end stop on joint i: k x + c x x' at depth x, never pulling (Hunt and Crossley 1975).
 

@@ -18,6 +18,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mech.compiled import inner, inner_inlined
 from mech.contact import operator_force, pushed, stop_torque
 from mech.kinematics import inverse, jacobian, tip, tip_velocity
 from mech.records import OperatorKind
@@ -44,7 +45,7 @@ Record = Any
 _NONE = int(OperatorKind.NONE)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _pose(p: Record, q: Vector, w: Record) -> None:
     """Fill cos, sin, r and jac of `w`."""
     if p.slider:
@@ -68,7 +69,7 @@ def _pose(p: Record, q: Vector, w: Record) -> None:
     w.r[1] = p.origin[1] + y
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _inertia(p: Record, tip_mass: float, w: Record) -> None:
     """Fill `w.mass` from the pose in `w`, with rotors and a mass at the fingertip."""
     n = p.n
@@ -93,7 +94,7 @@ def _inertia(p: Record, tip_mass: float, w: Record) -> None:
         w.mass[a, a] += p.armature[a]
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _bias(p: Record, v: Vector, tip_mass: float, w: Record) -> None:
     """Fill `w.bias` and `w.rate` from the pose in `w`: M a + bias = applied torque."""
     n = p.n
@@ -173,7 +174,7 @@ def solve(n: int, matrix: Vector, x: Vector, factor: Vector) -> None:
         x[i] /= factor[i, i]
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def solve_held(n: int, w: Record, x: Vector) -> None:
     """Solve `w.mass` x = x in place with x = 0 at the joints that `w.held` marks.
 
@@ -195,7 +196,7 @@ def solve_held(n: int, w: Record, x: Vector) -> None:
             w.hold[i] += w.mass[i, j] * x[j]
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _accelerate(p: Record, w: Record, x: Vector) -> None:
     """Turn torques into accelerations in place; what holds a held joint is its friction's or its stop's."""
     n = p.n

@@ -11,6 +11,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mech.compiled import inner
+
 __all__ = ["inverse", "jacobian", "tip", "tip_velocity"]
 
 Vector = NDArray[np.float64]
@@ -122,7 +124,7 @@ def inverse(p: Record, x: float, y: float, elbow: float, q: Vector) -> float:
     return float(_least_squares(p, x, y, q))
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _least_squares(p: Record, x: float, y: float, q: Vector) -> float:
     """Levenberg-Marquardt on the fingertip of a longer chain, target relative to the origin."""
     n = p.n

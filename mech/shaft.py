@@ -21,6 +21,8 @@ from typing import Any
 from numba import njit
 from numpy.typing import NDArray
 
+from mech.compiled import inner, inner_inlined
+
 __all__ = ["EDGE_RAD", "engage", "margin", "shaft_torque", "windup_energy"]
 
 Vector = NDArray[Any]
@@ -30,7 +32,7 @@ Record = Any
 EDGE_RAD = 1e-14
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _slack(p: Record, i: int, t: float, w: Record) -> float:
     """Twist [rad] that a shaft without a flank to push on has not yet let go."""
     if w.slack[i] == 0.0:
@@ -38,7 +40,7 @@ def _slack(p: Record, i: int, t: float, w: Record) -> float:
     return float(w.slack[i] * math.exp(-(t - w.left[i]) * p.shaft_stiffness[i] / p.shaft_damping[i]))
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def engage(p: Record, t: float, q: Vector, v: Vector, w: Record) -> tuple[bool, float]:
     """Bring the flanks up to date; True if one changes, and the energy [J] that goes with it.
 
@@ -77,7 +79,7 @@ def engage(p: Record, t: float, q: Vector, v: Vector, w: Record) -> tuple[bool, 
     return changed, lost
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def shaft_torque(p: Record, q: Vector, v: Vector, w: Record) -> None:
     """Fill `w.tau_shaft` (motor on joint) and `w.tau_loss`, its part that stores nothing [N m].
 

@@ -16,6 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mech.compiled import inner
 from mech.kernels import dynamics, solve_held
 from mech.records import NMAX, Touch
 
@@ -102,7 +103,7 @@ def settle(
             w.touch[i] = 0
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _consistent(p: Record, w: Record, resting: Any, a: Vector) -> bool:
     """Whether what is held can be held, and what starts goes the way that its friction opposes."""
     for i in range(p.n):
@@ -117,7 +118,7 @@ def _consistent(p: Record, w: Record, resting: Any, a: Vector) -> bool:
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def impact(p: Record, w: Record, v: Vector, side: Any) -> float:
     """Let joints rebound from stops that do not give; return the energy lost [J].
 

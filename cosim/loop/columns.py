@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from cosim.circuits.decks import Drive
+from mech.compiled import inner
 from mech.shaft import windup_energy
 
 Record = Any
@@ -36,7 +35,7 @@ def sample_columns(joints: int) -> list[str]:
     return names + [f"ksp{ab}" for ab in pairs] + [f"ksd{ab}" for ab in pairs]
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def write_row(s: Record, t: float, row: Any) -> int:
     """Write the accepted point into `row`, in the order of `columns`; return where the nodes begin."""
     n = s.n

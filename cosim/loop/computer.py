@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mech.compiled import inner
 from mech.kernels import jacobian, tip
 from mech.records import NMAX
 
@@ -222,7 +223,7 @@ def law(c: Record, p: Record, x: Record) -> None:
         _weaken(c, x, x.held / (c.ramp + 1.0))
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _weaken(c: Record, x: Record, share: float) -> None:
     """Take a share of all that the wall asks for, while its gains are raised."""
     for i in range(c.n):
@@ -232,7 +233,7 @@ def _weaken(c: Record, x: Record, share: float) -> None:
             x.ksd[i, j] *= share
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _push(c: Record, x: Record, w: Vector, force: float) -> float:
     """Ask for the discrete force [N] along the normal; return what of it the springs do not carry."""
     n = c.n
@@ -249,7 +250,7 @@ def _push(c: Record, x: Record, w: Vector, force: float) -> float:
     return force
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _stiffen(c: Record, x: Record, w: Vector, across: Vector, held: float) -> None:
     """Add the geometric stiffness of the force in being to Ksp (footnote 2; Chen and Kao 2000).
 
@@ -270,7 +271,7 @@ def _stiffen(c: Record, x: Record, w: Vector, across: Vector, held: float) -> No
             x.cmd[i] -= added * (x.u[j] - x.q[j])
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _code(c: Record, volts: float) -> tuple[float, int]:
     """One DAC: the voltage of the nearest code, and whether the wish was out of range."""
     if c.dac_step > 0.0:

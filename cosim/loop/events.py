@@ -10,6 +10,7 @@ from cosim.loop.computer import law, read_encoders, to_volts
 from cosim.loop.numba_calls import call_plain, call_with_time, doubles_at
 from cosim.loop.pin_voltages import is_gain
 from cosim.loop.state import QUEUE, Fault
+from mech.compiled import inner
 
 _SAMPLE_LOST = Fault.SAMPLE_LOST
 
@@ -25,7 +26,7 @@ def instant(s: Record, tick: int) -> float:
     return float(at)
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _release(s: Record, group: int) -> bool:
     """Let the oldest waiting sample reach the DACs of a group; True if a driven voltage changes."""
     slot = s.queue_out[group] % QUEUE
@@ -51,7 +52,7 @@ def _release(s: Record, group: int) -> bool:
     return changed
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def compute_sample(s: Record) -> None:
     """Compute one sample at the present state; its voltages wait in the queue for the DACs."""
     read_encoders(s.c, s.x, s.tick, s.q[s.motor :])
@@ -72,7 +73,7 @@ def compute_sample(s: Record) -> None:
     _write_sample(s)
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _write_sample(s: Record) -> None:
     n = s.n
     width = 8 + 4 * n + 2 * n * n
@@ -94,7 +95,7 @@ def _write_sample(s: Record) -> None:
         call_plain(s.drain_address)
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def next_event(s: Record) -> float:
     """Return the time of the next instant that the step must land on."""
     at = s.t_end
@@ -118,7 +119,7 @@ def next_event(s: Record) -> float:
     return float(at)
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def announce(s: Record, now: float) -> None:
     """Tell ngspice where the DACs will jump next, so that it starts afresh there (order one)."""
     if s.breakpoint_address == 0:  # our own loop knows
@@ -152,7 +153,7 @@ def begin(s: Record) -> None:
     s.t_event = next_event(s)
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _watch_rest(s: Record, t: float) -> None:
     """End the run when the joints have been at rest for long enough."""
     for j in range(s.n):
@@ -163,7 +164,7 @@ def _watch_rest(s: Record, t: float) -> None:
         s.t_end = t
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def process_events(s: Record, t: float) -> bool:
     """Do everything due at the accepted time `t`: noise grid, ramp ends, samples, DACs."""
     now = t + s.delta_min

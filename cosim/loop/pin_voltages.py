@@ -7,6 +7,7 @@ from typing import Any
 from numba import carray, njit
 
 from cosim.loop.numba_calls import doubles_at
+from mech.compiled import inner, inner_inlined
 
 Record = Any
 
@@ -16,7 +17,7 @@ Record = Any
 _RAMP, _SHORT = 2, 1e-3
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def is_gain(s: Record, channel: int) -> bool:
     """Whether a DAC channel is the gain of a multiplier."""
     return bool(s.n <= channel < s.n + 2 * s.n * s.n)
@@ -32,13 +33,13 @@ def volts(s: Record, channel: int, t: float) -> float:
     return float(s.dac_from[channel] + part * (s.dac_to[channel] - s.dac_from[channel]))
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def ramp_step(s: Record) -> float:
     """Longest step over a ramp of the gains [s]."""
     return float(s.settle if s.settle <= _SHORT * s.c.period else s.settle / _RAMP)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def gains_ramp(s: Record) -> bool:
     """Whether a multiplier's gain is on its way to another value."""
     if s.ramping == 0:
@@ -50,7 +51,7 @@ def gains_ramp(s: Record) -> bool:
     return False
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def grid_noise(s: Record, t: float, joint: int) -> float:
     """Noise of a potentiometer [rad] that is linear between the ticks of its grid."""
     if s.noise == 0:
@@ -73,7 +74,7 @@ def component(s: Record, t: float, place: int) -> float:
     return float(table[at] + x * (table[at + width] - table[at]))
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def position_noise(s: Record, q: float, joint: int) -> float:
     """Noise of a potentiometer [rad] that belongs to its angle."""
     if s.position_noise == 0:
@@ -85,7 +86,7 @@ def position_noise(s: Record, q: float, joint: int) -> float:
     return float(table[at] + (x - i) * (table[at + s.n] - table[at]))
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def noise_at(s: Record, t: float, joint: int) -> float:
     """Return what the potentiometer of a joint adds to its angle [rad]: linear in time, then in angle."""
     value = 0.0

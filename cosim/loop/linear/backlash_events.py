@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from cosim.loop.linear.step_maps import COEFFICIENTS
+from mech.compiled import inner
 from mech.shaft import EDGE_RAD, margin
 
 Record = Any
@@ -16,7 +15,7 @@ _LOOKS = 8
 _BISECTIONS = 60
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def first_change(s: Record, b: Any, h: float) -> float:
     """Return the share of the step on trial, of length `h` [s], at which a flank changes; 2 for none."""
     first = 2.0
@@ -47,7 +46,7 @@ def first_change(s: Record, b: Any, h: float) -> float:
     return first
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _margin(s: Record, j: int, h: float, x: float, c0: float, c1: float, c2: float) -> float:
     i = s.n + j
     rate = h * (s.v[i] - s.v[j])

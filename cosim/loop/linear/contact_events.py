@@ -16,6 +16,7 @@ from numba import njit
 
 from cosim.loop.linear.backlash_events import first_change
 from cosim.loop.linear.step_maps import COEFFICIENTS
+from mech.compiled import inner, inner_inlined
 from mech.records import Touch
 from mech.shaft import engage
 from mech.stiction import bounds, impact, settle, touching
@@ -101,7 +102,7 @@ def below(c: Any, pieces: Any, count: int) -> float:
     return 2.0
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def first_crossing(s: Record, b: Any, h: float) -> float:
     """Return the share of the step on trial, of length `h` [s], at which something changes; 2 for nothing."""
     p, w = s.p, s.w
@@ -150,7 +151,7 @@ def first_crossing(s: Record, b: Any, h: float) -> float:
     return min(first, first_change(s, b, h)) if p.backlash_on else first
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _put_back(s: Record, b: Any, j: int, stop: float) -> None:
     """Put a joint on the surface that it has crossed, with the speed that it had there."""
     late = ((s.q[j] - stop) + b.low[j]) / s.v[j]
@@ -161,7 +162,7 @@ def _put_back(s: Record, b: Any, j: int, stop: float) -> None:
     b.low[j] = 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _carried(s: Record) -> float:
     """Kinetic energy of the operator's mass [J]."""
     x = y = 0.0
@@ -171,7 +172,7 @@ def _carried(s: Record) -> float:
     return float(0.5 * s.op.mass * (x * x + y * y))
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def strike(s: Record, b: Any) -> bool:
     """Change what is due at the accepted point; whether there was anything.
 
@@ -253,7 +254,7 @@ def find(s: Record, b: Any) -> None:
         b.hit[j] = 0
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def meet(s: Record) -> None:
     """Say how the joints touch their stops at the start."""
     for j in range(s.n):

@@ -23,6 +23,7 @@ from cosim.loop.linear.step_maps import NODES, WEIGHTS, Ints, Matrix, Plan, Vect
 from cosim.loop.numba_calls import call_plain, kind_of
 from cosim.loop.pin_voltages import grid_noise, volts
 from cosim.loop.state import STATE, Fault
+from mech.compiled import inner_inlined
 from mech.kernels import dynamics, operator_force
 from mech.records import OperatorKind
 
@@ -221,7 +222,7 @@ def transition(
     return out
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _outer(s: Record, x: Any, t: float) -> float:
     """Torque on the drum [N m] that does not depend on its motion, between the last knot and the next."""
     at = s.knot
@@ -240,7 +241,7 @@ def rests(x: Any, t: float) -> bool:
     return True
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _fits(x: Any, i: int, g0: float, g1: float, h: float, ramp: float) -> bool:
     return bool(
         x.key[i, 0] == g0
@@ -279,7 +280,7 @@ def _times(data: Any, now: Any, then: Any, width: int, rows: int) -> None:
         then[r], then[r + 1], then[r + 2], then[r + 3] = y0, y1, y2, y3
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def leap(s: Record, k: Any, b: Any, x: Any, t: float, h: float, ramp: float) -> bool:
     """Go from the accepted point at `t` over `h` [s]: new state in `s.q_trial`, `s.v_trial` and `x.then`.
 
@@ -338,7 +339,7 @@ def leap(s: Record, k: Any, b: Any, x: Any, t: float, h: float, ramp: float) -> 
     return True
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def land(s: Record, k: Any, b: Any, x: Any, t: float) -> None:
     """Make the end of the leap the accepted point at the time `t` [s]."""
     s.q[0], s.v[0], s.a[0] = s.q_trial[0], s.v_trial[0], s.a_trial[0]

@@ -28,6 +28,7 @@ from cosim.loop.linear.step_maps import (
     finish,
 )
 from cosim.loop.pin_voltages import component, grid_noise, position_noise, volts
+from mech.compiled import inner, inner_inlined
 from mech.kernels import dynamics, solve, solve_held
 
 Array = NDArray[np.float64]
@@ -55,7 +56,7 @@ _TO_END = WEIGHTS * (1.0 - NODES)
 _FIVE = np.linalg.inv(np.vander(np.array([0.0, *NODES, 1.0]), 5, increasing=True))
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _fixed(s: Record, k: Any, b: Bench, t: float, h: float) -> None:
     """Features and gains that do not change between the sweeps."""
     n = s.n
@@ -92,7 +93,7 @@ def _fixed(s: Record, k: Any, b: Bench, t: float, h: float) -> None:
         b.gains[c] = k.gain[c] * (volts(s, n + c, t + 0.5 * h) + k.bias[c])
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _bend(s: Record, k: Any, b: Bench, t: float, h: float) -> None:
     """Coefficients of the angles as potentiometers see them whose error belongs to the angle."""
     for j in range(s.n):
@@ -123,7 +124,7 @@ def _move(s: Record, k: Any, b: Bench, t: float, h: float) -> None:
         _bend(s, k, b, t, h)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def guess(s: Record, b: Bench, h: float) -> None:
     """Guess the accelerations at the nodes: the last step's parabola, or its end where that is of no use.
 
@@ -185,7 +186,7 @@ def _sweep(s: Record, k: Any, b: Bench, t: float, h: float, weight: float) -> fl
     return moved
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _state_at_end(s: Record, b: Bench, h: float) -> None:
     """Fill `s.q_trial` and `s.v_trial` at the end of the step from the accelerations at the nodes."""
     for j in range(s.coordinates):
@@ -197,7 +198,7 @@ def _state_at_end(s: Record, b: Bench, h: float) -> None:
         s.v_trial[j] = s.v[j] + h * once
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _error_at_end(s: Record, k: Any, b: Bench, slot: int, t: float, h: float) -> float:
     """Finish the step at its end; return the error [rad] of its angles."""
     n, m, motor = s.n, s.coordinates, s.motor
@@ -283,7 +284,7 @@ def near(k: Any, joint: int, current: float) -> bool:
     return not (_WATCHED * low < current < _WATCHED * high)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def clamped(k: Any, b: Bench, joint: int, current: float) -> float:
     """Motor current [A] that flows: the driver's limit while the motor is at it."""
     side = b.clamp[joint]
@@ -292,7 +293,7 @@ def clamped(k: Any, b: Bench, joint: int, current: float) -> float:
     return float(k.limit[joint, 1] if side > 0.0 else k.limit[joint, 0])
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _keep_rounding(s: Record, b: Bench, h: float) -> None:
     """Add the steps of the angles with what rounding has left out of them so far (Knuth's two-sum)."""
     for j in range(s.coordinates):
@@ -306,7 +307,7 @@ def _keep_rounding(s: Record, b: Bench, h: float) -> None:
         s.q_trial[j] = q
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def accept(s: Record, k: Any, b: Bench, t: float, h: float) -> None:
     """Make the step on trial, of length `h` [s], the present point at `t` [s]."""
     n = s.n
@@ -332,7 +333,7 @@ def accept(s: Record, k: Any, b: Bench, t: float, h: float) -> None:
     s.history = 1
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def present(s: Record, k: Any, b: Bench) -> None:
     """Fill `b.current` [A] with the right-hand limit of the motor currents at the accepted point."""
     n, m = s.n, 2 * s.n * s.n

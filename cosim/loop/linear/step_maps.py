@@ -24,6 +24,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from cosim.loop.linear.divided_differences import TOP, double, single
+from mech.compiled import inner
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -187,7 +188,7 @@ def build(k: Any, h: float, data: Any) -> None:
     _accelerations(k, h, data)
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _accelerations(k: Any, h: float, data: Any) -> None:
     """Turn columns of higher coefficients of angles and speeds into those of accelerations at the nodes."""
     for b in range(len(k.kind)):

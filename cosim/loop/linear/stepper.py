@@ -25,6 +25,7 @@ from cosim.loop.linear.step_maps import Plan, slot_of
 from cosim.loop.numba_calls import call_plain, lent, record_at, table
 from cosim.loop.pin_voltages import gains_ramp, ramp_step
 from cosim.loop.state import Fault
+from mech.compiled import inner, inner_inlined
 
 Record = Any
 _COLLAPSED = Fault.STEP_COLLAPSED
@@ -71,7 +72,7 @@ def _side(k: Any, joint: int, current: float) -> float:
     return 0.0
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _watched(s: Record, k: Any, b: Any) -> bool:
     """Whether a motor comes near its limit within the step on trial."""
     for j in range(s.n):
@@ -83,7 +84,7 @@ def _watched(s: Record, k: Any, b: Any) -> bool:
     return False
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _crosses(s: Record, k: Any, b: Any) -> bool:
     """Whether a motor reaches or leaves its limit within the step on trial."""
     for j in range(s.n):
@@ -95,7 +96,7 @@ def _crosses(s: Record, k: Any, b: Any) -> bool:
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _right_hand(s: Record, k: Any, b: Any) -> None:
     """Find currents and accelerations at the accepted point as they are just behind its events."""
     present(s, k, b)
@@ -120,7 +121,7 @@ def _time(s: Record, t0: float, length: float, position: int) -> float:
     return float(s.t_event) if position == _WHOLE else t0 + length * position / _WHOLE
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _finest(length: float) -> int:
     """Return the level at which an instant in an interval of `length` [s] counts as found."""
     level = _FINEST
@@ -129,7 +130,7 @@ def _finest(length: float) -> int:
     return level
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _longest(s: Record, wish: float, jump: float, first: float, watch: bool) -> float:
     """Return the longest step [s] that is allowed: behind a jump, near a limit, over a ramp of the gains."""
     longest = min(wish, s.h_max)
@@ -187,7 +188,7 @@ def _take(
         return level, h, error, watch, wish, until
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _wish(s: Record, error: float, h: float, wish: float) -> float:
     """Return the step [s] that the error of the last one, of length `h`, lets one hope for."""
     share = error / (_SAFETY * s.tol)

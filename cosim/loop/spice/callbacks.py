@@ -21,6 +21,7 @@ from cosim.loop.spice import runge_kutta, stop_surfaces
 from cosim.loop.spice.coupling import advance, bound_by_pole, fill, shortened
 from cosim.loop.spice.watch import watch
 from cosim.loop.state import NO_VOLTAGE, STATE, Fault
+from mech.compiled import inner
 
 _NOT_FINITE, _COLLAPSED, _CRAWLS = Fault.NOT_FINITE, Fault.STEP_COLLAPSED, Fault.CRAWLS
 _NEVER = 1e300
@@ -32,7 +33,7 @@ _record = numba.from_dtype(STATE)
 _f8, _i4, _i8, _u1 = types.float64, types.int32, types.int64, types.uint8
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _command_noise(s: Record, place: int) -> float:
     """Component noise [V] at the source `place`: none but at the pins cmd."""
     first = s.n + 2 * s.n * s.n
@@ -41,7 +42,7 @@ def _command_noise(s: Record, place: int) -> float:
     return float(s.component_now[s.component_inputs + s.dac_channel[place - s.dac_first] - first])
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _probe_noise(s: Record, letters: Any) -> float:
     """Component noise [V] of a probe inside the board, as it stands in series with X."""
     wanted = name_hash(letters, _LONGEST)

@@ -14,6 +14,7 @@ from cosim.loop.pin_voltages import component, is_gain, noise_at
 from cosim.loop.spice import runge_kutta, stop_surfaces
 from cosim.loop.spice.adams import correct, predict
 from cosim.loop.state import Fault
+from mech.compiled import inner, inner_inlined
 from mech.kernels import solve
 from mech.shaft import engage
 
@@ -56,7 +57,7 @@ def fill(s: Record, t: float) -> None:
             s.out[s.dac_first + i] = s.dac_from[k] + part * (s.dac_to[k] - s.dac_from[k])
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def bound_by_pole(s: Record) -> None:
     """Set the longest stable step of the explicit back-EMF coupling: 0.5 m_eff / b_eff.
 
@@ -80,7 +81,7 @@ def bound_by_pole(s: Record) -> None:
     s.h_pole = min(s.h_max, _POLE_SHARE / rates) if rates > 0.0 else s.h_max
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _weight(s: Record, h: float, inside: int) -> float:
     """Time [s] by which an error of the speed counts as one of the angle: the step, in a stop the period.
 

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from mech.compiled import inner
 from mech.kernels import dynamics, solve
 from mech.records import NMAX
 from mech.shaft import EDGE_RAD, margin
@@ -34,7 +35,7 @@ _PARTS = 2
 _APPROACH, _CLOSE = 0.98, 0.05
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _torque(s: Record, x: float, h: float, known: bool, tau: Vector) -> None:
     """Motor torques [N m] the part `x` of a step `h` after the last accepted point.
 
@@ -123,7 +124,7 @@ def advance(s: Record, h: float) -> float:
     return float(defect)
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def extrapolate(s: Record, h: float, q_out: Vector, v_out: Vector) -> None:
     """Angles and speeds [rad, rad/s] a time `h` after the last accepted point."""
     step(s, h, False, q_out, v_out, np.zeros(6))
@@ -174,7 +175,7 @@ def edge(s: Record, h: float) -> float:
     return float(max(h, s.delta_min))
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _margin_at(s: Record, j: int, twist: float, rate: float, turn: float, jerk: float, t: float) -> float:
     later = twist + t * (rate + t * (turn / 2 + t * jerk / 6))
     return float(margin(s.p, j, s.t + t, later, rate + t * (turn + t * jerk / 2), s.w))
