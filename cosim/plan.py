@@ -15,7 +15,7 @@ from cosim.circuits.design_constants import Stated
 from cosim.circuits.extraction.design_numbers import kept
 from cosim.effects.idle_keys import forgotten, stated_in_vain
 from cosim.effects.prediction import predict
-from cosim.errors import InputError, Problem
+from cosim.errors import InputError, Problem, fail
 from cosim.loop.dac_channels import drive
 from cosim.measures import check_names, tolerances
 from cosim.ngspice.child import Child, call
@@ -239,13 +239,11 @@ def _resolved(scene: Scene, trust: bool, board: Deck | None) -> Plan:
     except InputError as error:
         raise InputError(_placed(problem, scene) for problem in error.problems) from error
     if board.joints != scene.joints:
-        raise InputError(
-            Problem(
-                f"the board has {board.joints} joint(s), the linkage {scene.joints}",
-                file=scene.file_name,
-                key="device.board",
-                value=str(scene.device.board),
-            )
+        fail(
+            f"the board has {board.joints} joint(s), the linkage {scene.joints}",
+            file=scene.file_name,
+            key="device.board",
+            value=str(scene.device.board),
         )
     _check_path(scene)
     warn(*plausibility.of_plan(scene, board, partial(_unedited, scene, trust)))
@@ -263,14 +261,12 @@ def _resolved(scene: Scene, trust: bool, board: Deck | None) -> Plan:
     if model == "spice":
         watched = tuple(dict.fromkeys(a.out_node for a in board.amplifiers if a.out_node not in recorded))
     if len(recorded) + len(watched) > MOST_NODES:
-        raise InputError(
-            Problem(
-                f"too many nodes: {len(watched)} outputs of amplifiers are watched anyway",
-                file=scene.file_name,
-                key="record.nodes",
-                value=f"{len(recorded)} nodes",
-                allowed=f"<= {MOST_NODES - len(watched)}",
-            )
+        fail(
+            f"too many nodes: {len(watched)} outputs of amplifiers are watched anyway",
+            file=scene.file_name,
+            key="record.nodes",
+            value=f"{len(recorded)} nodes",
+            allowed=f"<= {MOST_NODES - len(watched)}",
         )
     return Plan(
         scene=scene,
@@ -305,14 +301,12 @@ def _unedited(scene: Scene, trust: bool) -> Deck:
 def _check_chosen(scene: Scene) -> None:
     """Refuse effects that are still to be chosen: without them the scene would run with none."""
     if scene.effects.auto:
-        raise InputError(
-            Problem(
-                "the effects are still to be chosen: `cosim run` does so and keeps the choice as scene.toml "
-                "in its result; `cosim plan` shows what it would try",
-                file=scene.file_name,
-                key="effects",
-                value="auto",
-            )
+        fail(
+            "the effects are still to be chosen: `cosim run` does so and keeps the choice as scene.toml "
+            "in its result; `cosim plan` shows what it would try",
+            file=scene.file_name,
+            key="effects",
+            value="auto",
         )
 
 
@@ -322,14 +316,12 @@ def _check_path(scene: Scene) -> None:
         computer.method is Method.COMBINED and computer.analog_stiffness_n_per_m == 0.0
     )
     if computer.law is None and computer.command_path.value == "u" and springless:
-        raise InputError(
-            Problem(
-                "with all spring gains zero u makes no torque; without an analog spring the path must be cmd",
-                file=scene.file_name,
-                key="computer.command_path",
-                value="u",
-                allowed="cmd",
-            )
+        fail(
+            "with all spring gains zero u makes no torque; without an analog spring the path must be cmd",
+            file=scene.file_name,
+            key="computer.command_path",
+            value="u",
+            allowed="cmd",
         )
 
 
@@ -343,4 +335,4 @@ def _check_stops(scene: Scene, model: str) -> None:
         said = "the model spice does not locate impacts: leave it out, or use the models ideal or linear"
     if said:
         file, key = scene.file_name, f"device.{kind}.stop_restitution"
-        raise InputError(Problem(said, file=file, key=key, value=table.stop_restitution))
+        fail(said, file=file, key=key, value=table.stop_restitution)

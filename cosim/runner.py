@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cosim import plausibility
 from cosim.caution import Caution, collected, warn
 from cosim.circuits.design_constants import DesignConstants
-from cosim.errors import InputError, Problem
+from cosim.errors import fail
 from cosim.judgement import coupled, latched, left, question, reached, verdict
 from cosim.loop.run_messages import RunAnswer, RunRequest
 from cosim.measures import chosen, headroom, own_measures, standard
@@ -273,16 +273,14 @@ def _check_duration(plan: Plan) -> None:
     """Refuse a run that could not end in time: its prediction is good to a factor of a few."""
     seconds, limit = plan.cost()["seconds"], plan.scene.solver.time_limit_s
     if seconds > _HOPELESS * limit:
-        raise InputError(
-            Problem(
-                f"the run would compute for about {quantity(seconds, 's')} (see cosim plan): check "
-                f"duration_s, "
-                "computer.period_s, solver.max_step_s and the noise, or raise this limit",
-                file=plan.scene.file_name,
-                key="solver.time_limit_s",
-                value=limit,
-                unit="s",
-            )
+        fail(
+            f"the run would compute for about {quantity(seconds, 's')} (see cosim plan): check "
+            f"duration_s, "
+            "computer.period_s, solver.max_step_s and the noise, or raise this limit",
+            file=plan.scene.file_name,
+            key="solver.time_limit_s",
+            value=limit,
+            unit="s",
         )
 
 

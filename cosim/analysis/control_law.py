@@ -15,7 +15,7 @@ from scipy.optimize import root
 
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
-from cosim.errors import InputError, Problem
+from cosim.errors import fail
 from cosim.scene import CommandPath, Method, Scene
 from cosim.scene.mechanism import mechanism, operator
 from mech.contact import operator_force
@@ -64,22 +64,16 @@ def law_point(scene: Scene, constants: DesignConstants, linkage: Linkage, q: Arr
     c, n = scene.computer, scene.joints
     file = scene.file_name
     if scene.wall is None:
-        raise InputError(Problem("there is no contact to be held without a wall", file=file, key="wall"))
+        fail("there is no contact to be held without a wall", file=file, key="wall")
     if c.law is not None:
-        raise InputError(
-            Problem(
-                "a control law in Python has no slopes to study", file=file, key="computer.law", value=c.law
-            )
-        )
+        fail("a control law in Python has no slopes to study", file=file, key="computer.law", value=c.law)
     if scene.effects.shaft:
-        raise InputError(
-            Problem(
-                "this analysis takes the encoder's angle for the joint's: it knows no shafts",
-                file=file,
-                key="effects.shaft",
-                value=True,
-                allowed="false",
-            )
+        fail(
+            "this analysis takes the encoder's angle for the joint's: it knows no shafts",
+            file=file,
+            key="effects.shaft",
+            value=True,
+            allowed="false",
         )
     normal, point = np.array(scene.wall.normal), np.array(scene.wall.point_m)
     jac = linkage.jacobian(q)
@@ -166,12 +160,10 @@ def external_force(scene: Scene, linkage: Linkage, q: Array, t: float) -> Array:
     person = operator(scene)
     op = person.pack()[0]
     if not person.compiled:
-        raise InputError(
-            Problem(
-                "an operator in Python has no slopes to study",
-                file=scene.file_name,
-                key="operator",
-            )
+        fail(
+            "an operator in Python has no slopes to study",
+            file=scene.file_name,
+            key="operator",
         )
     force = np.zeros(2)
     operator_force(op, t, linkage.forward(q), np.zeros(2), force)
@@ -220,15 +212,13 @@ def resting_pose(
     found = root(lambda q: rests(scene, constants, circuit, linkage, q, at)[0], near, tol=1e-13)
     left, scale, _ = rests(scene, constants, circuit, linkage, found.x, at)
     if not (math.isfinite(scale) and np.abs(left).max() <= _BALANCED * max(scale, 1e-9)):
-        raise InputError(Problem("no pose of rest in contact was found for this scene", file=file))
+        fail("no pose of rest in contact was found for this scene", file=file)
     law = law_point(scene, constants, linkage, found.x)
     if not law.penetration_m > 0.0:
-        raise InputError(
-            Problem(
-                "the scene ends out of contact: nothing presses the tip into the wall",
-                file=file,
-                key="operator",
-                value=f"rest {-1e3 * law.penetration_m:.3g} mm outside",
-            )
+        fail(
+            "the scene ends out of contact: nothing presses the tip into the wall",
+            file=file,
+            key="operator",
+            value=f"rest {-1e3 * law.penetration_m:.3g} mm outside",
         )
     return np.asarray(found.x, float)

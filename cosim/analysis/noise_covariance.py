@@ -23,7 +23,7 @@ from cosim.analysis.period_map import Lifted, Stretch, lift
 from cosim.analysis.stability import touching
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
-from cosim.errors import InputError, Problem
+from cosim.errors import InputError, Problem, fail
 from cosim.scene import PotNoise, Scene
 
 __all__ = ["Grid", "NoiseCovariance", "covariance", "noise_covariance", "noise_grid"]
@@ -308,14 +308,12 @@ def noise_covariance(
         PotNoise.POSITION: "noise that belongs to the angle is no noise in time: at rest it is silent",
     }
     if kind in reasons:
-        raise InputError(Problem(reasons[kind], file=file, key="effects.pot_noise", value=kind.value))
+        fail(reasons[kind], file=file, key="effects.pot_noise", value=kind.value)
     if scene.effects.coulomb:
-        raise InputError(
-            Problem(
+        fail(
                 "Coulomb friction is not linear about rest: small noise moves nothing",
                 file=file, key="effects.coulomb", value=True, allowed="false",
-            )
-        )  # fmt: skip
+            )  # fmt: skip
     start = touching(scene, constants) if near is None else near
     q = resting_pose(scene, constants, circuit, start)
     lifted = lift(linearise(scene, constants, circuit, q), noise=True)

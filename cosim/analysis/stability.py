@@ -20,7 +20,7 @@ from cosim.analysis.linearise import linearise
 from cosim.analysis.period_map import Lifted, lift
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
-from cosim.errors import InputError, Problem
+from cosim.errors import InputError, Problem, fail
 from cosim.scene import Scene
 
 __all__ = [
@@ -149,15 +149,13 @@ def touching(scene: Scene, constants: DesignConstants) -> Array:
 
     file = scene.file_name
     if scene.wall is None:
-        raise InputError(Problem("there is no contact to be held without a wall", file=file, key="wall"))
+        fail("there is no contact to be held without a wall", file=file, key="wall")
     linkage = mechanism(scene, constants.gear)
     normal, point = np.array(scene.wall.normal), np.array(scene.wall.point_m)
     if scene.is_slider:
         along = float(normal @ linkage.jacobian(np.zeros(1))[:, 0])
         if along == 0.0:
-            raise InputError(
-                Problem("the slider moves along the wall and never touches it", file=file, key="wall.normal")
-            )
+            fail("the slider moves along the wall and never touches it", file=file, key="wall.normal")
         return np.array([float(normal @ (point - linkage.forward(np.zeros(1)))) / along])
     try:
         return np.asarray(linkage.inverse(point, elbow=scene.device.start.elbow), float)
@@ -202,14 +200,12 @@ def monodromy(lifted: Lifted) -> Array:
     """
     found = lifted.period()
     if not np.isfinite(found).all():
-        raise InputError(
-            Problem(
-                "the loop cannot be studied over a period: between two samples it grows beyond all numbers: "
-                "shorten the period, or look for an unstable circuit (cosim check)",
-                key="computer.period_s",
-                value=lifted.system.period_s,
-                unit="s",
-            )
+        fail(
+            "the loop cannot be studied over a period: between two samples it grows beyond all numbers: "
+            "shorten the period, or look for an unstable circuit (cosim check)",
+            key="computer.period_s",
+            value=lifted.system.period_s,
+            unit="s",
         )
     return found
 

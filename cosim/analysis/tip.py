@@ -13,7 +13,7 @@ from cosim.analysis.extracted import circuit_of
 from cosim.analysis.stability import touching
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
-from cosim.errors import InputError, Problem
+from cosim.errors import fail
 from cosim.ngspice.child import Child
 from cosim.plan import resolve
 from cosim.scene import CircuitModelName, Scene
@@ -123,13 +123,11 @@ class Tip:
         w, inner = self.torques, self.joint_viscosity()
         least = float(np.linalg.eigvalsh(inner)[0])
         if not least > 0.0:
-            raise InputError(
-                Problem(
+            fail(
                     "a joint has no viscosity that delay could eat, neither back-EMF nor friction",
                     file=self.scene.file_name, key="effects.viscous",
                     value=least, unit="N m s/rad",
-                )
-            )  # fmt: skip
+                )  # fmt: skip
         return float(1.0 / (w @ np.linalg.solve(inner, w)))
 
     def at(self, q: Array) -> Tip:
@@ -148,10 +146,8 @@ def tip_of(scene: Scene, child: Child | None = None) -> Tip:
         Without a wall, or for a board that has no linear model.
     """
     if scene.wall is None:
-        raise InputError(
-            Problem("what is rendered is looked at along a wall's normal",
-                    file=scene.file_name, key="wall")
-        )  # fmt: skip
+        fail("what is rendered is looked at along a wall's normal",
+                    file=scene.file_name, key="wall")  # fmt: skip
     linear = scene
     if scene.solver.model is not CircuitModelName.SPICE:
         solver = scene.solver.model_copy(update={"model": CircuitModelName.LINEAR})
@@ -178,7 +174,7 @@ def reached(tip: Tip, points: int, margin_rad: float) -> list[Tip]:
     if tip.scene.is_slider:
         return [tip]
     if tip.scene.joints != 2:
-        raise InputError(Problem("poses are mapped for two joints", key="device.chain"))
+        fail("poses are mapped for two joints", key="device.chain")
     bends = np.linspace(margin_rad, np.pi - margin_rad, points)
     turns = np.linspace(-np.pi, np.pi, points, endpoint=False)
     return [tip.at(np.array([turn, bend])) for bend in bends for turn in turns]

@@ -10,7 +10,7 @@ from __future__ import annotations
 from itertools import product
 from pathlib import Path
 
-from cosim.errors import InputError, Problem
+from cosim.errors import fail
 
 JOINTS = range(1, 7)
 """Joint counts a board can be written for."""
@@ -111,7 +111,7 @@ def board_text(n: int) -> str:
         If ``n`` is outside 1 to 6.
     """
     if n not in JOINTS:
-        raise InputError([Problem("a board has 1 to 6 joints", key="joints", value=n, allowed="1 to 6")])
+        fail("a board has 1 to 6 joints", key="joints", value=n, allowed="1 to 6")
     name = f"board{n}"
     indices = range(1, n + 1)
     lines = _HEAD.format(n=n, s="" if n == 1 else "s").splitlines()

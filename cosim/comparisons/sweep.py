@@ -23,7 +23,7 @@ from cosim.catalogue import OF_A_RUN, UNITS, needing_no_run
 from cosim.caution import CautionFields, caution_of, collected, warn
 from cosim.checkpoint import Points, Progress
 from cosim.comparisons.measuring import Measurer, check_measures, measure, needs_a_run
-from cosim.errors import InputError, Problem, SimulationError, StorageError
+from cosim.errors import InputError, SimulationError, StorageError, fail
 from cosim.ngspice.child import Child
 from cosim.ngspice.lines import number
 from cosim.plan import Plan, resolve
@@ -121,14 +121,12 @@ def parse_range(text: str) -> Setting:
                 return Setting(name.strip(), tuple(f"{first + k * step:.6g}" for k in range(count)))
     elif name.strip() and len(parts) == 1 and all(split_values(written)):
         return Setting(name.strip(), tuple(split_values(written)))
-    raise InputError(
-        Problem(
-            "is no range",
-            key="range",
-            value=text,
-            allowed=f"NAME=FROM:TO:COUNT, NAME=FROM:TO:COUNT:log (both ends of one sign), or NAME=V1,V2,...; "
-            f"2 to {MOST_POINTS} points",
-        )
+    fail(
+        "is no range",
+        key="range",
+        value=text,
+        allowed=f"NAME=FROM:TO:COUNT, NAME=FROM:TO:COUNT:log (both ends of one sign), or NAME=V1,V2,...; "
+        f"2 to {MOST_POINTS} points",
     )
 
 

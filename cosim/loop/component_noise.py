@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.circuits.extraction.noise_contributions import ComponentNoise, Report, component_noise
-from cosim.errors import InputError, Problem
+from cosim.errors import fail
 from cosim.loop.noise import stream
 from cosim.ngspice.deck import Deck
 from cosim.scene import Scene
@@ -85,13 +85,11 @@ def references(noise: ComponentNoise) -> Complex:
     """
     size = np.abs(np.linalg.det(noise.command))
     if not size.min() > _SINGULAR * np.abs(noise.command).max() ** noise.joints:
-        raise InputError(
-            Problem(
-                "component noise is referred to the pins cmd, and on this board they do not move every motor",
-                key="effects.component_noise",
-                value=True,
-                allowed="false",
-            )
+        fail(
+            "component noise is referred to the pins cmd, and on this board they do not move every motor",
+            key="effects.component_noise",
+            value=True,
+            allowed="false",
         )
     at_cmd = np.linalg.solve(noise.command, noise.motor.transpose(0, 2, 1)).transpose(0, 2, 1)
     at_x = noise.x[:, :, [group[0] for group in noise.groups]]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cosim.circuits.decks import Drive
 from cosim.circuits.design_constants import DesignConstants
 from cosim.effects import EFFECTS
-from cosim.errors import InputError, Problem
+from cosim.errors import fail
 from cosim.loop.columns import columns, sample_columns
 from cosim.loop.component_noise import ComponentGrid
 from cosim.loop.computer import COMPUTER, Method, Path
@@ -203,16 +203,12 @@ def _put_delay(s: np.void, scene: Scene) -> None:
         s["delay_ticks"] = scene.computer.delay_periods
         s["delay_s"] = scene.computer.delay_fraction * period
     if s["delay_ticks"] + 2 > QUEUE:
-        raise InputError(
-            [
-                Problem(
-                    "a sample would be lost",
-                    file=scene.file_name,
-                    key="computer.delay_periods",
-                    value=scene.computer.delay_periods,
-                    allowed=f"<= {QUEUE - 2}",
-                )
-            ]
+        fail(
+            "a sample would be lost",
+            file=scene.file_name,
+            key="computer.delay_periods",
+            value=scene.computer.delay_periods,
+            allowed=f"<= {QUEUE - 2}",
         )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from cosim.errors import InputError, Problem
+from cosim.errors import fail
 from cosim.ngspice.aliases import Aliases
 
 __all__ = ["spelled"]
@@ -67,7 +67,7 @@ def _number(word: str) -> str:
 def _element(name: str, aliases: Aliases) -> str:
     found = aliases.element_path(name)
     if found is None:
-        raise InputError(Problem("the circuit has no such element", key=name))
+        fail("the circuit has no such element", key=name)
     return found
 
 
@@ -80,7 +80,7 @@ def _voltage(word: str, aliases: Aliases) -> str:
         return f"v({','.join(found)})"
     vector = aliases.vector(word) if word.lower() != "all" else "all"
     if vector is None:
-        raise InputError(Problem("the circuit has no such node or source", key=word))
+        fail("the circuit has no such node or source", key=word)
     return vector
 
 

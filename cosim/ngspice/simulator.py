@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.errors import CosimError, InputError, Problem, SimulationError, StepTooSmall, nearest
+from cosim.errors import CosimError, InputError, SimulationError, StepTooSmall, fail, nearest
 from cosim.ngspice.aliases import Aliases
 from cosim.ngspice.command import spelled
 from cosim.ngspice.dcpath import has_dc_path, in_voltage_loop
@@ -172,7 +172,7 @@ class Simulator:
         if info == ffi.NULL:
             near = nearest(name, self.vector_names())
             hint = f"; nearest is {near}" if near else ""
-            raise InputError(Problem(f"ngspice has no such vector{hint}", key=name))
+            fail(f"ngspice has no such vector{hint}", key=name)
         count = info.v_length
         if info.v_flags & 1:
             return np.frombuffer(ffi.buffer(info.v_realdata, 8 * count), np.float64)
@@ -197,7 +197,7 @@ class Simulator:
         if name.lower() not in self._constants:  # ngspice would still know that of an earlier deck
             near = nearest(name, self._constants)
             hint = f", nearest is {near}" if near else ""
-            raise InputError(Problem(f"the board states no such .csparam{hint}", file=self._deck, key=name))
+            fail(f"the board states no such .csparam{hint}", file=self._deck, key=name)
         return float(np.real(self.vector(f"const.{name.lower()}")[0]))
 
     def constants(self) -> dict[str, float]:
@@ -227,7 +227,7 @@ class Simulator:
         """
         found = self._aliases.element_path(element)
         if found is None:
-            raise InputError(Problem("the circuit has no such element", file=self._deck, key=element))
+            fail("the circuit has no such element", file=self._deck, key=element)
         return found
 
     def attach(

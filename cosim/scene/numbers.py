@@ -6,7 +6,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from cosim.errors import InputError, Problem
+from cosim.errors import fail
 from cosim.scene.model import Scene
 
 __all__ = ["number_of", "with_number"]
@@ -30,7 +30,7 @@ def number_of(scene: Scene, key: str) -> float:
         value = None
     if isinstance(value, bool) or not isinstance(value, float | int):
         file = scene.file_name
-        raise InputError(Problem("is no number of this scene", file=file, key=key))
+        fail("is no number of this scene", file=file, key=key)
     return float(value)
 
 

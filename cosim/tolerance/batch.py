@@ -22,7 +22,7 @@ from cosim.circuits.extraction.alter import altered
 from cosim.circuits.fitting.rational_fit import FitError
 from cosim.comparisons.board_measures import BoardMeasures, Lacking
 from cosim.comparisons.measuring import all_measures, check_measures
-from cosim.errors import CosimError, InputError, Problem, SimulationError
+from cosim.errors import CosimError, InputError, SimulationError, fail
 from cosim.loop.linear.held_run import held_run, is_compiled
 from cosim.ngspice.child import Child
 from cosim.ngspice.placed_values import Placed
@@ -84,7 +84,7 @@ class Batch:
         check_measures(measures)
         own = [name for name in measures if ":" in name]
         if own:
-            raise InputError(Problem("a measure in Python is none of a batch", key="--measure", value=own[0]))
+            fail("a measure in Python is none of a batch", key="--measure", value=own[0])
         model = model or plan.model
         watched = plan.watched if model == "spice" else ()
         self._plan = replace(plan, model=model, watched=watched, recorded=())

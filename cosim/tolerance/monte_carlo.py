@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.caution import Caution, warn
-from cosim.errors import InputError, Problem
+from cosim.errors import InputError, Problem, fail
 from cosim.tolerance import intervals
 from cosim.tolerance.cube_points import Sampling
 from cosim.tolerance.intervals import Estimate
@@ -183,7 +183,7 @@ def summary(study: Study, name: str) -> Summary:
     column = study.column(name)
     known = column[np.isfinite(column)]
     if len(known) < 2:
-        raise InputError(Problem("fewer than two samples have this measure", key="--measure", value=name))
+        fail("fewer than two samples have this measure", key="--measure", value=name)
     how = study.sampling
     return Summary(
         name,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.extraction.extract import extract
 from cosim.circuits.linear_circuit import LinearCircuit
-from cosim.errors import InputError, Problem
+from cosim.errors import fail
 from cosim.loop import events
 from cosim.loop.columns import columns, sample_columns
 from cosim.loop.component_noise import ComponentGrid, component_grid
@@ -186,7 +186,7 @@ def _still(a: NDArray[np.float64], drive: NDArray[np.float64], name: str) -> NDA
     except np.linalg.LinAlgError:
         z = np.full(len(a), math.nan)
     if not np.isfinite(z).all():
-        raise InputError(Problem("the circuit has a pole at zero: it has no operating point", key=name))
+        fail("the circuit has a pole at zero: it has no operating point", key=name)
     return z
 
 
@@ -194,13 +194,11 @@ def simulate(request: RunRequest, report: Report) -> RunAnswer:
     """Run one scene on the `ideal` or `linear` model; `report` is told simulated time and points so far."""
     scene, board, constants = request.scene, request.board, request.constants
     if request.recorded:
-        raise InputError(
-            Problem(
-                "nodes inside the board exist in the model spice only",
-                file=str(board.path),
-                key="record.nodes",
-                value=", ".join(request.recorded),
-            )
+        fail(
+            "nodes inside the board exist in the model spice only",
+            file=str(board.path),
+            key="record.nodes",
+            value=", ".join(request.recorded),
         )
     circuit = extract(
         {

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.circuits.linear_circuit import LinearCircuit
-from cosim.errors import InputError, Problem
+from cosim.errors import fail
 from cosim.loop.linear.step_maps import (
     ANGLE,
     CHANNEL,
@@ -69,14 +69,12 @@ def modes(a: Array, name: str) -> Modes:
         poles[at], vectors = np.linalg.eig(a[np.ix_(at, at)])
         cond = float(np.linalg.cond(vectors))
         if not cond < _WORST_CONDITION:
-            raise InputError(
-                Problem(
-                    f"the circuit's poles near {poles[at][0]:.6g} rad/s coincide in one chain of states: its "
-                    "modes cannot be told apart",
-                    key=name,
-                    value=cond,
-                    allowed=f"condition number of the eigenvectors below {_WORST_CONDITION:g}",
-                )
+            fail(
+                f"the circuit's poles near {poles[at][0]:.6g} rad/s coincide in one chain of states: its "
+                "modes cannot be told apart",
+                key=name,
+                value=cond,
+                allowed=f"condition number of the eigenvectors below {_WORST_CONDITION:g}",
             )
         condition = max(condition, cond)
         v[np.ix_(at, at)], w[np.ix_(at, at)] = vectors, np.linalg.inv(vectors)

@@ -17,7 +17,7 @@ from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.extraction.probes import external_probes
 from cosim.circuits.extraction.swing import Swing
 from cosim.circuits.extraction.swing import swings as measured_swings
-from cosim.errors import InputError, Problem, nearest
+from cosim.errors import InputError, Problem, fail, nearest
 from cosim.loop import events
 from cosim.loop.columns import columns, sample_columns
 from cosim.loop.component_noise import ComponentGrid, component_grid
@@ -247,14 +247,12 @@ def _packed(said: Said, *scene: Any, **more: Any) -> Memory:
 def _with_probes(component: ComponentGrid, board: Deck) -> set[str]:
     """Return the names of the probes through which noise enters; `InputError` for a board without any."""
     if not component.probes:
-        raise InputError(
-            Problem(
-                "the multipliers have no 0 V probe in series with X through which noise could enter",
-                file=str(board.path),
-                key="effects.component_noise",
-                value=True,
-                allowed="false, or the model ideal or linear",
-            )
+        fail(
+            "the multipliers have no 0 V probe in series with X through which noise could enter",
+            file=str(board.path),
+            key="effects.component_noise",
+            value=True,
+            allowed="false, or the model ideal or linear",
         )
     return {name for name, _ in component.probes}
 
