@@ -10,17 +10,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.caution import Caution
 from cosim.circuits.extraction.motor_response import MotorResponse
 from cosim.circuits.fitting.aaa import poles_of
 from cosim.circuits.instability.encirclements import pivots, winding
+from cosim.types import Array
 
 __all__ = ["growing", "hidden"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 #: Two fits of different order agree so far; a pole is hidden from this share of a step on.
 _AGREE, _HIDDEN = 0.05, 0.5

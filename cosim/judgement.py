@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim import effects
 from cosim.caution import Caution
@@ -20,11 +19,11 @@ from cosim.ngspice.deck import Deck, load_deck
 from cosim.plan import Plan, swaps
 from cosim.pose import at_poses, at_start
 from cosim.scene import Level, PartFile
+from cosim.types import Array
 from cosim.units import quantity, signed
 
 __all__ = ["FINITE", "coupled", "latched", "left", "question", "reached", "verdict"]
 
-Array = NDArray[np.float64]
 
 #: Levels at which a board is judged: every amplifier has its bandwidth, the winding its inductance.
 FINITE: Mapping[str, str] = {

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.circuits.cache import load_arrays, store_arrays
 from cosim.circuits.design_constants import DesignConstants
@@ -20,10 +19,10 @@ from cosim.ngspice.child import Child, call
 from cosim.numba_cache import code_folder
 from cosim.scene import Method, PythonOperator, Scene
 from cosim.scene.mechanism import mechanism, operator, start
+from cosim.types import Array
 
 __all__ = ["Pose", "at_poses", "at_start"]
 
-Array = NDArray[np.float64]
 
 _VERSION = 1
 

@@ -29,11 +29,11 @@ from cosim.rawfile import Signals, read_raw, stamp
 from cosim.results import RAW, Run, written_files
 from cosim.scene import PythonOperator, Scene
 from cosim.staging import Staging, disk_errors, require_ours, scratch_folder
+from cosim.types import Measures
 from cosim.units import quantity
 
 __all__ = ["Errors", "measures_of", "request_of", "resolve", "run"]
 
-Measures = Mapping[str, Mapping[str, Any]]
 #: What adds errors to measures; see `run`.
 Errors = Callable[[Measures, Any], Mapping[str, dict[str, Any]]]
 

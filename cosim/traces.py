@@ -16,9 +16,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.types import Array
+
 __all__ = ["Spans", "Trace", "changes", "together"]
 
-Array = NDArray[np.float64]
 
 #: Share of a DAC's largest voltage that rounding may move it by at the end of a ramp: an ulp of 10 s is 2e-10
 #: of a ramp of 10 us. The least step of 30 bits is 1.9e-9 of the range.

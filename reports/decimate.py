@@ -5,14 +5,13 @@ first, the lowest, the highest and the last point can be seen: these are kept, a
 """
 
 import numpy as np
-from numpy.typing import NDArray
+
+from cosim.types import Array
 
 __all__ = ["BINS", "keep_peaks", "merge_spans"]
 
 #: Columns of a full-width figure; four points each keep a page of a long run below 3 MB.
 BINS = 480
-
-Array = NDArray[np.float64]
 
 
 def keep_peaks(time: Array, value: Array, bins: int = BINS) -> tuple[Array, Array]:

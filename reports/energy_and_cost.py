@@ -1,15 +1,14 @@
 """Where the energy went, and what the run cost: time steps and points per sample."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cosim.types import Array
 from cosim.units import quantity, scale
 from reports.style import FAINT, INK, JOINTS, Drawn, curve, figure, held, legend, shade
 from reports.view import View
 
 __all__ = ["energy", "steps", "work"]
 
-Array = NDArray[np.float64]
 
 #: Energies below this share of the largest are not told apart from the trapezoidal rule's error.
 _SHOWN = 1e-3

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from cosim.catalogue import UNITS
@@ -19,6 +18,7 @@ from cosim.tolerance.listing import CONVENTION
 from cosim.tolerance.monte_carlo import worst
 from cosim.tolerance.scene_study import RECORD
 from cosim.tolerance.sensitivity import deviations
+from cosim.types import Array
 from cosim.units import heading, quantity
 from reports.page import PAGE_NAME, Picture, picture, render, write_page
 from reports.style import FAINT, FORCE, INK, JOINTS, LIMIT, Drawn, figure, legend, look
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from cosim.tolerance.findings import Findings
     from cosim.tolerance.intervals import Estimate
 
-Array = NDArray[np.float64]
 #: Figures of a measure; the last two need a fitted surface.
 PARTS = ("distribution", "estimate", "blame", "leading")
 #: What is written besides the figures.

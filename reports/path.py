@@ -2,15 +2,14 @@
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
+from cosim.types import Array
 from reports.decimate import keep_peaks
 from reports.style import FAINT, FORCE, INK, POSITION, WALL, Drawn, figure
 from reports.view import View, WallFrame
 
 __all__ = ["path"]
 
-Array = NDArray[np.float64]
 
 #: The largest arrow is the panel's height divided by this.
 _ARROWS = 3.2

@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cosim.caution import Caution
+from cosim.types import Array
 from reports.decimate import merge_spans
 
 __all__ = ["Amplifier", "RunLike", "View", "WallFrame", "plain"]
-
-Array = NDArray[np.float64]
 
 
 class RunLike(Protocol):

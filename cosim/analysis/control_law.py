@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import root
 
 from cosim.circuits.design_constants import DesignConstants
@@ -18,12 +17,12 @@ from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import fail
 from cosim.scene import CommandPath, Method, Scene
 from cosim.scene.mechanism import mechanism, operator
+from cosim.types import Array
 from mech.contact import operator_force
 from mech.linkage import Linkage
 
 __all__ = ["LawPoint", "external_force", "law_point", "resting_pose", "rests"]
 
-Array = NDArray[np.float64]
 
 #: Newton's steps to the contact point, as the computer takes them.
 _STEPS = 30

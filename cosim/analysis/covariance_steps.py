@@ -8,13 +8,12 @@ modes are lost on the way, and sums of positive semidefinite matrices stay so.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.loop.linear.matrix_phi import phi_functions
+from cosim.types import Array
 
 __all__ = ["exact_step", "integral", "repeated", "stationary", "summed", "white_covariance"]
 
-Array = NDArray[np.float64]
 
 #: Gauss-Legendre over the first interval: exact for polynomials of degree 15.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)

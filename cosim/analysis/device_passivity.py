@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.analysis.control_law import law_point
 from cosim.analysis.passivity import Device, Law, wall
@@ -17,11 +16,9 @@ from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.effects.dac_skew import skew_s
 from cosim.scene import CommandPath, Method, Scene
 from cosim.scene.mechanism import mechanism
+from cosim.types import Array, Complex
 
 __all__ = ["Delivered", "delivered", "device_of", "law_of"]
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 
 def device_of(scene: Scene, constants: DesignConstants, circuit: LinearCircuit, q: Array) -> Device:

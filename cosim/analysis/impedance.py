@@ -12,7 +12,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.analysis.control_law import law_point
 from cosim.analysis.stability import border, held, stability, touching, with_computer
@@ -22,11 +21,10 @@ from cosim.effects.dac_skew import skew_s
 from cosim.errors import fail
 from cosim.scene import Method, Scene
 from cosim.scene.mechanism import mechanism
+from cosim.types import Array, Complex
 
 __all__ = ["Displayed", "displayed", "full_scale", "impedance", "largest"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 #: Range that is scanned for a border, in the unit of the key.
 _RANGE = {"stiffness": (1e-1, 1e7), "damping": (1e-3, 1e5)}

@@ -12,7 +12,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.analysis.control_law import LawPoint, external_force, law_point, rests
 from cosim.circuits.design_constants import DesignConstants
@@ -24,12 +23,11 @@ from cosim.effects.sensing import SENSING
 from cosim.loop.dac_channels import is_geometric
 from cosim.scene import Onset, Scene
 from cosim.scene.mechanism import mechanism, operator
+from cosim.types import Array
 from mech import Chain
 from mech.linkage import Linkage
 
 __all__ = ["Output", "System", "linearise"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.analysis.control_law import law_point, resting_pose
 from cosim.analysis.covariance_steps import integral, repeated, stationary, summed
@@ -25,10 +24,10 @@ from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import InputError, Problem, fail
 from cosim.scene import PotNoise, Scene
+from cosim.types import Array
 
 __all__ = ["Grid", "NoiseCovariance", "covariance", "noise_covariance", "noise_grid"]
 
-Array = NDArray[np.float64]
 
 #: Samples and ticks are taken to meet again within so many of the longer of both.
 _MOST_TURNS = 64

@@ -27,13 +27,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy  # loads its parts when they are used
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
+
+from cosim.types import Array, Complex
 
 __all__ = ["Certified", "Device", "Law", "least_damping", "needed_damping", "share_used", "wall"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 #: Points of the grid on the half circle; the certificate does not depend on it, only the time to find it.
 _GRID = 512

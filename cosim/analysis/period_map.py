@@ -13,14 +13,13 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.analysis.covariance_steps import exact_step
 from cosim.analysis.linearise import Output, System
+from cosim.types import Array
 
 __all__ = ["Group", "Lifted", "Stretch", "lift"]
 
-Array = NDArray[np.float64]
 
 #: Instants closer than this share of the period are one.
 _SAME = 1e-12

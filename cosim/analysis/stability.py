@@ -22,6 +22,7 @@ from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import InputError, Problem, fail
 from cosim.scene import Scene
+from cosim.types import Array
 
 __all__ = [
     "Border",
@@ -35,7 +36,6 @@ __all__ = [
     "with_computer",
 ]
 
-Array = NDArray[np.float64]
 
 #: Points of the scan a decade; a window of stability narrower than a step (15 %) may be missed.
 SCAN = 16

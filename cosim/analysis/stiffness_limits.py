@@ -29,10 +29,10 @@ from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.scene import Method, Scene
 from cosim.scene.mechanism import mechanism
+from cosim.types import Array
 
 __all__ = ["RANGE", "Limits", "largest_passive", "limits", "locus", "varied"]
 
-Array = NDArray[np.float64]
 
 #: Stiffness that is scanned for the border [N/m].
 RANGE = (1.0, 1e7)

@@ -26,10 +26,10 @@ from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.scene import Scene
 from cosim.scene.mechanism import mechanism
 from cosim.scene.table import Table
+from cosim.types import Array
 
 __all__ = ["Axis", "Pencil", "border_map", "changed", "pencil"]
 
-Array = NDArray[np.float64]
 
 KEY = "discrete_stiffness_n_per_m"
 #: A border is a root to this share of itself.

@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.analysis.extracted import circuit_of
 from cosim.analysis.stability import touching
@@ -19,12 +18,11 @@ from cosim.plan import resolve
 from cosim.scene import CircuitModelName, Scene
 from cosim.scene.mechanism import mechanism
 from cosim.scene.parameters import Field, Parameters
+from cosim.types import Array, Complex
 from mech import Chain
 
 __all__ = ["Case", "Tip", "Wanted", "joint_area", "reached", "row", "tip_of"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 #: Points of the path round a circle: its integrand is smooth and periodic, the rule exact to rounding.
 _CIRCLE = 64

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.analysis.noise_covariance import noise_grid
 from cosim.analysis.tip import Tip, Wanted, tip_of
@@ -17,6 +16,7 @@ from cosim.circuits.extraction.noise_contributions import ComponentNoise
 from cosim.ngspice.child import Child, call
 from cosim.ngspice.deck import Deck
 from cosim.scene import Method, PotNoise, Scene
+from cosim.types import Array, Complex
 
 __all__ = [
     "NoiseForm",
@@ -28,8 +28,6 @@ __all__ = [
     "pot_form",
 ]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 #: Of a density that is flat to a corner and falls beyond, the share below these frequencies is nothing.
 _LOW_HZ, _POINTS = 1e-1, 400

@@ -17,8 +17,8 @@ from cosim.circuits.rest import AtRest
 from cosim.errors import InputError
 from cosim.ngspice.deck import Deck, board_pins
 from cosim.ngspice.simulator import Simulator
+from cosim.types import Complex
 
-Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 HIGHEST_HZ = 1e8
 """Sweeps end here: above every pole of a part of this trade."""

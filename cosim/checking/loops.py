@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.checking.bench import HIGHEST_HZ, Bench, Complex, Real
+from cosim.checking.bench import HIGHEST_HZ, Bench, Real
 from cosim.checking.loop_probes import Probe
+from cosim.types import Complex
 
 _SWEEP = f"dec 20 0.1 {HIGHEST_HZ:g}"
 _NO_LOOP = 1e-6

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.checking.bench import HIGHEST_HZ, Bench, Complex, Real
+from cosim.checking.bench import HIGHEST_HZ, Bench, Real
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.extraction.block_delays import MOTOR, SpringDelay
 from cosim.circuits.extraction.block_delays import Step as Part
+from cosim.types import Complex
 
 LOW_HZ = 0.1
 """Where w -> 0 is read: below every corner of a haptic device; 1e-4 of a bandwidth where that is lower."""

@@ -6,12 +6,11 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from cosim.types import Array, Complex
 
 __all__ = ["LinearCircuit", "channel_names", "rational"]
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 
 def channel_names(joints: int) -> list[str]:

@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.analysis.control_law import law_point
 from cosim.analysis.extracted import circuit_of
@@ -30,11 +29,11 @@ from cosim.ngspice.child import Child
 from cosim.plan import Plan
 from cosim.scene import Method
 from cosim.scene.mechanism import mechanism
+from cosim.types import Array
 from mech import Chain
 
 __all__ = ["BoardMeasures", "Lacking", "board_measures"]
 
-Array = NDArray[np.float64]
 Row = dict[str, Any]
 
 #: A gain that the circuit's model gives is good to this share of the largest.

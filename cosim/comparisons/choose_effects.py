@@ -27,9 +27,8 @@ from cosim.ngspice.child import Child
 from cosim.plan import Plan
 from cosim.provenance import effects_digest
 from cosim.scene.load import SceneLike
+from cosim.types import Measures
 from cosim.units import quantity
-
-Measures = Mapping[str, Mapping[str, Any]]
 
 #: Predicted time of everything at once, up to which it is run for comparison [s].
 CHECK_S = 60.0

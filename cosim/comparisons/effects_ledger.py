@@ -23,8 +23,8 @@ from cosim.ngspice.child import Child, start_early
 from cosim.ngspice.deck import Deck
 from cosim.plan import Plan, resolve
 from cosim.scene import Scene, load_scene
+from cosim.types import Measures
 
-Measures = Mapping[str, Mapping[str, Any]]
 Settings = Mapping[str, Any]
 
 

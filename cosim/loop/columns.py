@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from cosim.circuits.decks import Drive
+from cosim.types import Record
 from mech.compiled import inner
 from mech.shaft import windup_energy
-
-Record = Any
 
 
 def columns(drive: Drive, recorded: tuple[str, ...], *, shafts: bool = False) -> list[str]:

@@ -21,16 +21,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.circuits.extraction.noise_contributions import ComponentNoise, Report, component_noise
+from cosim.circuits.extraction.noise_contributions import ComponentNoise, component_noise
 from cosim.errors import fail
 from cosim.loop.noise import stream
 from cosim.ngspice.deck import Deck
 from cosim.scene import Scene
+from cosim.types import Array, Complex, Report
 
 __all__ = ["ComponentGrid", "component_grid", "realise", "references"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 #: Further length of the streams [s]: the FFT joins end and start, and no memory of the circuit is longer.
 _APART_S = 1.0

@@ -8,17 +8,16 @@ only, so that a changed resistor changes what the device renders and not what th
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from cosim.types import Record
 from mech.compiled import inner
 from mech.kernels import jacobian, tip
 from mech.records import NMAX
 
-Record = Any
 Vector = NDArray[np.float64]
 
 

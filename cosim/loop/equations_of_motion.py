@@ -6,12 +6,11 @@ from typing import Any
 
 from numba import njit
 
+from cosim.types import Record
 from mech.kernels import dynamics
 
 #: No joint of a haptic device turns this fast [rad/s], ten times the fastest start that a scene may state.
 RUNAWAY_RAD_PER_S = 1e5
-
-Record = Any
 
 
 @njit(cache=True, error_model="numpy")

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from numba import carray, njit
 
 from cosim.loop.computer import law, read_encoders, to_volts
 from cosim.loop.numba_calls import call_plain, call_with_time, doubles_at
 from cosim.loop.pin_voltages import is_gain
 from cosim.loop.state import QUEUE, Fault
+from cosim.types import Record
 from mech.compiled import inner
 
 _SAMPLE_LOST = Fault.SAMPLE_LOST
-
-Record = Any
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)

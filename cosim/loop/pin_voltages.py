@@ -7,9 +7,8 @@ from typing import Any
 from numba import carray, njit
 
 from cosim.loop.numba_calls import doubles_at
+from cosim.types import Record
 from mech.compiled import inner, inner_inlined
-
-Record = Any
 
 #: Steps over a ramp of the gains, each with the gain of its middle: the torque's impulse is wrong by at most
 #: (change of gain) x (change of input) x settling time / (12 x steps^2). The input changes within the ramp by

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
@@ -15,6 +15,7 @@ from cosim.loop.setup import Memory
 from cosim.loop.state import NO_VOLTAGE, PATIENCE, Fault
 from cosim.loop.userclass import in_users_words
 from cosim.staging import disk_errors
+from cosim.types import Report
 
 _FAULTS = {
     Fault.NOT_FINITE: "a motor current is not a finite number",
@@ -34,7 +35,6 @@ _FAULTS = {
 _KINDS = {Fault.STEP_COLLAPSED: StepTooSmall, Fault.CRAWLS: Crawl}
 #: Streamed while the simulation runs, in the result's temporary folder.
 ROWS, SAMPLES = "rows.f64", "samples.f64"
-Report = Callable[[dict[str, Any]], None]
 
 
 class Owner(Protocol):

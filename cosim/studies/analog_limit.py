@@ -14,7 +14,6 @@ from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from cosim.analysis.control_law import law_point
@@ -37,7 +36,6 @@ from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 
 __all__ = ["STUDY", "Delay", "delay", "lag", "noise_force"]
 
-Array = NDArray[np.float64]
 
 SPRING, DAMPER = "analog_stiffness_n_per_m", "analog_damping_n_s_per_m"
 #: What is scanned for borders [N/m, N s/m]; a spring so soft [N/m] that it does not matter.

@@ -10,7 +10,6 @@ from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from cosim.analysis.device_passivity import device_of
@@ -27,8 +26,6 @@ from cosim.scene.quantities import Stiffness
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 
 __all__ = ["STUDY", "EtaParameters", "active_from", "block_delays", "unstable_from"]
-
-Array = NDArray[np.float64]
 
 
 #: What the cases of this study hold, for its page.

@@ -11,7 +11,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.analysis.extracted import circuit_of
 from cosim.analysis.impedance import Displayed, full_scale, largest
@@ -25,11 +24,11 @@ from cosim.scene import Method, Scene
 from cosim.scene.mechanism import mechanism
 from cosim.scene.parameters import Field, Parameters
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
+from cosim.types import Array
 from mech import Chain
 
 __all__ = ["PRESETS", "STUDY", "DeviceNumbers", "Forces", "device_numbers", "forces", "workspace"]
 
-Array = NDArray[np.float64]
 
 #: Nearer to full stretch or fold than this angle [rad] an arm counts as out of its workspace.
 _MARGIN_RAD = 0.15

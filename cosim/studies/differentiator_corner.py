@@ -11,7 +11,6 @@ from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.analysis.device_passivity import device_of, law_of
 from cosim.analysis.linearise import linearise
@@ -35,7 +34,6 @@ from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 
 __all__ = ["STUDY", "CornerParameters", "passive"]
 
-Array = NDArray[np.float64]
 
 _LOOKS = 48
 

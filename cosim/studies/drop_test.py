@@ -16,7 +16,6 @@ from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.analysis.extracted import circuit_of
 from cosim.analysis.impedance import impedance
@@ -39,10 +38,10 @@ from cosim.scene.quantities import Period
 from cosim.studies.drop_curves import REFINED, Family, Found, compared, curve, verdicts
 from cosim.studies.grid import milli
 from cosim.studies.study import Study, StudyFile, StudyResult, Table
+from cosim.types import Array
 
 __all__ = ["STUDY", "Dropped", "Falls", "Job", "Rest", "drop", "limit", "scan"]
 
-Array = NDArray[np.float64]
 
 #: The displayed stiffness is that of so slow a motion: masses then push with some 1e-5 N/m.
 _SLOW_HZ = 1e-3

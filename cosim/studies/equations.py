@@ -13,7 +13,6 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.analysis.control_law import law_point, rests
 from cosim.analysis.extracted import circuit_of
@@ -30,11 +29,11 @@ from cosim.scene.mechanism import mechanism
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.staging import scratch_folder
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
+from cosim.types import Array
 from mech import Chain
 
 __all__ = ["STUDY", "gains", "jacobian_error", "linearised", "slope", "static_force"]
 
-Array = NDArray[np.float64]
 
 #: Step of the differences [rad]: their error is its square times 0.2 m / 6, rounding 1e-17 m over it.
 _STEP_RAD = 1e-5

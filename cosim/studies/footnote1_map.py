@@ -12,7 +12,6 @@ from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.analysis.tip import Case, Tip, Wanted, row, tip_of
 from cosim.analysis.tip_noise import NoiseForm, component_form, pot_density, pot_form
@@ -29,10 +28,10 @@ from cosim.scene.quantities import Damping, Frequency, Stiffness
 from cosim.studies.case_effects import holds_table
 from cosim.studies.grid import geometric
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
+from cosim.types import Array
 
 __all__ = ["STUDY", "FootnoteParameters", "shares", "verdicts"]
 
-Array = NDArray[np.float64]
 
 #: Kinds of potentiometer noise; `position` and `static` are silent at rest and leave the components' noise.
 _KINDS = (PotNoise.POSITION, PotNoise.PEAK_TO_PEAK, PotNoise.WHITE)

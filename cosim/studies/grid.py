@@ -7,11 +7,11 @@ that the table, the file and the computation hold the same short number. Results
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from cosim.types import Array
 
 __all__ = ["decimal", "even", "geometric", "milli", "percent", "steps"]
 
-Array = NDArray[np.float64]
 
 #: Four short of what a double holds: far above the rounding of a sum or product, far below any tolerance.
 _DIGITS = 12

@@ -11,7 +11,6 @@ from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.analysis.linearise import Output, linearise
 from cosim.analysis.noise_covariance import covariance, noise_grid
@@ -31,7 +30,6 @@ from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 
 __all__ = ["STUDY", "Gains", "ShiftParameters", "largest", "speed_rms"]
 
-Array = NDArray[np.float64]
 
 #: Scanned around the passive limit 2 b/T of an ideal circuit.
 _SPAN = (0.02, 50.0)

@@ -15,7 +15,6 @@ from itertools import groupby, pairwise
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from cosim.analysis.control_law import external_force
@@ -36,10 +35,10 @@ from cosim.studies.drop_curves import Family
 from cosim.studies.drop_test import Falls, Job, Rest
 from cosim.studies.grid import milli
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
+from cosim.types import Array
 
 __all__ = ["STUDY", "Contact", "Fall", "fall", "first_contact"]
 
-Array = NDArray[np.float64]
 
 _KEYS = ("share", "jump", "jump_max", "largest", "onset", "onset_max", "contact")
 #: A spring so soft [N/m] that it does not matter.

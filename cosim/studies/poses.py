@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.analysis.extracted import circuit_of
 from cosim.analysis.tip import joint_area
@@ -24,11 +23,11 @@ from cosim.plan import resolve
 from cosim.scene.mechanism import mechanism
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
+from cosim.types import Array
 from mech import Chain
 
 __all__ = ["STUDY", "Drag", "Unevenness", "drag", "rendered", "unevenness"]
 
-Array = NDArray[np.float64]
 
 #: Nearer to full stretch or fold than this angle [rad] the Jacobian's inverse says nothing of use.
 _MARGIN_RAD = 0.15

@@ -13,7 +13,6 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.checkpoint import Points
 from cosim.errors import fail
@@ -26,9 +25,8 @@ from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.quantities import Stiffness
 from cosim.staging import scratch_folder
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
+from cosim.types import Array
 from mech import Chain
-
-Array = NDArray[np.float64]
 
 #: Published discrimination thresholds of stiffness by hand: 8 % at the elbow's best, 23 % for the arm.
 NOTICED, NOTICED_SOURCE = 0.23, "Jones and Hunter 1990: 23 % for the arm"

@@ -10,7 +10,6 @@ from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.analysis.extracted import circuit_of
 from cosim.analysis.tip import Case, Tip, Wanted, row, tip_of
@@ -21,10 +20,10 @@ from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.quantities import Damping, Frequency, Stiffness
 from cosim.studies.grid import geometric, percent
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
+from cosim.types import Array
 
 __all__ = ["STUDY", "RenderingParameters", "passes", "shown"]
 
-Array = NDArray[np.float64]
 Share = Annotated[float, Field(gt=0, lt=10)]
 
 

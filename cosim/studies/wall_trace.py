@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.checkpoint import Points
 from cosim.errors import fail
@@ -27,10 +26,10 @@ from cosim.staging import scratch_folder
 from cosim.studies.case_effects import in_words
 from cosim.studies.grid import steps
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
+from cosim.types import Array
 
 __all__ = ["SINK", "STUDY", "quasi_static", "traced", "verdicts"]
 
-Array = NDArray[np.float64]
 
 #: Sink at equal force of 133 + 100 N/m over that of 133 N/m, the paper's two stiffnesses, and how far off it
 #: may be.

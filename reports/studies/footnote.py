@@ -7,15 +7,14 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
 from cosim.studies.study import StudyResult
+from cosim.types import Array
 from reports.style import INK, LIMIT, Drawn, figure
 
 __all__ = ["draw"]
 
-Array = NDArray[np.float64]
 
 #: Holds; what fails most: stiffness error, delay, noise; nothing known.
 _COLOURS = ("#DCEBD9", "#F3DFB8", "#F0C9B8", "#C9D6EA", "#EEEEEE")

@@ -3,14 +3,13 @@
 from collections.abc import Collection, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.studies.study import StudyResult, Table
+from cosim.types import Array
 from reports.style import FAINT, JOINTS, Drawn, figure, legend
 
 __all__ = ["draw"]
 
-Array = NDArray[np.float64]
 _NORMAL, _TANGENT, _DEPTH = "normal force [N]", "tangential force [N]", "depth [mm]"
 
 

@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.errors import InputError, Problem
 from cosim.ngspice.conditions import flags
@@ -25,7 +24,6 @@ from cosim.ngspice.placed_values import board_netlist, node_name, split, walk
 
 __all__ = ["Change", "Unlike", "changes", "nominal_values"]
 
-Array = NDArray[np.float64]
 Pair = tuple[str, str]
 
 #: Kinds of admittance: G, s C, 1/(s L), and a current that flows at rest.

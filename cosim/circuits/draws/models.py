@@ -13,7 +13,6 @@ from contextlib import suppress
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.circuits.cache import Asked
 from cosim.circuits.draws.admittances import Unlike, changes
@@ -28,10 +27,10 @@ from cosim.circuits.fitting.refit import Batch, Unfit, batches, fitted, points
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.ngspice.deck import Deck
 from cosim.ngspice.placed_values import Placed
+from cosim.types import Array
 
 __all__ = ["Draws"]
 
-Array = NDArray[np.float64]
 
 #: How far off its design a board is looked at, to see all its poles; multiples of the ratio spread evenly.
 _OFF, _GOLDEN = 0.01, 0.6180339887498949

@@ -24,11 +24,10 @@ from cosim.circuits.extraction.path_measurement import LOW_HZ, Paths, Session
 from cosim.circuits.extraction.probes import find_probes
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.ngspice.deck import Deck
+from cosim.types import Array, Complex
 
 __all__ = ["DrawnNetwork"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 #: What is moved by less than this share of the most counts as not reached.
 _REACHES = 1e-13

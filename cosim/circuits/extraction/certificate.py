@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.caution import Caution
 from cosim.circuits.extraction.limits_and_offsets import ControlPath
@@ -15,11 +14,11 @@ from cosim.circuits.fitting.networks import Block, derivatives
 from cosim.circuits.fitting.rational_fit import GOOD
 from cosim.circuits.fitting.reduction import Bound
 from cosim.circuits.linear_circuit import LinearCircuit, channel_names
+from cosim.types import Array
 from cosim.units import quantity
 
 __all__ = ["WORST_NONLINEARITY", "cautions", "delays", "footnote", "linear_certificate", "statics"]
 
-Array = NDArray[np.float64]
 
 #: Deviation of a gain from proportionality, as a share of full scale, at which `linear` is refused.
 WORST_NONLINEARITY = 0.02

@@ -6,7 +6,7 @@ import contextlib
 import json
 import os
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +17,9 @@ from cosim.circuits.element_count import element_count
 from cosim.errors import CosimError
 from cosim.ngspice.deck import Deck, board_pins
 from cosim.ngspice.simulator import Simulator
+from cosim.types import Report
 
 __all__ = ["kept", "of_deck", "read", "read_constants"]
-
-Report = Callable[[dict[str, Any]], None]
 
 
 def of_deck(board: Deck, numbers: Mapping[str, float]) -> Stated:

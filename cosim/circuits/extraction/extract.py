@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.circuits import cache
 from cosim.circuits.extraction import certificate
@@ -19,11 +17,10 @@ from cosim.circuits.fitting.rational_fit import WORST, Modes
 from cosim.circuits.linear_circuit import LinearCircuit, channel_names
 from cosim.errors import CosimError, InputError, Problem
 from cosim.ngspice.deck import Deck
+from cosim.types import Array, Report
 
 __all__ = ["SWEEP", "extract", "extracted", "linear"]
 
-Array = NDArray[np.float64]
-Report = Callable[[dict[str, Any]], None]
 
 #: Two decades more than 0.1 Hz to 100 MHz below and one above, for the poles just outside.
 SWEEP = "dec 20 1m 1g"

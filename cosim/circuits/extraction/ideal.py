@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from cosim.circuits.extraction.path_measurement import LOW_HZ, Paths
 from cosim.circuits.linear_circuit import LinearCircuit, channel_names
 from cosim.errors import InputError, Problem
+from cosim.types import Array
 from cosim.units import quantity
 
 __all__ = ["DC_SWEEP", "dc_gains", "ideal"]
 
-Array = NDArray[np.float64]
 
 #: Two frequencies, the second ten times the first.
 DC_SWEEP = f"dec 1 {LOW_HZ[0]} {LOW_HZ[1]}"

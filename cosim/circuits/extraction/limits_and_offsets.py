@@ -6,16 +6,14 @@ import contextlib
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.circuits.extraction.path_measurement import LOW_HZ, Session
 from cosim.circuits.extraction.testbench import Bench
 from cosim.errors import NoOperatingPoint
+from cosim.types import Array, Complex
 
 __all__ = ["ControlPath", "Offsets", "beyond_rounding", "control_path", "current_limits", "offsets"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 #: Command voltages go this many times the converters' range: far enough for any driver that clamps.
 _BEYOND = 5.0

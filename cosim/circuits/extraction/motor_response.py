@@ -11,16 +11,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.circuits.cache import load_arrays, store_arrays
 from cosim.circuits.extraction.testbench import Bench
 from cosim.ngspice.deck import Deck
+from cosim.types import Array, Complex
 
 __all__ = ["MotorResponse", "keep", "known", "measure"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _VERSION = 1
 #: Every frequency at which a device and its circuit can move each other.

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.circuits.extraction.probes import Probe
+from cosim.types import Complex
 
 __all__ = ["LOW_HZ", "Multiplier", "find_multipliers"]
 
-Complex = NDArray[np.complex128]
 
 #: A response below this is none [V/V]: parasitic paths of macro-models are far below, working paths above.
 _NONE = 1e-6

@@ -10,14 +10,12 @@ from __future__ import annotations
 import contextlib
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.errors import CosimError, SimulationError
 from cosim.ngspice.simulator import Simulator
+from cosim.types import Array
 
 __all__ = ["by_element", "left_out", "silence"]
-
-Array = NDArray[np.float64]
 
 
 def by_element(simulator: Simulator, prefix: str) -> tuple[dict[str, Array], list[str]]:

@@ -14,12 +14,11 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.constants import Boltzmann, elementary_charge
 
 from cosim.circuits.cache import VERSION, load_arrays, store_arrays
@@ -29,12 +28,10 @@ from cosim.circuits.linear_circuit import channel_names
 from cosim.errors import CosimError
 from cosim.ngspice.deck import Deck
 from cosim.ngspice.noise_deck import ROOM_C, SOURCE, Element, elements, noisy
+from cosim.types import Array, Complex, Report
 
 __all__ = ["BAND_HZ", "ComponentNoise", "Share", "component_noise", "extract_noise"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Report = Callable[[dict[str, Any]], None]
 
 #: Where noise is measured [Hz]: beyond what a finger or a motor follows, on both sides.
 BAND_HZ = (0.1, 1e5)

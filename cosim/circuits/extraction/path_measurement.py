@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.circuits.extraction.multipliers import LOW_HZ
 from cosim.circuits.extraction.testbench import Bench
 from cosim.ngspice.deck import Deck
+from cosim.types import Array, Complex
 
 __all__ = ["LOW_HZ", "Paths", "Session"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 #: Crosstalk between joints above this share of the largest path to one place: nothing is driven together.
 _CROSSTALK = 1e-10

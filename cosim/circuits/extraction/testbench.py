@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.circuits.decks import Drive, testbench
 from cosim.circuits.extraction.multipliers import Multiplier, find_multipliers
@@ -16,11 +15,10 @@ from cosim.circuits.rest import AtRest
 from cosim.errors import NoOperatingPoint
 from cosim.ngspice.deck import Deck
 from cosim.ngspice.simulator import Simulator
+from cosim.types import Array, Complex
 
 __all__ = ["Bench"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 #: Nodes named in one command: ngspice cuts off what is longer than 512 characters.
 _A_LINE = 8

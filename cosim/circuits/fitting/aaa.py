@@ -14,9 +14,10 @@ import numpy as np
 import scipy  # loads its parts when they are used
 from numpy.typing import NDArray
 
+from cosim.types import Complex
+
 __all__ = ["poles_of"]
 
-Complex = NDArray[np.complex128]
 
 #: AAA goes on to this error relative to each path's maximum; rounding in `.ac` is at 1e-16 to 1e-14.
 _FINE = 1e-13

@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 from cosim.circuits.fitting.rational_fit import WORST, FitError, Modes, fit
 from cosim.circuits.fitting.reduction import Bound, error_bound, path_scale, reduce
 from cosim.errors import InputError, Problem
+from cosim.types import Array, Complex
 from cosim.units import quantity
 
 __all__ = ["ROUNDING", "Block", "derivatives", "fit_block"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 #: A path below this share of the strongest one to the same output is rounding.
 ROUNDING = 1e-13

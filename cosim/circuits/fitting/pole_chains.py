@@ -7,12 +7,11 @@ make.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from cosim.types import Array, Complex
 
 __all__ = ["NEAR", "chain_basis", "chain_matrices", "chained", "least_squares", "states_of"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 #: Poles nearer to each other than this (relative) share a chain instead of having residues of their own.
 NEAR = 0.01

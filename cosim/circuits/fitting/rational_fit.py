@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import scipy  # loads its parts when they are used
-from numpy.typing import NDArray
 
 from cosim.circuits.fitting.aaa import poles_of
 from cosim.circuits.fitting.pole_chains import (
@@ -25,11 +24,10 @@ from cosim.circuits.fitting.pole_chains import (
     states_of,
 )
 from cosim.circuits.linear_circuit import rational
+from cosim.types import Array, Complex
 
 __all__ = ["GOOD", "WORST", "FitError", "Modes", "fit"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 #: A fit as good as this leaves nothing to be said: 1e-9 is promised, also between the points.
 GOOD = 3e-10

@@ -16,15 +16,13 @@ from itertools import pairwise
 
 import numpy as np
 import scipy  # loads its parts when they are used
-from numpy.typing import NDArray
 
 from cosim.circuits.fitting.rational_fit import Modes
 from cosim.circuits.linear_circuit import rational
+from cosim.types import Array, Complex
 
 __all__ = ["TERMS", "Bound", "error_bound", "in_band", "path_scale", "reduce", "rest"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 #: Terms of the Taylor series in each interval of the bound.
 TERMS = 4

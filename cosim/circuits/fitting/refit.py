@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from cosim.circuits.extraction.path_measurement import Paths
 from cosim.circuits.fitting.rational_fit import Modes, fit
 from cosim.circuits.fitting.vector_fitting import Fractions, fractions, realised, relocated, shortened, weight
+from cosim.types import Array, Complex
 
 __all__ = ["GOOD", "Batch", "Fitted", "Unfit", "batches", "fitted", "points"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 #: Largest error at any frequency, relative to each path's maximum: what the unreduced model promises.
 GOOD = 1e-9

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Fractions", "fractions", "realised", "relocated", "shortened", "weight"]
+from cosim.types import Array, Complex
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+__all__ = ["Fractions", "fractions", "realised", "relocated", "shortened", "weight"]
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from cosim.types import Array, Complex
 
 __all__ = ["HELD_OHM", "SWEEP", "Impedances", "alike", "count", "independent", "measure", "pivots", "winding"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 #: Asks for the impedance matrix [F, N, N] over a sweep; returns it with its frequencies [Hz].
 Ask = Callable[[str], tuple[Array, Complex]]
 

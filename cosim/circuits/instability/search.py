@@ -7,12 +7,11 @@ of another order must agree, and a kick must grow in a transient analysis whose 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.circuits.decks import SUPPLY_V
 from cosim.circuits.extraction.testbench import Bench
@@ -22,12 +21,10 @@ from cosim.circuits.instability.loop_ports import Port, loop_ports
 from cosim.circuits.instability.stability_verdict import Instability, Latched, Question, Verdict
 from cosim.errors import CosimError
 from cosim.ngspice.deck import Deck
+from cosim.types import Array, Complex, Report
 
 __all__ = ["at_rest", "judge"]
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Report = Callable[[dict[str, Any]], None]
 
 #: One frequency, to see what is held.
 _ONCE = "lin 1 1k 1k"

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from cosim.loop.linear.step_maps import COEFFICIENTS
+from cosim.types import Record
 from mech.compiled import inner
 from mech.shaft import EDGE_RAD, margin
-
-Record = Any
 
 #: The twist is looked at in this many points of a step: it is smooth, and a step short against its period.
 _LOOKS = 8

@@ -16,12 +16,11 @@ from numba import njit
 
 from cosim.loop.linear.backlash_events import first_change
 from cosim.loop.linear.step_maps import COEFFICIENTS
+from cosim.types import Record
 from mech.compiled import inner, inner_inlined
 from mech.records import Touch
 from mech.shaft import engage
 from mech.stiction import bounds, impact, settle, touching
-
-Record = Any
 
 _PUSHED, _INSIDE, _RESTING = int(Touch.PUSHED), int(Touch.INSIDE), int(Touch.RESTING)
 #: Where a held joint slips is found by halving.

@@ -14,7 +14,6 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numba import from_dtype, njit
-from numpy.typing import NDArray
 
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.loop.linear.matrix_phi import phi_functions
@@ -23,12 +22,10 @@ from cosim.loop.linear.step_maps import NODES, WEIGHTS, Ints, Matrix, Plan, Vect
 from cosim.loop.numba_calls import call_plain, kind_of
 from cosim.loop.pin_voltages import grid_noise, volts
 from cosim.loop.state import STATE, Fault
+from cosim.types import Array, Record
 from mech.compiled import inner_inlined
 from mech.kernels import dynamics, operator_force
 from mech.records import OperatorKind
-
-Array = NDArray[np.float64]
-Record = Any
 
 #: Inputs: outer torque [N m], u, cmd [V], noise of the potentiometer [rad] and its rate [rad/s].
 _INPUTS = 5

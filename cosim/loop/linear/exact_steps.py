@@ -8,7 +8,6 @@ stepped over. With rows the interval is cut into binary fractions, so that a han
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from numba import carray, njit
 
@@ -19,8 +18,7 @@ from cosim.loop.linear.gauss_step import near, present
 from cosim.loop.linear.recording import check, record
 from cosim.loop.numba_calls import lent, record_at
 from cosim.loop.pin_voltages import gains_ramp, ramp_step
-
-Record = Any
+from cosim.types import Record
 
 #: An interval is cut into 2^_LEVELS parts at most.
 _LEVELS = 40

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from cosim.loop.linear.step_bench import Bench
 from cosim.loop.linear.step_maps import (
@@ -28,11 +27,9 @@ from cosim.loop.linear.step_maps import (
     finish,
 )
 from cosim.loop.pin_voltages import component, grid_noise, position_noise, volts
+from cosim.types import Record
 from mech.compiled import inner, inner_inlined
 from mech.kernels import dynamics, solve, solve_held
-
-Array = NDArray[np.float64]
-Record = Any
 
 #: Most repetitions of a step; contraction is at least 2 when it is accepted.
 _SWEEPS = 12

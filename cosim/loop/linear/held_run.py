@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
@@ -17,10 +16,9 @@ from cosim.loop.linear.run_linear import Clock, prepare
 from cosim.loop.recorder import Recorder
 from cosim.loop.signals import Layout, held_signals
 from cosim.scene import PythonOperator, Scene
+from cosim.types import Array
 
 __all__ = ["HeldRun", "held_run", "is_compiled"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

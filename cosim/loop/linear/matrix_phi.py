@@ -9,12 +9,10 @@ in a fast one the integrals follow from the exponential without cancellation.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm, matrix_balance, schur, solve_sylvester
 
 from cosim.loop.linear.divided_differences import TOP, single
-
-Array = NDArray[np.float64]
+from cosim.types import Array
 
 #: Eigenvectors conditioned better than this lose four digits at most, and are the quick way.
 _WELL = 1e4

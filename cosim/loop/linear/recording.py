@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from numba import carray, njit
 
@@ -12,8 +11,8 @@ from cosim.loop.equations_of_motion import RUNAWAY_RAD_PER_S
 from cosim.loop.numba_calls import call_plain, doubles_at
 from cosim.loop.pin_voltages import noise_at, volts
 from cosim.loop.state import Fault
+from cosim.types import Record
 
-Record = Any
 _COLLAPSED, _NOT_FINITE, _RAN_AWAY = Fault.STEP_COLLAPSED, Fault.NOT_FINITE, Fault.RAN_AWAY
 
 

@@ -25,7 +25,7 @@ from cosim.loop.linear.step_bench import Bench, bench
 from cosim.loop.linear.step_layout import plan
 from cosim.loop.linear.step_maps import Plan
 from cosim.loop.pin_voltages import pins
-from cosim.loop.recorder import ROWS, Recorder, Report, statistics
+from cosim.loop.recorder import ROWS, Recorder, statistics
 from cosim.loop.run_messages import RunAnswer, RunRequest
 from cosim.loop.setup import Memory, pack
 from cosim.loop.signals import Layout, write_signals
@@ -35,6 +35,7 @@ from cosim.loop.userlaw import UserLaw, load_law
 from cosim.ngspice.simulator import Simulator
 from cosim.results import RAW
 from cosim.scene import PythonOperator, Scene
+from cosim.types import Report
 
 #: First step behind a jump of the DACs, as a share of the period, when rows are recorded; or as a share of
 #: the time in which the circuit settles, where that is longer.

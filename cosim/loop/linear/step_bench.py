@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.loop.linear.step_maps import Ints, Matrix, Plan, Vector
+from cosim.types import Array
 from mech.records import NMAX
-
-Array = NDArray[np.float64]
 
 
 class Bench(NamedTuple):

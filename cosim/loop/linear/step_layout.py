@@ -12,19 +12,8 @@ from numpy.typing import NDArray
 
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import fail
-from cosim.loop.linear.step_maps import (
-    ANGLE,
-    CHANNEL,
-    DAC,
-    DIRECT,
-    POST,
-    PRE,
-    SPEED,
-    Array,
-    Complex,
-    Ints,
-    Plan,
-)
+from cosim.loop.linear.step_maps import ANGLE, CHANNEL, DAC, DIRECT, POST, PRE, SPEED, Ints, Plan
+from cosim.types import Array, Complex
 
 #: Step lengths kept at a time.
 SLOTS = 512

@@ -24,10 +24,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from cosim.loop.linear.divided_differences import TOP, double, single
+from cosim.types import Array, Complex
 from mech.compiled import inner
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 Ints = Annotated[NDArray[np.int64], 1]
 Vector = Annotated[Array, 1]
 Matrix = Annotated[Array, 2]

@@ -25,9 +25,9 @@ from cosim.loop.linear.step_maps import Plan, slot_of
 from cosim.loop.numba_calls import call_plain, lent, record_at, table
 from cosim.loop.pin_voltages import gains_ramp, ramp_step
 from cosim.loop.state import Fault
+from cosim.types import Record
 from mech.compiled import inner, inner_inlined
 
-Record = Any
 _COLLAPSED = Fault.STEP_COLLAPSED
 #: The shortest step is the interval over 2^_LEVELS.
 _LEVELS = 40

@@ -19,7 +19,8 @@ from typing import Any
 
 from numba import njit
 
-Record = Any
+from cosim.types import Record
+
 Vector = Any
 
 

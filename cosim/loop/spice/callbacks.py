@@ -21,6 +21,7 @@ from cosim.loop.spice import runge_kutta, stop_surfaces
 from cosim.loop.spice.coupling import advance, bound_by_pole, fill, shortened
 from cosim.loop.spice.watch import watch
 from cosim.loop.state import NO_VOLTAGE, STATE, Fault
+from cosim.types import Record
 from mech.compiled import inner
 
 _NOT_FINITE, _COLLAPSED, _CRAWLS = Fault.NOT_FINITE, Fault.STEP_COLLAPSED, Fault.CRAWLS
@@ -28,7 +29,6 @@ _NEVER = 1e300
 #: A source's name in ngspice has a dot behind its letter where it stands inside a subcircuit; its length.
 _DOT, _LONGEST = 46, 512
 
-Record = Any
 _record = numba.from_dtype(STATE)
 _f8, _i4, _i8, _u1 = types.float64, types.int32, types.int64, types.uint8
 

@@ -5,8 +5,6 @@ What ngspice calls is in `callbacks.py`.
 
 from __future__ import annotations
 
-from typing import Any
-
 from numba import njit
 
 from cosim.loop.equations_of_motion import RUNAWAY_RAD_PER_S, evaluate
@@ -14,6 +12,7 @@ from cosim.loop.pin_voltages import component, is_gain, noise_at
 from cosim.loop.spice import runge_kutta, stop_surfaces
 from cosim.loop.spice.adams import correct, predict
 from cosim.loop.state import Fault
+from cosim.types import Record
 from mech.compiled import inner, inner_inlined
 from mech.kernels import solve
 from mech.shaft import engage
@@ -27,8 +26,6 @@ _SAFETY, _GROWTH = 0.8, 4.0
 _REDONE, _SHORTER = 4.0, 0.1
 #: Share of the time constant of the coupled pole that a step may be.
 _POLE_SHARE = 0.5
-
-Record = Any
 
 
 @njit(cache=True, error_model="numpy")

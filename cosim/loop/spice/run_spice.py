@@ -22,7 +22,7 @@ from cosim.loop import events
 from cosim.loop.columns import columns, sample_columns
 from cosim.loop.component_noise import ComponentGrid, component_grid
 from cosim.loop.dac_channels import drive
-from cosim.loop.recorder import ROWS, Recorder, Report, statistics
+from cosim.loop.recorder import ROWS, Recorder, statistics
 from cosim.loop.run_messages import RunAnswer, RunRequest
 from cosim.loop.setup import Memory, pack
 from cosim.loop.signals import Layout, write_signals
@@ -35,6 +35,7 @@ from cosim.ngspice.deck import Deck
 from cosim.ngspice.simulator import Simulator
 from cosim.results import RAW
 from cosim.scene import PythonOperator, Scene
+from cosim.types import Report
 
 #: Frequency of the low-frequency limit of the back-EMF's viscosity: far below L/R, far above leakage.
 _LOW_HZ = 0.1

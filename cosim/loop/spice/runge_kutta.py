@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from cosim.types import Record
 from mech.compiled import inner
 from mech.kernels import dynamics, solve
 from mech.records import NMAX
 from mech.shaft import EDGE_RAD, margin
 
-Record = Any
 Vector = Any
 
 #: Most of a radian of the shafts' fastest oscillation, and of their decay, that a step may take.

@@ -8,11 +8,10 @@ steps, the second from so near that the prediction is as good as exact.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from numba import njit
 
-Record = Any
+from cosim.types import Record
 
 #: A step that crosses ends this far [rad] behind the surface: that tells the side, and no tolerance sees it.
 _BEHIND_RAD = 1e-11
