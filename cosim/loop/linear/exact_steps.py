@@ -15,7 +15,7 @@ from cosim.loop.equations_of_motion import evaluate
 from cosim.loop.events import next_event, process_events
 from cosim.loop.linear.exact_slider import BENCH_KIND, EXACT_KIND, PLAN_KIND, STATE_KIND, land, leap, rests
 from cosim.loop.linear.gauss_step import near, present
-from cosim.loop.linear.recording import check, record
+from cosim.loop.linear.recording import check, moved, record, row
 from cosim.loop.numba_calls import lent, record_at
 from cosim.loop.pin_voltages import gains_ramp, ramp_step
 from cosim.types import Record
@@ -40,6 +40,16 @@ def _behind(s: Record) -> float:
     return float(at)
 
 
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _right_hand(s: Record, k: Any, b: Any, wanted: bool) -> None:
+    """Find the current, and for a row the acceleration, at the accepted point just behind its events."""
+    present(s, k, b)
+    if wanted:
+        current = min(max(b.current[0], k.limit[0, 0]), k.limit[0, 1])
+        s.tau[0] = s.torque_per_amp * current
+        evaluate(s, s.t, s.q, s.v, s.a)
+
+
 @njit(cache=True, error_model="numpy")
 def leaps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
     """Go on while each step is one matrix; whether the run is over, by its end or a fault.
@@ -52,11 +62,7 @@ def leaps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
     k, b, x = lent(plan, PLAN_KIND), lent(bench, BENCH_KIND), lent(exact, EXACT_KIND)
     wanted = s.rows_capacity > 0
     if s.points == 0:
-        present(s, k, b)
-        if wanted:
-            current = min(max(b.current[0], k.limit[0, 0]), k.limit[0, 1])
-            s.tau[0] = s.torque_per_amp * current
-            evaluate(s, s.t, s.q, s.v, s.a)
+        _right_hand(s, k, b, wanted)
         record(s)
     if near(k, 0, b.current[0]):
         return False
@@ -70,6 +76,11 @@ def leaps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
                 return True
             if process_events(s, s.t) and first > 0.0:
                 wish, jump = min(wish, first), s.t
+                if s.ramping == 0:
+                    b.before[0] = s.tau[0]
+                    _right_hand(s, k, b, wanted)
+                    if moved(s, b):
+                        row(s)
             t0, length, position = s.t, s.t_event - s.t, 0
             if s.t_event <= s.t + s.delta_min:  # the run has come to rest
                 continue

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+from typing import Any
+
 from numba import carray, njit
 
 from cosim.loop.columns import write_row
@@ -13,6 +15,8 @@ from cosim.loop.pin_voltages import noise_at, volts
 from cosim.loop.state import Fault
 from cosim.types import Record
 
+#: Torques that differ by this share are one.
+_SAME = 1e-9
 _COLLAPSED, _NOT_FINITE, _RAN_AWAY = Fault.STEP_COLLAPSED, Fault.NOT_FINITE, Fault.RAN_AWAY
 
 
@@ -32,6 +36,12 @@ def show(s: Record) -> None:
 def record(s: Record) -> None:
     """Write the accepted point as a row, when rows are wanted."""
     s.points += 1
+    row(s)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def row(s: Record) -> None:
+    """Write a row, when rows are wanted: of an accepted point, or of what a jump there makes of it."""
     if s.rows_capacity == 0:
         return
     show(s)
@@ -39,6 +49,15 @@ def record(s: Record) -> None:
     s.rows_used += 1
     if s.rows_used == s.rows_capacity:
         call_plain(s.drain_address)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def moved(s: Record, b: Any) -> bool:
+    """Whether a motor's torque jumped from what it was before, by more than rounding."""
+    for j in range(s.n):
+        if abs(s.tau[j] - b.before[j]) > _SAME * max(abs(s.tau[j]), abs(b.before[j])):
+            return True
+    return False
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)

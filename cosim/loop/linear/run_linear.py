@@ -40,6 +40,8 @@ from cosim.types import Report
 #: First step behind a jump of the DACs, as a share of the period, when rows are recorded; or as a share of
 #: the time in which the circuit settles, where that is longer.
 FIRST_ROW_SHARE, _FIRST_OF_FRESH = 2.0**-11, 1.0 / 24.0
+#: The longest step of a scene that does not state one [s].
+_USUAL_STEP_S = 2e-3
 #: So many of its slowest time constants behind a jump a circuit has settled: rows need not follow it.
 _SETTLED = 3.0
 
@@ -147,6 +149,9 @@ def prepare(
     if record and dense:
         state["fresh"] = _SETTLED * _slowest(whole.a_post)
         first = max(FIRST_ROW_SHARE * scene.computer.period_s, _FIRST_OF_FRESH * float(state["fresh"]))
+        first *= min(
+            1.0, scene.solver.max_step_s / _USUAL_STEP_S
+        )  # who asks for closer rows gets them here too
     failures: list[Exception] = []
     leaps, callback = exact(state, whole, memory.knots, failures)
     tables = stepper.Tables(memory.state, maps, desk, leaps)

@@ -31,6 +31,7 @@ class Bench(NamedTuple):
     hit : [NMAX] -1, 0, +1: the joint that hits a stop which does not give
     clamp : [n] -1, 0, +1: the motor that is at its lowest or highest current
     current : [n] motor currents at the accepted point, not clamped
+    before : [n] torques of the motors before what happens at the accepted point
     """
 
     states: Vector
@@ -53,6 +54,7 @@ class Bench(NamedTuple):
     hit: Ints
     clamp: Vector
     current: Vector
+    before: Vector
 
 
 def bench(k: Plan, states: Array) -> Bench:
@@ -65,4 +67,5 @@ def bench(k: Plan, states: Array) -> Bench:
         error=np.zeros(5), last=np.zeros((3, NMAX)),
         work=np.zeros(6), total=np.zeros(6), scale=np.zeros(1), holds=np.zeros((4, NMAX)),
         low=np.zeros(NMAX), hit=np.zeros(NMAX, np.int64), clamp=np.zeros(n), current=np.zeros(n),
+        before=np.zeros(n),
     )  # fmt: skip

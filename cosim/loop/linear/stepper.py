@@ -19,7 +19,7 @@ from cosim.loop.linear.contact_events import find, first_crossing, meet, strike
 from cosim.loop.linear.exact_slider import BENCH_KIND, EXACT_KIND, PLAN_KIND, STATE_KIND, Exact, rests
 from cosim.loop.linear.exact_steps import leaps
 from cosim.loop.linear.gauss_step import accept, attempt, guess, near, present
-from cosim.loop.linear.recording import check, record
+from cosim.loop.linear.recording import check, moved, record, row
 from cosim.loop.linear.step_bench import Bench
 from cosim.loop.linear.step_maps import Plan, slot_of
 from cosim.loop.numba_calls import call_plain, lent, record_at, table
@@ -40,9 +40,9 @@ _WATCH_STEPS = 64.0
 _LOCATED = 18
 #: What friction and stops do is found to 2^-_FINEST of an interval, but not below _RESOLUTION_S.
 _FINEST, _RESOLUTION_S = 36, 1e-12
-#: Steps below this share of the period are no rows where they are shorter than their own error asks for:
+#: Steps below this share of the period are no rows where they are below that of what their error allows:
 #: those on the way to such an instant and from it.
-_ROW_SHARE = 2.0**-12
+_ROW_SHARE, _CUT_SHORT = 2.0**-12, 2.0**-4
 _NEVER = math.inf
 #: A scene that is linear this share of a period behind an event is so up to the next.
 _WELL_BEHIND = 1e-9
@@ -219,12 +219,18 @@ def _steps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
                 return True
             if behind and not watch and rests(x, s.t + _WELL_BEHIND * s.c.period):
                 return False
-            if process_events(s, s.t):
+            jumped = process_events(s, s.t)
+            if jumped:
                 s.history = 0
                 if first > 0.0:
                     wish, jump = min(wish, first), s.t
-            if watch or s.w.located:
+            shown = jumped and first > 0.0 and s.ramping == 0
+            if watch or s.w.located or shown:
+                for j in range(s.n):
+                    b.before[j] = s.tau[j]
                 _right_hand(s, k, b)
+                if shown and moved(s, b):
+                    row(s)
             if watch:
                 s.history = 0
             t0, length, position = s.t, s.t_event - s.t, 0
@@ -248,7 +254,7 @@ def _steps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
         s.defect = error
         s.defect_max = max(s.defect_max, error)
         s.defect_sum += error
-        shown = h > _ROW_SHARE * s.c.period or 2.0 * h > min(wish, s.h_max)
+        shown = h > _ROW_SHARE * s.c.period or h > _CUT_SHORT * min(wish, s.h_max)
         wish = _wish(s, error, h, wish)
         check(s)
         if watch:
