@@ -115,6 +115,9 @@ def _run(
     judged = verdict(question(plan), plan.board.path, child, scene.solver.time_limit_s)
     if not scene.solver.allow_unstable:
         judged.require(str(plan.board.path))
+    _, floating, node = judged.unjudged.partition("floating node: ")
+    if floating:  # a transient would try for a minute
+        fail(floating + node, file=str(plan.board.path))
     warn(*judged.cautions())
     if not judged.unjudged:
         warn(*coupled(plan, child))

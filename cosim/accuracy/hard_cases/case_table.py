@@ -7,7 +7,16 @@ from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
-from cosim.accuracy.hard_cases import coupled_motion, mechanical, public_problems, sampled
+from cosim.accuracy.hard_cases import (
+    circuit_cases,
+    coupled_motion,
+    event_cases,
+    exchange_cases,
+    loop_cases,
+    mechanical,
+    public_problems,
+    sampled,
+)
 from cosim.accuracy.hard_cases.hard_case import Bench, HardCase, Outcome
 from cosim.analysis.covariance_steps import white_covariance
 from cosim.errors import fail, nearest
@@ -37,6 +46,10 @@ CASES: tuple[HardCase, ...] = tuple(
             *sampled.CASES,
             *coupled_motion.CASES,
             *public_problems.CASES,
+            *circuit_cases.CASES,
+            *event_cases.CASES,
+            *loop_cases.CASES,
+            *exchange_cases.CASES,
         ),
         key=lambda case: case.row,
     )
@@ -64,7 +77,7 @@ def chosen(names: Iterable[str], *, slow: bool) -> list[HardCase]:
 
 
 def _is(case: HardCase, name: str) -> bool:
-    return case.name.startswith(name) or str(case.row) == name
+    return str(case.row) == name if name.isdigit() else case.name.startswith(name)
 
 
 def run_cases(

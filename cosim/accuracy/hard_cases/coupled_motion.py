@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,12 @@ __all__ = ["CASES"]
 _TORQUE = 0.04 * 8.0
 _POT = 20.0 / 5.93411946
 _SPRING = _POT * 16.9 * (10e3 / 24.3e3) / (1 + 0.1 / 24.3e3) * (2.0 / 5.0) * _TORQUE  # N m/rad at full scale
+_DAMPER = _POT * 0.1 * (10e3 / 6.19e3) / (1 + 0.1 / 6.19e3) * (2.0 / 5.0) * _TORQUE  # N m s/rad at full scale
 _EMF = (0.04 * 8.0) ** 2 / 5.0  # N m s/rad
 #: What the board states of the first, and the computer believes.
 _STATED = 3.0003
+_STATED_C = 0.06969
+_AMPLITUDE = 0.1  # rad, of the two-mass oscillator
 
 _SPRINGS = """
 from cosim.loop.userlaw import Command
@@ -28,15 +32,15 @@ class Springs:
 """
 
 
-def _two_masses(bench: Bench, model: str) -> float:
-    """Springs 4 pi^2 to ground and 16 pi^2 between two rotors, all in the circuit: error over amplitude."""
-    inertia, amplitude = 0.01, 0.1
+def two_masses(bench: Bench, model: str, duration_s: float, solver: dict[str, float]) -> Mapping[str, Any]:
+    """Run two rotors of 0.01 kg m^2, springs 4 pi^2 to ground and 16 pi^2 between all in the circuit."""
+    inertia, amplitude = 0.01, _AMPLITUDE
     k, k12 = 4 * math.pi**2 * inertia, 16 * math.pi**2 * inertia
     springs = (np.array([[k + k12, -k12], [-k12, k + k12]]) * _STATED / _SPRING).tolist()
     rotor = inertia / 64.0
     nothing = [0.0, 0.0]
     tables = slider(
-        duration_s=2.0,
+        duration_s=duration_s,
         device={
             "board": board(2), "linkage": "chain", "slider": None,
             "chain": {"lengths_m": [0.1, 0.1], "masses_kg": nothing, "coms_m": nothing,
@@ -44,9 +48,15 @@ def _two_masses(bench: Bench, model: str) -> float:
             "start": {"q_rad": [amplitude, 0.0]},
         },
         computer={"analog_stiffness_n_per_m": 1.0, "law": "law.py:Springs"},
-        effects={"rotor_inertia": True}, solver={"coupling_tolerance_rad": 1e-10},
+        effects={"rotor_inertia": True}, solver=solver,
     )  # fmt: skip
-    signals = bench.run(tables, model, _SPRINGS.format(k=springs)).signals
+    return bench.run(tables, model, _SPRINGS.format(k=springs)).signals
+
+
+def _two_masses(bench: Bench, model: str) -> float:
+    """Return the two-mass oscillator's error over its amplitude."""
+    amplitude = _AMPLITUDE
+    signals = two_masses(bench, model, 2.0, {"coupling_tolerance_rad": 1e-10})
     t = 2 * math.pi * np.asarray(signals["time"])
     errors = [
         np.asarray(signals[f"q{j}"]) - amplitude / 2 * (np.cos(t) - sign * np.cos(3 * t))

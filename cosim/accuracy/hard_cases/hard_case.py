@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -107,11 +108,12 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Ran:
-    """What is left of a run: signals and samples by name, measures as `cosim.results.Run` has them."""
+    """What is left of a run: signals and samples by name; measures and stats as in `cosim.results.Run`."""
 
     signals: Mapping[str, Array]
     samples: Mapping[str, Array]
     measures: Mapping[str, Mapping[str, Any]]
+    stats: Mapping[str, Any]
 
 
 class Bench:
@@ -145,6 +147,33 @@ class Bench:
         """Call a function of (payload, report) in the process, as `cosim.ngspice.child.call`."""
         return call(target, payload, time_limit_s=_LIMIT_S, child=self._child)
 
+    def deck(self, text: str, command: str, *names: str) -> list[Array]:
+        """Run an analysis of a deck in ngspice; returns its vectors of these names."""
+        asked = {"deck": text, "command": command, "names": names}
+        found: list[Array] = self.ask("cosim.accuracy.hard_cases.hard_case:analysed", asked)
+        return found
+
+    def refusal(self, ask: Callable[[], object], *words: str) -> float:
+        """Return 1 where a call ends in a clear error with these words, 0 where it does not."""
+        try:
+            ask()
+        except CosimError as error:
+            return float(all(word in str(error) for word in words))
+        return 0.0
+
+    def netlists(self, edits: Mapping[str, Callable[[str], str]]) -> Path:
+        """Return a folder with the shipped netlists, some files (``blocks/diffamp.cir``) edited."""
+        place = self._folder / "netlists"
+        shutil.rmtree(place, ignore_errors=True)
+        shutil.copytree(netlists_folder(), place)
+        for name, edit in edits.items():
+            file = place / name
+            before = file.read_text(encoding="utf-8")
+            after = edit(before)
+            assert after != before, f"nothing was edited in {name}"
+            file.write_text(after, encoding="utf-8")
+        return place
+
     def run(self, tables: Tables, model: str, law: str = "", *, estimate: bool = False) -> Ran:
         """Run a scene given as tables, its law as the text of ``law.py``; measures with errors if asked."""
         if not self._child.alive:
@@ -157,7 +186,17 @@ class Bench:
             errors = estimator(plan, self._child) if estimate else None
             found = run(plan, out, formats=(), child=self._child, errors=errors)
         signals = {name: np.array(found.signals[name]) for name in found.signals}
-        return Ran(signals, dict(found.samples), dict(found.measures))
+        return Ran(signals, dict(found.samples), dict(found.measures), dict(found.stats))
+
+
+def analysed(payload: dict[str, Any], report: Any) -> list[Array]:
+    """Run an analysis in ngspice's process."""
+    from cosim.ngspice.simulator import Simulator
+
+    simulator = Simulator(on_time=lambda reached: report({"time_s": reached}))
+    simulator.load(payload["deck"])
+    simulator.command(payload["command"])
+    return [np.array(simulator.vector(name)) for name in payload["names"]]
 
 
 def toml(tables: Tables) -> str:
@@ -167,13 +206,18 @@ def toml(tables: Tables) -> str:
     def write(table: Tables, path: tuple[str, ...]) -> None:
         if path:
             lines.append(f"[{'.'.join(path)}]")
-        lines.extend(f"{k} = {json.dumps(v)}" for k, v in table.items() if not isinstance(v, Mapping))
+        lines.extend(f"{k} = {_toml(v)}" for k, v in table.items() if not isinstance(v, Mapping))
         for key, value in table.items():
             if isinstance(value, Mapping):
                 write(value, (*path, key))
 
     write(tables, ())
     return "\n".join(lines) + "\n"
+
+
+def _toml(value: Any) -> str:
+    """Return a value as TOML writes it: JSON has no word for what is no number."""
+    return repr(value) if isinstance(value, float) else json.dumps(value)
 
 
 def merge(base: Tables, top: Tables) -> dict[str, Any]:

@@ -1,0 +1,268 @@
+"""Hard cases of circuits alone: stiffness, scale, noise, slew, loops, and what has no answer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from decimal import Decimal, localcontext
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.accuracy.hard_cases.hard_case import ALL, OWN, RADIUS, Bench, HardCase, slider
+from cosim.assets import netlists_folder
+from cosim.errors import CosimError
+from cosim.loop.linear.matrix_phi import phi_functions
+
+__all__ = ["CASES"]
+
+_BOLTZMANN = 1.380649e-23
+
+
+_SPRING = """
+from cosim.loop.userlaw import Command
+class Spring:
+    def control(self, sample):
+        return Command(u_rad=0 * sample.q_rad, stiffness=[[1.0]])
+"""
+
+
+def _bandwidth(what: str) -> Callable[[Bench, str], float]:
+    """Return what finds steps or current of 100 s of rest in gravity, amplifiers a thousand times faster."""
+
+    def find(bench: Bench, model: str) -> float:
+        found = []
+        for hz in ("1e5", "1e8"):
+            tables = slider(
+                duration_s=100.0, device={"values": {"tl072_gbw": hz}, "slider": {"viscous_n_m_s": 5e-2}},
+                computer={"law": "law.py:Spring"},
+                effects={"opamp": "gbw", "gravity": True, "viscous": True},
+                solver={"coupling_tolerance_rad": 1e-10, "max_step_s": 0.1},
+            )  # fmt: skip
+            found.append(bench.run(tables, model, _SPRING))
+        slow, fast = found
+        if what == "steps":
+            return float(fast.stats["points"]) / float(slow.stats["points"])
+        return float(0.04 * 8.0 * np.asarray(fast.signals["imot1"])[-1] / (9.81 * 0.2 * RADIUS))
+
+    return find
+
+
+def _follower(bench: Bench, model: str) -> float:
+    (out,) = bench.deck("follower\nVin in 0 1\nE1 out 0 in out 1e6\nR1 out 0 1k\n.end\n", "op", "out")
+    return float(np.real(out[-1]))
+
+
+def _tiny_capacitor(bench: Bench, model: str) -> float:
+    """Return the time constant [s] that the phase at its corner shows."""
+    hz = 1e3 / (2 * math.pi)
+    deck = "1 fF\nVin in 0 dc 0 ac 1\nR1 in out 1e12\nC1 out 0 1e-15\n.end\n"
+    (out,) = bench.deck(deck, f"ac lin 1 {hz!r} {hz!r}", "out")
+    return float(-out[0].imag / out[0].real) / (2 * math.pi * hz)
+
+
+def _equal_poles(bench: Bench, model: str) -> float:
+    return float(phi_functions(np.array([[-1.0, 0.0], [1.0, -1.0 - 1e-8]]), 1.0, 1)[0][1, 0])
+
+
+def _large_norm(h: float, bench: Bench, model: str) -> float:
+    """Return the largest relative error of a chain of poles up to 6e7 rad/s, against 60 digits."""
+    rates = ("3", "2e3", "5e5", "6e7")
+    a = np.zeros((4, 4))
+    for i, rate in enumerate(map(float, rates)):
+        a[i, i] = -rate
+        if i:
+            a[i, i - 1] = rate
+    found = phi_functions(a, h, 1)[0]
+    worst = 0.0
+    with localcontext() as context:
+        context.prec = 60
+        nodes = [-Decimal(rate) * Decimal(h) for rate in rates]
+        for row in range(4):
+            exact = sum(
+                node.exp() / math.prod((node - other for other in nodes[: row + 1] if other != node),
+                                       start=Decimal(1))
+                for node in nodes[: row + 1]
+            )  # fmt: skip
+            exact *= math.prod((-node for node in nodes[1 : row + 1]), start=Decimal(1))
+            worst = max(worst, abs(found[row, 0] / float(exact) - 1.0))
+    return worst
+
+
+def _subnormal(bench: Bench, model: str) -> float:
+    """Largest change of what a swing of 1e-307 rad ends with, over one of 1e-3 rad; nothing is not linear."""
+    ends = []
+    for size in (1e-3, 1e-307):
+        tables = slider(
+            duration_s=0.04, device={"start": {"q_rad": [size]}}, computer={"period_s": 0.01},
+            operator={"type": "hand", "mass_kg": 0.0, "stiffness_n_per_m": 50.0, "damping_n_s_per_m": 0.0,
+                      "waypoints_s_m": [[0.0, 0.0, 0.0]]},
+            effects={"operator_dynamics": True},
+        )  # fmt: skip
+        signals = bench.run(tables, model).signals
+        ends.append(np.array([signals["q1"][-1], signals["v1"][-1], len(signals["time"]) * size]) / size)
+    return float(np.abs(ends[1] / ends[0] - 1.0).max())
+
+
+def _two_capacitors(what: str) -> Callable[[Bench, str], float]:
+    """Return what finds the common voltage, or the heat over C V^2/4, of 1 uF at 1 V and 1 uF at 0 V."""
+
+    def find(bench: Bench, model: str) -> float:
+        worst = 0.0
+        for ohms in (1e-2, 1.0, 1e2):
+            tau = ohms * 0.5e-6
+            deck = (
+                f"two capacitors\nC1 a 0 1u ic=1\nC2 b 0 1u ic=0\nR1 a b {ohms!r}\n"
+                f".options reltol=1e-6 chgtol=1e-18 vntol=1e-10 abstol=1e-14 method=trap\n.end\n"
+            )
+            t, a, b = (
+                np.real(v)
+                for v in bench.deck(deck, f"tran {tau / 100!r} {20 * tau!r} 0 {tau / 100!r} uic",
+                                    "time", "a", "b")
+            )  # fmt: skip
+            if what == "voltage":
+                got = float(b[-1]) / 0.5
+            else:
+                got = float(np.trapezoid((a - b) ** 2 / ohms, t)) / (1e-6 / 4)
+            worst = max(worst, abs(got - 1.0))
+        return worst
+
+    return find
+
+
+def _kt_over_c(ohms: float, bench: Bench, model: str) -> float:
+    """Return the noise [V rms] of 1 nF across a resistor at 300 K, from its density to 1e4 corners."""
+    deck = f"kT/C\n.option temp=26.85\nVin in 0 dc 0 ac 1\nR1 in out {ohms!r}\nC1 out 0 1n\n.end\n"
+    corner = 1.0 / (2 * math.pi * ohms * 1e-9)
+    hz, density = bench.deck(
+        deck, f"noise v(out) Vin dec 200 {corner / 1e4!r} {corner * 1e4!r}", "noise1.frequency",
+        "noise1.onoise_spectrum",
+    )  # fmt: skip
+    return math.sqrt(float(np.trapezoid(np.real(density) ** 2, np.real(hz))))
+
+
+def _slew(bench: Bench, model: str) -> float:
+    """Amplitude of a follower of a slow op-amp at 20 kHz, over SR/(4 f); its slew rate is 0.5 V/us."""
+    hz, rate = 20e3, 0.5e6
+    text = (Path(netlists_folder()) / "parts" / "ua741.lib").read_text(encoding="utf-8")
+    data, part = (text.split(f".lib {name}\n")[1].split(f".endl {name}")[0] for name in ("data", "gbw"))
+    data = "\n".join(row.partition(" $")[0] for row in data.split("\n"))
+    data = data.replace("opamp_slew=0", "opamp_slew=1")
+    deck = (
+        f"slew\n{data}{part.partition(chr(10))[2]}"
+        f"Vcc vcc 0 15\nVee vee 0 -15\nVin in 0 sin(0 50 {hz!r})\nx1 in out vcc vee out ua741\n"
+        "Rl out 0 100k\n.options reltol=1e-5\n.end\n"
+    )
+    step = 1 / hz / 400
+    (out,) = bench.deck(deck, f"tran {step!r} {42 / hz!r} {40 / hz!r} {step!r}", "out")
+    return float(np.ptp(np.real(out))) / 2 / (rate / (4 * hz))
+
+
+def _feedback(gain: float, bench: Bench, model: str) -> float:
+    deck = f"loop\nVin u 0 1\nRu u 0 1k\nB1 a 0 V=v(u)+{gain!r}*v(a)\nRa a 0 1k\n.end\n"
+    (out,) = bench.deck(deck, "op", "a")
+    return float(np.real(out[-1])) * (1.0 - gain)
+
+
+def _loop_of_one(bench: Bench, model: str) -> float:
+    return bench.refusal(lambda: _feedback(1.0, bench, model), "singular")
+
+
+def _refused(file: str, line: str, words: str) -> Callable[[Bench, str], float]:
+    """Return what finds whether a board with a line more in a block is refused with these words."""
+
+    def find(bench: Bench, model: str) -> float:
+        place = bench.netlists({file: lambda text: text.replace(".ends", f"{line}\n.ends", 1)})
+        tables = slider(device={"board": str(place / "board1.cir")}, duration_s=0.1)
+        return bench.refusal(lambda: bench.run(tables, model), words)
+
+    return find
+
+
+def _swapped(bench: Bench, model: str) -> float:
+    """Whether a follower with the inputs of its op-amp exchanged is called unstable."""
+
+    def exchange(text: str) -> str:
+        rows = text.split("\n")
+        at = next(k for k, row in enumerate(rows) if row.startswith("xop "))
+        words = rows[at].split()
+        words[1], words[2] = words[2], words[1]
+        rows[at] = " ".join(words)
+        return "\n".join(rows)
+
+    place = bench.netlists({"blocks/angle.cir": exchange})
+    tables = slider(
+        device={"board": str(place / "board1.cir")}, duration_s=0.1, solver={"max_step_s": 1e-3},
+        effects={"opamp": "gbw"} if model != "ideal" else {},
+    )  # fmt: skip
+    return bench.refusal(lambda: bench.run(tables, model), "unstable")
+
+
+def _edge(values: dict[str, str], words: tuple[str, ...]) -> HardCase:
+    """Return the case of a part's data at the edge of numbers: a finite answer, or an error with its name."""
+
+    def find(bench: Bench, model: str) -> float:
+        tables: dict[str, Any] = slider(
+            duration_s=0.05, device={"values": values, "start": {"q_rad": [-0.01]}},
+            computer={"period_s": 0.01}, effects={"opamp": "gbw"}, solver={"coupling_tolerance_rad": 1e-7},
+        )  # fmt: skip
+        try:
+            found = bench.run(tables, model)
+        except CosimError as error:
+            return float(any(word in str(error) for word in words))
+        return float(all(np.isfinite(column).all() for column in found.signals.values()))
+
+    told = ", ".join(f"{name} = {value}" for name, value in values.items())
+    return HardCase(
+        f"data at the edge, {told}", 57, "a number or a named error (1)", 1.0,
+        dict.fromkeys(("linear", "spice"), 0.0), "nothing else is an answer", find,
+    )  # fmt: skip
+
+
+CASES = (
+    HardCase("amplifiers of 1e8 Hz, 100 s", 1, "steps over those at 1e5 Hz", 1.0, {"linear": 0.2},
+             "the list's own; the step does not depend on the circuit's poles", _bandwidth("steps")),
+    HardCase("amplifiers of 1e8 Hz, 100 s, weight", 1, "torque of the motor over the weight's", 1.0,
+             {"linear": 1e-9}, "the list's own", _bandwidth("torque")),
+    HardCase("follower of gain 1e6", 2, "output for 1 V [V]", 1e6 / (1e6 + 1), {"spice": 1e-14},
+             "a matrix of four entries: rounding, 1e-16 each", _follower),
+    HardCase("1 fF on 1 TOhm", 3, "time constant [s]", 1e-3, {"spice": 1e-12},
+             "the list's own, 1e-9 of it", _tiny_capacitor),
+    HardCase("poles 1 and 1 + 1e-8", 4, "peak of t exp(-t)", math.exp(-1) * -math.expm1(-1e-8) / 1e-8,
+             {"linear": 1e-12}, "scaling and squaring: some products of 1e-16", _equal_poles),
+    *(HardCase(f"matrix exponential, norm {6e7 * h:g}", 6, "largest error, relative", 0.0, {"linear": 1e-9},
+               "the list's own", partial(_large_norm, h)) for h in (1e-6, 1e-3, 1.0)),
+    HardCase("subnormal signals", 7, "change of the scaled answer", 0.0, dict.fromkeys(OWN, 1e-8),
+             "1e-307 has 1e-15 of its digits left 1e-8 below it", _subnormal),
+    *(HardCase(f"two capacitors joined, {what}", 8, "largest error, relative", 0.0, {"spice": 1e-3},
+               "hundred trapezoids a time constant: (1/100)^2/12 of it, and its first step by Euler",
+               _two_capacitors(what)) for what in ("voltage", "heat")),
+    *(HardCase(f"kT/C, 1 nF on {ohms:g} Ohm", 9, "noise [V rms]", math.sqrt(_BOLTZMANN * 300.0 / 1e-9),
+               {"spice": 1e-3 * 2.035e-6}, "trapezoids of 200 points a decade; 1e-4 of the power is outside",
+               partial(_kt_over_c, ohms)) for ohms in (1e3, 1e6)),
+    HardCase("slew limit, large sine", 38, "amplitude over SR/(4 f)", 1.0, {"spice": 0.01},
+             "0.16 us of each 25 us the input is inside the output's range", _slew),
+    *(HardCase(f"algebraic loop of gain {gain:g}", 35, "output times (1 - g)", 1.0, {"spice": 1e-6},
+               "Newton's steps end at reltol 1e-3 of a linear equation: after one of them it is exact",
+               partial(_feedback, gain)) for gain in (0.5, -3.0, 2.0, 10.0)),
+    HardCase("algebraic loop of gain 1", 35, "refused (1)", 1.0, {"spice": 0.0}, "it has no answer",
+             _loop_of_one),
+    HardCase("floating node", 41, "refused by name (1)", 1.0, dict.fromkeys(ALL, 0.0),
+             "its voltage is anything", _refused("blocks/diffamp.cir", "C77 adrift 0 1n", "adrift")),
+    HardCase("loop of voltage sources", 41, "refused by name (1)", 1.0,
+             dict.fromkeys(ALL, 0.0), "its current is anything",
+             _refused("blocks/diffamp.cir", "V77 held 0 1\nV78 held 0 2", "loop of voltage sources")),
+    HardCase("inputs of an op-amp exchanged", 48, "called unstable (1)", 1.0,
+             dict.fromkeys(("linear", "spice"), 0.0), "its pole is at +2e7 rad/s", _swapped),
+    *(_edge(values, words) for values, words in (
+        ({"tl072_gbw": "0"}, ("tl072_gbw", "gbw")),
+        ({"tl072_gbw": "1e-320"}, ("tl072_gbw", "gbw")),
+        ({"tl072_gbw": "1e300"}, ("tl072_gbw", "gbw", "unstable")),
+        ({"r_diff_fb": "0"}, ("R12", "R14")),
+        ({"r_diff_fb": "1e15"}, ("r_diff_fb", "unstable", "operating point")),
+        ({"c_der_in": "0"}, ("c_der_in",)),
+        ({"c_der_in": "1e-18"}, ("c_der_in",)),
+    )),
+)  # fmt: skip

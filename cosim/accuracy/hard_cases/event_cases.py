@@ -1,0 +1,186 @@
+"""Hard cases of instants: knots beside samples, jumps, simultaneous and repeated contacts, long delays."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from cosim.accuracy.hard_cases.hard_case import (
+    ALL,
+    OWN,
+    RADIUS,
+    Bench,
+    HardCase,
+    board,
+    crossings,
+    slider,
+)
+
+__all__ = ["CASES"]
+
+_SPRING = """
+from cosim.loop.userlaw import Command
+class Spring:
+    def control(self, sample):
+        return Command(u_rad=0 * sample.q_rad, stiffness=[[0.5]] if sample.tick else [[0.0]])
+"""
+_COUNTS = """
+from cosim.loop.userlaw import Command
+class Counts:
+    def control(self, sample):
+        return Command(torque_n_m=0.01 * (1 + sample.tick % 7))
+"""
+
+
+def _beside_a_sample(bench: Bench, model: str) -> float:
+    """Largest change of where a push ends that begins on a sample, an ulp before or an ulp behind it."""
+    ends = []
+    for at in (0.1, math.nextafter(0.1, 0.0), math.nextafter(0.1, 1.0)):
+        hand = {
+            "type": "hand", "mass_kg": 0.0, "stiffness_n_per_m": 0.0, "damping_n_s_per_m": 1.0,
+            "waypoints_s_m": [[0.0, 0.0, 0.0]], "force_s_n": [[at, 0.0, 0.0], [0.3, 0.0, -1.0]],
+        }  # fmt: skip
+        found = bench.run(slider(operator=hand, effects={"operator_dynamics": True}), model)
+        if len(found.samples["time"]) != 5:
+            return math.nan  # a sample was lost, or fired twice
+        ends.append(float(found.signals["y"][-1]))
+    return float(np.ptp(ends)) / abs(ends[0])
+
+
+def _both_limits(bench: Bench, model: str) -> float:
+    """Return the current at the right of the first gain's jump, over that of a spring at this very angle."""
+    tables = slider(
+        duration_s=0.2, device={"start": {"q_rad": [0.1], "v_rad_per_s": [-1.0]}},
+        computer={"law": "law.py:Spring"},
+    )  # fmt: skip
+    signals = bench.run(tables, model, _SPRING).signals
+    t, q, i = (np.asarray(signals[name]) for name in ("time", "q1", "imot1"))
+    at = np.flatnonzero(t == 0.1)
+    if len(at) != 2 or i[at[0]] != 0.0:
+        return math.nan  # a limit is missing, or the left one knows of the jump
+    return float(i[at[1]] / q[at[1]] / (i[-1] / q[-1]))
+
+
+def _two_rotors(stops: list[float], speeds: list[float]) -> dict[str, Any]:
+    zero, rotor = [0.0, 0.0], 1e-5
+    return slider(
+        duration_s=1.0,
+        device={
+            "board": board(2), "linkage": "chain", "slider": None,
+            "chain": {"lengths_m": [0.1, 0.1], "masses_kg": zero, "coms_m": zero, "inertias_kg_m2": zero,
+                      "rotor_inertia_kg_m2": [rotor, rotor], "stop_restitution": 0.8,
+                      "stops_rad": [[-stop, stop] for stop in stops]},
+            "start": {"q_rad": zero, "v_rad_per_s": speeds},
+        },
+        effects={"rotor_inertia": True, "end_stops": True},
+    )  # fmt: skip
+
+
+def _simultaneous(bench: Bench, model: str) -> float:
+    """Return how two rotors that strike their stops at the same instants differ, and their exchange."""
+    one = bench.run(_two_rotors([0.5, 1.0], [1.0, 2.0]), model).signals
+    other = bench.run(_two_rotors([1.0, 0.5], [2.0, 1.0]), model).signals
+    twins = np.abs(2.0 * np.asarray(one["q1"]) - np.asarray(one["q2"])).max()
+    swapped = np.abs(np.asarray(one["q1"]) - np.asarray(other["q2"])).max()
+    return float(max(twins, swapped))
+
+
+def _hits(which: int) -> Callable[[Bench, str], float]:
+    """Return what finds the instant of a hit of a carriage between stops, several hits in one step."""
+
+    def find(bench: Bench, model: str) -> float:
+        tables = slider(
+            duration_s=0.1, solver={"max_step_s": 0.1},
+            device={"slider": {"stops_rad": [[-0.2, 0.2]], "stop_restitution": 1.0},
+                    "start": {"v_rad_per_s": [10.0]}},
+            effects={"end_stops": True},
+        )  # fmt: skip
+        signals = bench.run(tables, model).signals
+        t, q = (np.asarray(signals[name]) for name in ("time", "q1"))
+        hits = np.unique(t[np.abs(q) == 0.2])
+        return float(hits[which]) if len(hits) > which else math.nan
+
+    return find
+
+
+def _dip(what: str) -> Callable[[Bench, str], float]:
+    """Return what finds when a flight's top enters or leaves a stop 0.2 mrad below it, within one step."""
+    g, depth, speed = 9.81 / RADIUS, 2e-4, 1.0
+    stop = speed**2 / (2 * g) - depth
+
+    def find(bench: Bench, model: str) -> float:
+        tables = slider(
+            duration_s=0.1, solver={"coupling_tolerance_rad": 1e-9},
+            device={"slider": {"stops_rad": [[-90.0, stop]], "stop_stiffness_n_m_per_rad": 1e-9,
+                               "stop_damping_n_m_s": 0.0},
+                    "start": {"v_rad_per_s": [speed]}},
+            effects={"end_stops": True, "gravity": True},
+        )  # fmt: skip
+        signals = bench.run(tables, model).signals
+        at = crossings(*(np.asarray(signals[name]) for name in ("time", "q1", "v1")), stop)
+        t, q = (np.asarray(signals[name]) for name in ("time", "q1"))
+        at = np.sort(np.concatenate([at, t[q == stop]]))
+        return float(at[0] if what == "enters" else at[-1]) if len(at) > 1 else math.nan
+
+    return find
+
+
+def _lost_samples(bench: Bench, model: str) -> float:
+    """Return how many of 25 commands do not arrive 2.5 periods after their sample."""
+    period = 3e-3
+    tables = slider(
+        duration_s=0.09, computer={"period_s": period, "law": "law.py:Counts", "delay_periods": 2,
+                                   "delay_fraction": 0.5},
+        effects={"delay": True},
+    )  # fmt: skip
+    signals = bench.run(tables, model, _COUNTS).signals
+    t, volts = np.asarray(signals["time"]), np.asarray(signals["cmd1"])
+    after = np.searchsorted(t, (np.arange(25) + 2.6) * period)
+    asked = 0.01 * (1 + np.arange(25) % 7) * 15.625
+    return float(np.count_nonzero(np.abs(volts[after] - asked) > 1e-6 * asked))
+
+
+def _contacts(bench: Bench, model: str) -> float:
+    """Return how often a carriage between two soft stops touches them in one period of 100 ms."""
+    tables = slider(
+        duration_s=0.1, solver={"max_step_s": 0.1, "coupling_tolerance_rad": 1e-9},
+        device={"slider": {"stops_rad": [[-0.05, 0.05]], "stop_stiffness_n_m_per_rad": 200.0,
+                           "stop_damping_n_m_s": 0.0},
+                "start": {"v_rad_per_s": [5.0]}},
+        effects={"end_stops": True},
+    )  # fmt: skip
+    signals = bench.run(tables, model).signals
+    inside = np.abs(np.asarray(signals["q1"])) > 0.05 * (1 + 1e-9)
+    return float(np.count_nonzero(np.diff(inside.astype(int)) == 1))
+
+
+_STOP = 1.0 / (2 * 9.81 / RADIUS) - 2e-4
+_LATE = math.sqrt(2 * 2e-4 / (9.81 / RADIUS))
+_TOP = RADIUS / 9.81
+# a half turn in a stop, and a flight between them, of the carriage of `_contacts`
+_INERTIA = 0.2 * RADIUS**2
+_TURN, _FLIGHT = math.pi * math.sqrt(_INERTIA / 200.0), 0.1 / 5.0
+
+CASES = (
+    HardCase("push that begins on a sample or an ulp beside it", 25, "change of the end, relative", 0.0,
+             {**dict.fromkeys(OWN, 1e-12), "spice": 1e-9},
+             "an ulp of 0.1 s is 1e-17 s; a step of the lockstep falls otherwise", _beside_a_sample),
+    HardCase("jump at a sample", 26, "current at its right over the spring's", 1.0, dict.fromkeys(OWN, 1e-9),
+             "two rows at one instant; gains and angles are exact", _both_limits),
+    HardCase("two stops struck at one instant", 27, "difference from one another and exchanged [rad]", 0.0,
+             dict.fromkeys(OWN, 1e-9), "located to 2^-36 of an interval at 2 rad/s", _simultaneous),
+    *(HardCase(f"two hits in one step, number {k + 1}", 28, "instant [s]", (0.2 + 0.4 * k) / 10.0,
+               dict.fromkeys(OWN, 1e-10), "located to 2^-36 of an interval", _hits(k)) for k in (0, 1)),
+    *(HardCase(f"dip into a stop within a step, {what}", 28, "instant [s]", at,
+               {**dict.fromkeys(OWN, 1e-7), "spice": 1e-5},
+               "the angle's tolerance over the speed of 0.17 rad/s there", _dip(what))
+      for what, at in (("enters", _TOP - _LATE), ("leaves", _TOP + _LATE))),
+    HardCase("delay of 2.5 periods", 30, "commands lost", 0.0, dict.fromkeys(ALL, 0.0),
+             "each has its own instant", _lost_samples),
+    HardCase("contacts within one period of 100 ms", 58, "contacts",
+             math.floor((0.1 - 0.05 / 5.0) / (_TURN + _FLIGHT)) + 1.0, dict.fromkeys(ALL, 0.0),
+             "half swings in the stops and flights between them", _contacts),
+)  # fmt: skip
