@@ -53,7 +53,7 @@ def write_accuracy(found: Accuracy, folder: Path) -> Path:
         shown = picture("accuracy", "Error over time", draw(found))
     section = Section(
         "accuracy", f"{found.scene.title}: what accuracy costs", [], tuple(words(found)), [shown],
-        [_front(found), _failures(found)], "",
+        [_front(found), _reltol(found), _failures(found)], "",
     )  # fmt: skip
     html = render(
         "study.html.j2", title=f"What accuracy costs: {found.scene.title}", command="", summary=[],
@@ -224,6 +224,35 @@ def _front(found: Accuracy) -> TextTable:
     ]  # fmt: skip
     numbers = set(range(1, len(head)))
     return TextTable("The Pareto front", head, cells, numbers, "All settings are in the file.", FILES[1])
+
+
+def _reltol(found: Accuracy) -> TextTable:
+    """Return what ngspice's own tolerance would make one believe, against the errors that were made."""
+    rows = []
+    for row in found.rows:
+        asked = believed(row.setting.label)
+        if asked is not None and row.errors:
+            worst = row.worst(found.quantities)
+            rows.append([row.setting.label, f"{asked:g}", f"{worst:.1e}", f"{worst / asked:.3g}"])
+    note = (
+        "reltol bounds what Newton's iterations and each step's own formula leave, not what a run makes of "
+        "it: the number of a deck is no error of a result."
+    )
+    return TextTable(
+        "The number that fools", ["setting", "reltol", "worst error", "times reltol"], rows, {1, 2, 3}, note
+    )
+
+
+def believed(label: str) -> float | None:
+    """Return the relative tolerance that a setting's label states; None where it states none.
+
+    Examples
+    --------
+    >>> believed('spice, rtol 1e-06'), believed('linear as stated')
+    (1e-06, None)
+    """
+    _, stated, value = label.partition("rtol ")
+    return float(value.partition(",")[0]) if stated else None
 
 
 def _failures(found: Accuracy) -> TextTable:

@@ -48,14 +48,30 @@ def all_tables(view: View) -> list[Table]:
 
 
 def _measures(view: View) -> Table:
-    rows = tuple(
-        (plain_name(name), _with_unit(row), str(row.get("text") or ""))
-        for name, row in view.run.measures.items()
-    )
-    note = "Errors are 95 % bounds on what the solver makes, not on what the scene leaves out."
+    """Return the measures; of ngspice's runs with what its own tolerance would make one believe."""
     estimated = any(row.get("error") is not None for row in view.run.measures.values())
-    head = ("measure", "value", "what it is")
-    return Table("measures", "Measures", head, rows, note if estimated else "", frozenset({1}))
+    note = "Errors are 95 % bounds on what the solver makes, not on what the scene leaves out."
+    reltol = view.scene_at("solver", "rtol", default=None)
+    fooled = estimated and view.plan.get("model") == "spice" and isinstance(reltol, float)
+    rows = []
+    for name, row in view.run.measures.items():
+        believed = (_believed(row, reltol),) if fooled else ()
+        rows.append((plain_name(name), _with_unit(row), *believed, str(row.get("text") or "")))
+    head = ("measure", "value", *(("reltol alone",) if fooled else ()), "what it is")
+    if fooled:
+        note += (
+            f" Reltol alone: the share of {reltol:g} that ngspice asks of Newton's iterations and of each "
+            "step; it is no error of a result, and may be far smaller or larger than one."
+        )
+    numbers = frozenset({1, 2} if fooled else {1})
+    return Table("measures", "Measures", head, tuple(rows), note if estimated else "", numbers)
+
+
+def _believed(row: Mapping[str, Any], reltol: float) -> str:
+    """Return what a relative tolerance would make of a measure with an error, nothing for others."""
+    if row.get("error") is None or not row.get("value"):
+        return ""
+    return f"± {quantity(reltol * abs(float(row['value'])), str(row.get('unit') or ''), 1)}"
 
 
 def _with_unit(row: Mapping[str, Any]) -> str:

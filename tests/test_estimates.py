@@ -192,3 +192,21 @@ def test_the_command_prints_errors_and_keeps_them(tmp_path: Path, capsys: pytest
     told = json.loads(capsys.readouterr().out)["runs"][0]["measures"]["max_penetration"]
     assert told["error"] <= 1e-4 * told["value"]
     assert math.isfinite(told["value"])
+
+
+def test_the_page_shows_what_reltol_would_make_one_believe(tmp_path: Path) -> None:
+    """Ten times coarser steps make an error above the 1e-4 that ngspice is asked for; both stand there."""
+    from reports.tables import all_tables
+    from reports.view import View
+
+    plan = resolve(scene_of(tmp_path, THROWN, "solver.rtol=1e-4", "solver.max_step_s=1e-2",
+                            "solver.coupling_tolerance_rad=1e-2"))  # fmt: skip
+    found = run(
+        plan, tmp_path / "r", formats=(), child=shared_child(), errors=estimator(plan, shared_child())
+    )
+    (table,) = [table for table in all_tables(View(found)) if table.name == "measures"]
+    assert table.head[2] == "reltol alone"
+    row = next(row for row in table.rows if row[0] == "max penetration")
+    value = found.measures["max_penetration"]["value"]
+    assert row[2] == f"± {1e9 * float(f'{1e-4 * value:.0e}'):.0f} nm"
+    assert found.measures["max_penetration"]["error"] > 0.0

@@ -104,3 +104,18 @@ def test_the_grammar_is_that_of_run(command, capsys):
     scene = str(SCENES / ("paper/0_1_acceptance.toml" if command[0] == "report" else "press.toml"))
     assert main([command[0], scene, *command[1:], "--tol", "peak_forc=1%"]) == 2
     assert "--tol" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["press", "drop", "slope", "slope_discrete"])
+def test_shipped_scenes_are_within_what_was_asked(name: str) -> None:
+    """Errors against the references of `cosim accuracy`, at 1e-2 to 1e-4; what is not reached is told."""
+    from benchmarks.tol_vs_best import TOLERANCES, asked, truth
+
+    path = SCENES / f"{name}.toml"
+    right = truth(path, shared_child())
+    for tolerance in TOLERANCES:
+        found = asked(path, tolerance, shared_child())
+        for measure, value in right.items():
+            error = abs(found["measures"][measure]["value"] - value)
+            assert error <= tolerance * abs(value) or measure in found["missed"], (tolerance, measure)
