@@ -120,8 +120,8 @@ def _dip(what: str) -> Callable[[Bench, str], float]:
             effects={"end_stops": True, "gravity": True},
         )  # fmt: skip
         signals = bench.run(tables, model).signals
-        at = crossings(*(np.asarray(signals[name]) for name in ("time", "q1", "v1")), stop)
-        t, q = (np.asarray(signals[name]) for name in ("time", "q1"))
+        t, q, v = (np.asarray(signals[name]) for name in ("time", "q1", "v1"))
+        at = crossings(t, q, v, stop)
         at = np.sort(np.concatenate([at, t[q == stop]]))
         return float(at[0] if what == "enters" else at[-1]) if len(at) > 1 else math.nan
 

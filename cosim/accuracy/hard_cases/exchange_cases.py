@@ -47,7 +47,7 @@ def _jacobi(
         state[:2] = maps[0] @ np.concatenate([first, second])
         state[2:] = maps[1] @ np.concatenate([second, first])
         seen.append(state.copy())
-    return step * np.arange(len(seen)), np.array(seen)[:, ::2]
+    return np.asarray(step * np.arange(len(seen)), float), np.array(seen)[:, ::2]
 
 
 def _against_jacobi(
@@ -88,7 +88,7 @@ def _against_jacobi(
         parts = np.linalg.solve(vectors, np.array([start, 0.0, 0.0, 0.0]).astype(complex))
 
         def exact(t: Array) -> Array:
-            return np.real((np.exp(np.outer(t, values)) * parts) @ vectors.T)[:, :2]
+            return np.asarray(np.real((np.exp(np.outer(t, values)) * parts) @ vectors.T)[:, :2])
 
         t = np.asarray(found.signals["time"])
         q = np.stack([found.signals["q1"], found.signals["q2"]], axis=1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -272,7 +273,7 @@ def _consistent(bench: Bench, model: str) -> float:
 
     currents = []
     for line in ("", ".ic v(inn)=5"):
-        place = bench.netlists({"blocks/diffamp.cir": lambda text, line=line: f"{text}\n{line}\n"})
+        place = bench.netlists({"blocks/diffamp.cir": partial("{1}\n{0}\n".format, line)})
         tables = slider(
             device={"board": str(place / "board1.cir"), "start": {"q_rad": [-0.02]}}, duration_s=0.1,
             computer={"period_s": 0.02}, wall={"point_m": [0.0, 0.0], "normal": [0.0, 1.0]},
@@ -300,7 +301,7 @@ CASES = (
              dict.fromkeys(ALL, 1e-6), "the list's own", _on_the_border),
     *(HardCase(f"steps forced to {1e3 * step:g} ms", 37, "log of error over estimate", 0.0,
                {"spice": math.log(3.0)}, "the list's own factor of 3",
-               lambda bench, model, step=step: _told(step, bench, model)) for step in (4e-3, 1e-3)),
+               partial(_told, step)) for step in (4e-3, 1e-3)),
     HardCase("negative damper in a clipped driver", 39, "amplitude over the describing function's", 1.0,
              {"ideal": 0.01, "spice": 0.01}, "third harmonics of a swing of Q = 9 and the stated gain",
              _saturated),
