@@ -19,10 +19,10 @@ from cosim.plan import Plan, resolve
 from cosim.results import Run
 from cosim.runner import Errors
 from cosim.scene import CircuitModelName
+from cosim.types import Measures
 
 __all__ = ["Wanted", "measurer_within", "parse_tolerances", "run_within", "shortfalls"]
 
-Measures = Mapping[str, Mapping[str, Any]]
 T = TypeVar("T")
 
 #: What has no error that a solver could make smaller.

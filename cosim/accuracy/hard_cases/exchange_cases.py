@@ -10,15 +10,13 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from cosim.accuracy.hard_cases.coupled_motion import _DAMPER, _SPRING, _STATED, _STATED_C
 from cosim.accuracy.hard_cases.hard_case import Bench, HardCase, board, slider
+from cosim.types import Array
 
 __all__ = ["CASES"]
-
-Array = NDArray[np.float64]
 
 
 def _jacobi(

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.accuracy.estimate import estimator
 from cosim.assets import netlists_folder
@@ -23,6 +22,7 @@ from cosim.plan import resolve
 from cosim.runner import run
 from cosim.scene import load_scene
 from cosim.staging import scratch_folder
+from cosim.types import Array
 
 __all__ = [
     "ALL",
@@ -38,7 +38,6 @@ __all__ = [
     "slider",
 ]
 
-Array = NDArray[np.float64]
 Tables = Mapping[str, Any]
 
 #: Circuit models: every one, and those of our own loop.

@@ -8,6 +8,7 @@ stepped over. With rows the interval is cut into binary fractions, so that a han
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from numba import carray, njit
 
