@@ -64,6 +64,10 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         "--yield", dest="wanted", metavar="P", help="yield that the bill's loosest tolerances must keep: 99%%"
     )
     parser.add_argument("--worst-case", action="store_true", help="search the worst device within all limits")
+    parser.add_argument(
+        "--two-level", action="store_true",
+        help="correct the samples by many of a cheaper model: spice by linear, linear by ideal",
+    )  # fmt: skip
     parser.add_argument("--list", action="store_true", help="print what varies, and draw nothing")
     parser.add_argument("--sample", type=int, metavar="I", help="measure sample I of the study alone")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one a processor)")
@@ -79,6 +83,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.caution import collected
     from cosim.commands.progress import progress
+    from cosim.errors import fail
     from cosim.tolerance.scene_study import check_folder, measure_shard, monte_carlo, prepare
     from cosim.tolerance.spec import parse_specs
 
@@ -92,6 +97,9 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     digest = prepared.digest()
     check_folder(out, digest)
     processes = _processes(args, out)
+    if args.two_level and (args.shard or args.merge):
+        fail("is decided from a pilot of the whole study", key="--two-level",
+             value="--shard" if args.shard else "--merge", allowed="one call for all samples")  # fmt: skip
     if args.shard:
         with progress("mc") as show:
             said = measure_shard(prepared, processes, _shard(args.shard), show)
@@ -162,7 +170,7 @@ def _asked(args: argparse.Namespace, specs: tuple[Any, ...]) -> "Asked":
     forced = (f"solver.model={args.model}",) if args.model else ()
     return Asked(
         args.scene, (*forced, *overrides(args.set)), tuple(args.measure), specs, _samples(args),
-        args.sampling, args.seed, args.until, wanted, args.worst_case, args.trust,
+        args.sampling, args.seed, args.until, wanted, args.worst_case, args.trust, args.two_level,
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ import fcntl
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,14 +18,17 @@ from numpy.typing import NDArray
 
 from cosim.errors import fail
 from cosim.staging import disk_errors
+from cosim.tolerance.monte_carlo import Engine
 from cosim.tolerance.sample_store import Samples
 from cosim.tolerance.worker_pool import Chunk, Lost, cores, pooled
 
-__all__ = ["Job", "Work", "merge", "run", "shard"]
+__all__ = ["LEVELS", "Job", "Processes", "Work", "merge", "run", "shard"]
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
 
+#: Folder within a study's own for what was measured beside its samples: other models, other points.
+LEVELS = "levels"
 #: What a chunk should take [s]: long enough for its receipt to cost nothing.
 _CHUNK_S = 2.0
 _MOST_TOGETHER = 4096
@@ -153,6 +156,31 @@ def _pooled(job: Job, samples: Samples, workers: int, sizes: _Sizes, on_progress
         done += finished.count
         if on_progress is not None:
             on_progress(done, total, "samples")
+
+
+@dataclass(frozen=True)
+class Processes:
+    """How the engine measures: see `run`; `shards` are folders to be merged."""
+
+    folder: Path
+    workers: int | None = None
+    chunk: int | None = None
+    shards: tuple[Path, ...] = ()
+
+    def beside(self, name: str) -> Processes:
+        """Return the same for samples that are kept in a folder within."""
+        return replace(self, folder=self.folder / LEVELS / name, shards=())
+
+    def of(self, job: Job) -> Engine:
+        """Return what measures a job."""
+
+        def engine(on_progress: Progress | None) -> tuple[Array, dict[int, str]]:
+            if self.shards:
+                return merge(job, self.folder, self.shards).read()
+            found = run(job, self.folder, workers=self.workers, chunk=self.chunk, on_progress=on_progress)
+            return found.read()
+
+        return engine
 
 
 def shard(n: int, part: tuple[int, int]) -> tuple[int, int]:

@@ -6,7 +6,7 @@ import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module
 from typing import Any
 
@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 
 from cosim.catalogue import UNITS
 from cosim.tolerance.bill import Line, best_pair, bill, grade_text
+from cosim.tolerance.border_strata import STRATA
 from cosim.tolerance.corner_search import Corner
 from cosim.tolerance.intervals import Estimate
 from cosim.tolerance.listing import CONVENTION, component_rows
+from cosim.tolerance.model_levels import Levels
 from cosim.tolerance.monte_carlo import Study, Summary, passed, summary, worst, yields
 from cosim.tolerance.sensitivity import GOOD, Surface, fit_surface
 from cosim.tolerance.spec import Spec
@@ -43,6 +45,8 @@ class Findings:
         What each random variable costs.
     wanted
         Yield that the bill's loosest tolerances keep; the present one where it is None.
+    levels
+        What a cheaper model adds; summaries and yields are corrected by it where that pays.
     """
 
     study: Study
@@ -54,6 +58,7 @@ class Findings:
     wanted: float | None = None
     corners: Mapping[str, Corner] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    levels: Levels | None = None
 
     def plot(self, name: str = "distribution", measure: str | None = None) -> Any:
         """Return a matplotlib figure of a measure, the first where none is named.
@@ -102,6 +107,7 @@ class Findings:
             "worst_case": {name: asdict(corner) for name, corner in self.corners.items()},
             "worst": {name: worst(study, name) for name in study.names},
             "notes": list(self.notes),
+            **({"two_level": self.levels.as_dict()} if self.levels is not None else {}),
         }
 
     def samples_csv(self) -> str:
@@ -142,6 +148,7 @@ def find(
     wanted: float | None = None,
     corners: Mapping[str, Corner] | None = None,
     notes: Sequence[str] = (),
+    levels: Levels | None = None,
 ) -> Findings:
     """Work a study out.
 
@@ -167,10 +174,62 @@ def find(
                 f"not fitted to, less than {GOOD:g}: shares and bill are rough; more samples help"
             )
     said += _decision(study, surfaces, specs)
+    shares = yields(study, specs)
+    if levels is not None:
+        summaries = {name: _corrected(each, levels) for name, each in summaries.items()}
+        shares |= {text: each.passing for text, each in levels.yields.items()}
+        said += _of_levels(levels)
     return Findings(
-        study, tuple(specs), summaries, yields(study, specs), surfaces,
-        tuple(bill(study, surfaces, specs, wanted)), wanted, dict(corners or {}), tuple(said),
+        study, tuple(specs), summaries, shares, surfaces,
+        tuple(bill(study, surfaces, specs, wanted)), wanted, dict(corners or {}), tuple(said), levels,
     )  # fmt: skip
+
+
+def _corrected(summary: Summary, levels: Levels) -> Summary:
+    """Return mean and standard deviation by two models, where these pay."""
+    found = levels.moments.get(summary.name)
+    if found is None or found.word:
+        return summary
+    how = f"{levels.dear} corrected by {levels.cheap}"
+    mean = Estimate(found.mean, found.mean_low, found.mean_high, how)
+    spread = Estimate(found.spread, found.spread_low, found.spread_high, how)
+    return replace(
+        summary,
+        mean=mean if mean.half < summary.mean.half else summary.mean,
+        spread=spread if spread.half < summary.spread.half else summary.spread,
+    )
+
+
+def _of_levels(levels: Levels) -> list[str]:
+    """Say what two models gave, and where one of them had to do."""
+    dear, cheap = levels.seconds
+    if not levels.moments:
+        return [f"no measure needs a run: {levels.dear} and {levels.cheap} would tell the same"]
+    said = [f"a sample takes {dear:.3g} s on {levels.dear} and {cheap:.3g} s on {levels.cheap}"]
+    for name, each in levels.moments.items():
+        if each.word:
+            said.append(f"{name}: {each.word}")
+            continue
+        pilot = each.pilot
+        said.append(
+            f"{name}: correlation of both models {pilot.correlation:.5f}, of the squares "
+            f"{pilot.of_squares:.5f}; {each.dear} samples on {levels.dear}, {each.cheap} on {levels.cheap}: "
+            f"variance times cost {pilot.gain():.3g} of plain sampling for the mean, "
+            f"{pilot.gain(squares=True):.3g} for the standard deviation, at the best split"
+        )
+    for text, share in levels.yields.items():
+        agreed = f"{share.correlation:.4f}" if math.isfinite(share.correlation) else "not known, no failure"
+        counted = ", ".join(
+            f"{name} {100 * weight:.3g} % ({failed} of {count} failed)"
+            for name, weight, failed, count in zip(
+                STRATA, share.weights, share.failed, share.counted, strict=True
+            )
+        )
+        what = "all specifications" if text == "all" else text
+        said.append(f"yield, {what}: by {levels.cheap}, {counted}; correlation of passing {agreed}")
+        if share.word:
+            said.append(f"yield, {what}: {share.word}")
+    return said
 
 
 def _decision(study: Study, surfaces: Mapping[str, Surface], specs: Sequence[Spec]) -> list[str]:

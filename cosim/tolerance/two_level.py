@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from scipy import stats
 
 from cosim.tolerance.cube_points import REPLICATES, sampling
 
-__all__ = ["Pilot", "TwoLevel", "moments", "pilot_of"]
+__all__ = ["Pilot", "TwoLevel", "cheap_samples", "corrected", "moments", "pilot_of"]
 
 Array = NDArray[np.float64]
 #: Points of the unit cube (n, variables) -> measure (n,).
@@ -153,26 +153,45 @@ def moments(
     pilot = pilot_of(cheap(first), dear(first), cost_ratio)
     points = draws.uniforms(pilot_samples, dear_samples)
     high = dear(points)
-    shifted = high - pilot.middle
     if pilot.words:
-        return _told(shifted, shifted**2, np.zeros(REPLICATES), np.zeros(REPLICATES), high, 0, pilot)
-    low = cheap(points)
-    about = pilot.middle_of_cheap  # not of the same samples: that would be a bias
-    each = _cheap_samples(pilot, dear_samples)
+        return corrected(pilot, high, high, np.empty((REPLICATES, 0)))
+    each = cheap_samples(pilot, dear_samples)
     cube = sampling("sobol", each * REPLICATES, variables, seed + 1)
-    means, squares = np.empty(REPLICATES), np.empty(REPLICATES)
-    for r in range(REPLICATES):
-        values = cheap(cube.uniforms(r * cube.each, cube.each)) - about
-        means[r], squares[r] = pilot.factor * values.mean(), pilot.factor_of_squares * (values**2).mean()
-    centred = low - about
+    means = np.array([cheap(cube.uniforms(r * cube.each, cube.each)) for r in range(REPLICATES)])
+    return corrected(pilot, high, cheap(points), means)
+
+
+def corrected(pilot: Pilot, high: Array, low: Array, cheap: Array, word: str = "") -> TwoLevel:
+    """Return mean and standard deviation of the dear model from samples of both.
+
+    Parameters
+    ----------
+    pilot
+        Of other samples: it gives both factors.
+    high, low
+        Measure of the same samples (n,) on the dear and on the cheap model.
+    cheap
+        Measure on the cheap model, (randomisations, n): independent randomisations.
+    word
+        Why the cheap model is of no use, where that is known.
+    """
+    shifted = high - pilot.middle
+    if word or pilot.words:
+        none = np.zeros(REPLICATES)
+        found = _told(shifted, shifted**2, none, none, high, 0, pilot)
+        return replace(found, word=word or pilot.words)
+    about = pilot.middle_of_cheap  # not of the same samples: that would be a bias
+    centred, values = low - about, cheap - about
+    means = pilot.factor * values.mean(axis=1)
+    squares = pilot.factor_of_squares * (values**2).mean(axis=1)
     return _told(
         shifted - pilot.factor * centred,
         shifted**2 - pilot.factor_of_squares * centred**2,
-        means, squares, high, cube.n, pilot,
+        means, squares, high, cheap.size, pilot,
     )  # fmt: skip
 
 
-def _cheap_samples(pilot: Pilot, dear_samples: int) -> int:
+def cheap_samples(pilot: Pilot, dear_samples: int) -> int:
     """Return cheap samples of one randomisation: the split of least variance for a cost, a power of two."""
     rest = max(1.0 - pilot.correlation**2, 1e-12)
     wanted = dear_samples * math.sqrt(pilot.correlation**2 / (rest * max(pilot.cost_ratio, 1e-9)))

@@ -1,0 +1,149 @@
+"""Two models of one study: what samples of a cheaper model add to those of its own.
+
+The study's own samples are plain ones of the dear model. Beside them, each in a folder of its own: the same
+samples on the cheap model, scrambled Sobol points on it, and, for a yield, devices that the cheap model finds
+at the limits of the specifications. What depends on the pilot and on seconds is decided once, and kept: an
+interrupted study goes on with the same samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.errors import InputError, Problem
+from cosim.tolerance.border_strata import STRATA, learned
+from cosim.tolerance.engine import Processes
+from cosim.tolerance.level_samples import LevelSamples, cheaper
+from cosim.tolerance.monte_carlo import Study
+from cosim.tolerance.preparation import Prepared
+from cosim.tolerance.strata_yields import Stratified, yields_by_strata
+from cosim.tolerance.two_level import TwoLevel
+
+__all__ = ["LEAST_DEAR", "Levels", "check", "two_levels"]
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int, str], None]
+
+#: Dear samples that a study of two models needs.
+LEAST_DEAR = 32
+_PILOT = 32
+
+
+@dataclass(frozen=True)
+class Levels:
+    """What two models say.
+
+    Attributes
+    ----------
+    dear, cheap
+        Models.
+    seconds
+        Of one sample of each.
+    moments
+        Measure -> mean and standard deviation.
+    yields
+        Specification -> yield by strata; 'all' where there are several.
+    extra
+        Dear samples beside the study's own.
+    """
+
+    dear: str
+    cheap: str
+    seconds: tuple[float, float]
+    moments: Mapping[str, TwoLevel]
+    yields: Mapping[str, Stratified]
+    extra: int
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all numbers, JSON-ready."""
+        return {
+            "dear": self.dear,
+            "cheap": self.cheap,
+            "seconds_of_a_sample": list(self.seconds),
+            "extra_dear_samples": self.extra,
+            "moments": {
+                name: {
+                    **asdict(each),
+                    "gain": each.pilot.gain(),
+                    "gain_of_squares": each.pilot.gain(squares=True),
+                }
+                for name, each in self.moments.items()
+            },
+            "yields": {
+                text: {
+                    **asdict(each),
+                    "strata": list(STRATA),
+                    "correlation": each.correlation if math.isfinite(each.correlation) else None,
+                }
+                for text, each in self.yields.items()
+            },
+        }  # fmt: skip
+
+
+def two_levels(
+    prepared: Prepared, study: Study, processes: Processes | None, on_progress: Progress | None = None
+) -> Levels:
+    """Correct a study's samples by those of a cheaper model.
+
+    Parameters
+    ----------
+    study
+        Plain samples of the dear model; the first of them are the pilot.
+
+    Raises
+    ------
+    InputError
+        For a model that has no cheaper one.
+    """
+    cheap = cheaper(study.model)
+    n = study.sampling.n
+    work = LevelSamples(prepared, study, cheap, processes, on_progress)
+    first = _pilot_size(n)
+    if not work.names:
+        return Levels(study.model, cheap, (0.0, 0.0), {}, {}, 0)
+    same = work.measured("same", study.sampling, n)
+    pilots = {name: work.pilot(name, same, first) for name in work.names}
+    border = learned(prepared.asked.specs, work.named(same[:first]), work.named(work.own()[:first]))
+    cube = work.cube(pilots, first)
+    values = work.measured("cheap", cube, cube.n) if cube.n else np.empty((0, len(work.names)))
+    moments = {name: work.moments(name, pilot, same, values, first) for name, pilot in pilots.items()}
+    yields: dict[str, Stratified] = {}
+    extra = 0
+    if prepared.asked.specs and cube.n:
+        extra, yields = yields_by_strata(work, border, same, values, cube, first)
+    return Levels(study.model, cheap, work.seconds(), moments, yields, extra)
+
+
+def check(prepared: Prepared) -> None:
+    """Refuse what two models cannot be asked for, before the first sample.
+
+    Raises
+    ------
+    InputError
+        With all that is wrong.
+    """
+    asked, problems = prepared.asked, list[Problem]()
+    if asked.method != "plain":
+        problems.append(
+            Problem("is of plain samples", key="--two-level", value=asked.method, allowed="--sampling plain")
+        )
+    if asked.until:
+        problems.append(Problem("takes its number of samples from -n", key="--two-level", value=asked.until))
+    if asked.n < LEAST_DEAR:
+        allowed = f">= {LEAST_DEAR}"
+        problems.append(
+            Problem("are too few for a pilot and an estimate", key="-n", value=asked.n, allowed=allowed)
+        )
+    if problems:
+        raise InputError(problems)
+    cheaper(prepared.plan.model)
+
+
+def _pilot_size(n: int) -> int:
+    return min(_PILOT, max(n // 3, 8))

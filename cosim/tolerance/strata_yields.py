@@ -1,0 +1,143 @@
+"""Yields of a study by strata: which samples are taken, and what they say."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.tolerance import intervals
+from cosim.tolerance.border_strata import (
+    BORDER,
+    STRATA,
+    Border,
+    allocation,
+    failure_rate,
+    replicate_weights,
+)  # fmt: skip
+from cosim.tolerance.cube_points import Sampling
+from cosim.tolerance.intervals import Estimate
+from cosim.tolerance.level_samples import Chosen, LevelSamples
+from cosim.tolerance.monte_carlo import passed
+from cosim.tolerance.spec import Spec
+
+__all__ = ["Stratified", "yields_by_strata"]
+
+Array = NDArray[np.float64]
+#: Samples of the cheap model that are looked through for the border, at most.
+_LOOKED_THROUGH = 1 << 18
+
+
+@dataclass(frozen=True)
+class Stratified:
+    """A yield by strata.
+
+    Attributes
+    ----------
+    failing, plain
+        Share of failing devices, and what the plain dear samples alone say.
+    weights, counted, failed
+        Of each stratum: share, dear samples, and those that failed.
+    correlation
+        Of whether a device passes, between both models; NaN where all of the plain samples agree.
+    word
+        Why the plain samples alone are told, if so.
+    """
+
+    failing: Estimate
+    plain: Estimate
+    weights: tuple[float, ...]
+    counted: tuple[int, ...]
+    failed: tuple[int, ...]
+    correlation: float
+    word: str = ""
+
+    @property
+    def passing(self) -> Estimate:
+        """The yield; of the plain samples alone where strata do not pay."""
+        of = self.plain if self.word else self.failing
+        return Estimate(1.0 - of.value, 1.0 - of.high, 1.0 - of.low, of.how)
+
+
+def yields_by_strata(
+    work: LevelSamples, border: Border, same: Array, values: Array, cube: Sampling, first: int
+) -> tuple[int, dict[str, Stratified]]:
+    """Return dear samples besides the study's own, and the yield of each specification by strata."""
+    study, specs = work.study, work.prepared.asked.specs
+    n = study.sampling.n
+    weights = replicate_weights(border.strata(work.named(values)), cube.replicates)
+    wanted = allocation(weights.mean(axis=0), n - first, n // 2)
+    strata = border.strata(work.named(same))
+    chosen = work.decided("chosen", lambda: _chosen(work, border, strata[first:], weights, wanted))
+    among = study.sampling
+    more = np.array(chosen, dtype=np.int64)
+    results = work.own()[first:]
+    if len(more):
+        points = Chosen(among, tuple(chosen))
+        found = work.measured("border", points, len(more), study.model)
+        lower = work.measured("border-cheap", points, len(more))
+        results = np.concatenate([results, found])
+        strata = np.concatenate([strata, border.strata(work.named(lower))])
+    strata = strata[first:]
+    every = {spec.text: (spec,) for spec in specs} | ({"all": tuple(specs)} if len(specs) > 1 else {})
+    return len(more), {
+        text: _stratified(work, some, results, strata, weights, cube, same) for text, some in every.items()
+    }
+
+
+def _chosen(
+    work: LevelSamples, border: Border, strata: NDArray[np.int64], weights: Array, wanted: Sequence[int]
+) -> list[int]:
+    """Return the numbers of further samples at the border and beyond, as the cheap model finds them."""
+    missing = [max(wanted[h] - int(np.sum(strata == h)), 0) for h in range(BORDER + 1)]
+    n, found = work.study.sampling.n, list[int]()
+    mean = weights.mean(axis=0)
+    length = max((m / mean[h] for h, m in enumerate(missing) if m and mean[h] > 0.0), default=0.0)
+    length = min(1.3 * length, _LOOKED_THROUGH, n * work.seconds()[0] / work.seconds()[1])
+    if length < 1.0:
+        return []
+    further = Chosen(work.study.sampling, tuple(range(n, n + math.ceil(length))))
+    table = work.measured("further", further, len(further.numbers))
+    for number, h in zip(further.numbers, border.strata(work.named(table)), strict=True):
+        if h <= BORDER and missing[h] > 0:
+            missing[h] -= 1
+            found.append(number)
+    return found
+
+
+def _stratified(
+    work: LevelSamples, specs: Sequence[Spec], results: Array, strata: NDArray[np.int64], weights: Array,
+    cube: Sampling, same: Array,
+) -> Stratified:  # fmt: skip
+    """Return the yield of some specifications; the strata are those of all of them."""
+    study = work.study
+
+    def passing(table: Array) -> NDArray[np.bool_]:
+        columns = work.named(table)
+        return np.asarray(np.all([spec.passed(columns[spec.measure]) for spec in specs], axis=0))
+
+    good = passing(results)
+    counted = [int(np.sum(strata == h)) for h in range(len(STRATA))]
+    failed = [int(np.sum((strata == h) & ~good)) for h in range(len(STRATA))]
+    own = passed(study, specs)
+    plain = intervals.share(~own, study.sampling)
+    found = failure_rate(weights, failed, counted, cube.n)
+    lower = passing(same)
+    correlation = math.nan
+    if 0 < own.sum() < len(own) and 0 < lower.sum() < len(lower):
+        correlation = float(np.corrcoef(own, lower)[0, 1])
+    word = ""
+    if found.half >= plain.half:
+        word = f"strata leave +-{100 * found.half:.3g} %: the plain samples of {study.model} alone tell more"
+    return Stratified(
+        found,
+        plain,
+        tuple(map(float, weights.mean(axis=0))),
+        tuple(counted),
+        tuple(failed),
+        correlation,
+        word,
+    )
