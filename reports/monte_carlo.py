@@ -13,7 +13,9 @@ from cosim.catalogue import UNITS
 from cosim.caution import Caution, grouped
 from cosim.results import json_text
 from cosim.tolerance.bill import grade_text
+from cosim.tolerance.border_strata import STRATA
 from cosim.tolerance.findings import components_csv
+from cosim.tolerance.intervals import Estimate
 from cosim.tolerance.listing import CONVENTION
 from cosim.tolerance.monte_carlo import worst
 from cosim.tolerance.scene_study import RECORD
@@ -25,7 +27,8 @@ from reports.style import FAINT, FORCE, INK, JOINTS, LIMIT, Drawn, figure, legen
 
 if TYPE_CHECKING:
     from cosim.tolerance.findings import Findings
-    from cosim.tolerance.intervals import Estimate
+    from cosim.tolerance.model_levels import Levels
+    from cosim.tolerance.rare_study import Rare
 
 #: Figures of a measure; the last two need a fitted surface.
 PARTS = ("distribution", "estimate", "blame", "leading")
@@ -82,6 +85,8 @@ def write_monte_carlo(
     with look():
         sections = [_overview(found), *(_measure(found, name, replay) for name in found.study.names)]
         sections += [_bill(found)] if found.bill else []
+        sections += [_two_models(found.levels)] if found.levels is not None else []
+        sections += [_rare(found.rare)] if found.rare is not None else []
     html = render(
         "study.html.j2", title="Tolerances: what the built devices do",
         command=replay.removesuffix(" --sample"),
@@ -322,6 +327,70 @@ def _bill(found: "Findings") -> _Section:
         note += f" {len(found.bill)} rows, all of them in the file."
     table = _Table("Tolerance bill", head, rows, note, "bill.csv")
     return _Section("bill", "What to buy better", (), [], [table])
+
+
+def _two_models(levels: "Levels") -> _Section:
+    rows = []
+    for name, each in levels.moments.items():
+        unit, pilot = UNITS.get(name, ""), each.pilot
+        mean = Estimate(each.mean, each.mean_low, each.mean_high, "")
+        spread = Estimate(each.spread, each.spread_low, each.spread_high, "")
+        rows.append(
+            [
+                name, _value(mean, unit), _value(spread, unit), f"{pilot.correlation:.5f}",
+                f"{pilot.of_squares:.5f}", f"{pilot.cost_ratio:.3g}", str(each.dear), str(each.cheap),
+                "-" if each.word else f"{pilot.gain():.3g}",
+            ]
+        )  # fmt: skip
+    head = ["measure", "mean", "standard deviation", "correlation", "of the squares", "cost ratio",
+            f"samples on {levels.dear}", f"on {levels.cheap}", "variance times cost"]  # fmt: skip
+    note = (
+        f"Samples on {levels.dear}, corrected by many on {levels.cheap} with a factor from a pilot that is "
+        "left out. Variance times cost is that of the mean, relative to plain sampling, at the best split."
+    )
+    tables = [_Table("Mean and standard deviation", head, rows, note)]
+    if levels.yields:
+        rows = [
+            [
+                text, _percent(each.passing),
+                *(f"{100 * w:.4g} %: {f} of {n}"
+                  for w, f, n in zip(each.weights, each.failed, each.counted, strict=True)),
+                f"{each.correlation:.4f}" if math.isfinite(each.correlation) else "no failure",
+            ]
+            for text, each in levels.yields.items()
+        ]  # fmt: skip
+        head = ["specification", "yield", *(f"{levels.cheap} {name}" for name in STRATA), "correlation"]
+        note = (
+            f"Strata by what {levels.cheap} says: their weight, and how many of their samples on "
+            f"{levels.dear} failed. The interval holds each stratum's exact bound and the weights' error."
+        )
+        tables.append(_Table("Yield by strata", head, rows, note))
+    words = tuple(f"{name}: {each.word}." for name, each in levels.moments.items() if each.word)
+    words += tuple(f"{text}: {each.word}." for text, each in levels.yields.items() if each.word)
+    return _Section("levels", "Two models", words, [], tables)
+
+
+def _rare(rare: "Rare") -> _Section:
+    rate = f"{rare.rate.value:.3g} ({rare.rate.low:.3g} to {rare.rate.high:.3g})"
+    distance = f"{rare.distance:.3g}" if math.isfinite(rare.distance) else "none found"
+    rows = [
+        [
+            rate, str(rare.samples), f"{rare.effective:.1f}", distance, f"{rare.first_order:.3g}",
+            str(rare.places), str(rare.evaluations),
+        ]
+    ]  # fmt: skip
+    head = ["failing share", f"samples on {rare.model}", "effective", "distance [sd]", "first order",
+            "places", f"devices on {rare.cheap}"]  # fmt: skip
+    note = (
+        f"Failures are searched on {rare.cheap} and counted on {rare.model} by importance sampling about the "
+        "places found; first order: as if the border were a plane at the nearest one."
+    )
+    tables = [_Table("How often a device fails", head, rows, note)]
+    if rare.device:
+        table = [[key, f"{value:.6g}"] for key, value in rare.device.items()]
+        tables.append(_Table("The most probable failing device", ["component", "value"], table,
+                             "Its largest deviations first, in units of the SI."))  # fmt: skip
+    return _Section("rare", "Rare failures", (f"{rare.word}.",) if rare.word else (), [], tables)
 
 
 def _value(of: "Estimate", unit: str) -> str:

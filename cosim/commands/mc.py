@@ -68,6 +68,10 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         "--two-level", action="store_true",
         help="correct the samples by many of a cheaper model: spice by linear, linear by ideal",
     )  # fmt: skip
+    parser.add_argument(
+        "--rare", action="store_true",
+        help="search failures of the specifications that are too rare for samples, and count them",
+    )  # fmt: skip
     parser.add_argument("--list", action="store_true", help="print what varies, and draw nothing")
     parser.add_argument("--sample", type=int, metavar="I", help="measure sample I of the study alone")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one a processor)")
@@ -97,9 +101,10 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     digest = prepared.digest()
     check_folder(out, digest)
     processes = _processes(args, out)
-    if args.two_level and (args.shard or args.merge):
-        fail("is decided from a pilot of the whole study", key="--two-level",
-             value="--shard" if args.shard else "--merge", allowed="one call for all samples")  # fmt: skip
+    for name, asked in (("--two-level", args.two_level), ("--rare", args.rare)):
+        if asked and (args.shard or args.merge):
+            fail("goes by the whole study: merge first, then ask again without", key=name,
+                 value="--shard" if args.shard else "--merge")  # fmt: skip
     if args.shard:
         with progress("mc") as show:
             said = measure_shard(prepared, processes, _shard(args.shard), show)
@@ -170,7 +175,7 @@ def _asked(args: argparse.Namespace, specs: tuple[Any, ...]) -> "Asked":
     forced = (f"solver.model={args.model}",) if args.model else ()
     return Asked(
         args.scene, (*forced, *overrides(args.set)), tuple(args.measure), specs, _samples(args),
-        args.sampling, args.seed, args.until, wanted, args.worst_case, args.trust, args.two_level,
+        args.sampling, args.seed, args.until, wanted, args.worst_case, args.trust, args.two_level, args.rare,
     )  # fmt: skip
 
 

@@ -21,6 +21,7 @@ from cosim.tolerance.intervals import Estimate
 from cosim.tolerance.listing import CONVENTION, component_rows
 from cosim.tolerance.model_levels import Levels
 from cosim.tolerance.monte_carlo import Study, Summary, passed, summary, worst, yields
+from cosim.tolerance.rare_study import Rare
 from cosim.tolerance.sensitivity import GOOD, Surface, fit_surface
 from cosim.tolerance.spec import Spec
 from cosim.tolerance.varying import Tolerances
@@ -47,6 +48,8 @@ class Findings:
         Yield that the bill's loosest tolerances keep; the present one where it is None.
     levels
         What a cheaper model adds; summaries and yields are corrected by it where that pays.
+    rare
+        Failures that are too rare for samples.
     """
 
     study: Study
@@ -59,6 +62,7 @@ class Findings:
     corners: Mapping[str, Corner] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     levels: Levels | None = None
+    rare: Rare | None = None
 
     def plot(self, name: str = "distribution", measure: str | None = None) -> Any:
         """Return a matplotlib figure of a measure, the first where none is named.
@@ -108,6 +112,7 @@ class Findings:
             "worst": {name: worst(study, name) for name in study.names},
             "notes": list(self.notes),
             **({"two_level": self.levels.as_dict()} if self.levels is not None else {}),
+            **({"rare": self.rare.as_dict()} if self.rare is not None else {}),
         }
 
     def samples_csv(self) -> str:
@@ -149,6 +154,7 @@ def find(
     corners: Mapping[str, Corner] | None = None,
     notes: Sequence[str] = (),
     levels: Levels | None = None,
+    rare: Rare | None = None,
 ) -> Findings:
     """Work a study out.
 
@@ -179,9 +185,11 @@ def find(
         summaries = {name: _corrected(each, levels) for name, each in summaries.items()}
         shares |= {text: each.passing for text, each in levels.yields.items()}
         said += _of_levels(levels)
+    said += _of_rare(rare) if rare is not None else []
     return Findings(
         study, tuple(specs), summaries, shares, surfaces,
         tuple(bill(study, surfaces, specs, wanted)), wanted, dict(corners or {}), tuple(said), levels,
+        rare,
     )  # fmt: skip
 
 
@@ -230,6 +238,19 @@ def _of_levels(levels: Levels) -> list[str]:
         if share.word:
             said.append(f"yield, {what}: {share.word}")
     return said
+
+
+def _of_rare(rare: Rare) -> list[str]:
+    """Say how rare failures are, and which device fails first."""
+    if not rare.places:
+        return [f"rare failures: {rare.word}"]
+    nearest = ", ".join(f"{key} = {value:.5g}" for key, value in list(rare.device.items())[:3])
+    said = [
+        f"rare failures: {rare.rate.value:.3g} ({rare.rate.low:.3g} to {rare.rate.high:.3g}) of the devices, "
+        f"by {rare.samples} samples on {rare.model}, {rare.effective:.1f} effective; first order on "
+        f"{rare.cheap}: {rare.first_order:.3g}, {rare.distance:.3g} standard deviations away at {nearest}"
+    ]
+    return [*said, *([f"rare failures: {rare.word}"] if rare.word else [])]
 
 
 def _decision(study: Study, surfaces: Mapping[str, Surface], specs: Sequence[Spec]) -> list[str]:

@@ -82,6 +82,7 @@ class LevelSamples:
         self._decided: dict[str, Any] = {}
 
     def named(self, table: Array) -> dict[str, Array]:
+        """Return the columns of a table by measure."""
         return {name: table[:, k] for k, name in enumerate(self.names)}
 
     def own(self) -> Array:

@@ -14,9 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
+from scipy import special, stats
 
-__all__ = ["Places", "RareEstimate", "count_failures", "nearest_failures"]
+__all__ = [
+    "Places", "RareEstimate", "count_failures", "failure_estimate", "importance_points", "nearest_failures",
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 #: Standard normals (n, variables) -> margin (n,): a device fails where it is negative.
@@ -27,6 +29,8 @@ _DEFENSIVE = 0.1
 #: Inflation of the draws from which failures are looked for, and how many.
 _WIDE, _STARTS = (1.0, 2.0, 3.0, 4.0, 6.0), 512
 _STEPS, _STEP = 30, 1e-4
+#: What is farther from the design than this never happens.
+_FARTHEST = 9.0
 #: Places nearer to each other than this are one.
 _SAME = 0.3
 #: Places so much farther than the nearest add less than 1e-3 of its failures.
@@ -53,6 +57,11 @@ class Places:
     def distance(self) -> float:
         """Distance of the nearest one, in standard deviations; infinite where nothing fails."""
         return float(np.linalg.norm(self.at, axis=1).min()) if len(self.at) else math.inf
+
+    @property
+    def nearest(self) -> Array:
+        """The nearest place (variables)."""
+        return np.asarray(self.at[np.linalg.norm(self.at, axis=1).argmin()])
 
     @property
     def first_order(self) -> float:
@@ -82,39 +91,71 @@ class RareEstimate:
     samples: int
     word: str = ""
 
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Its 95 % interval, of the logarithm, since weights lean to one side.
 
-def nearest_failures(margin: Margin, variables: int, *, seed: int = 0) -> Places:
+        Without a failure it is what the samples about the design leave.
+        """
+        if self.rate == 0.0:
+            return 0.0, min(3.0 / (_DEFENSIVE * self.samples), 1.0) if self.samples else 1.0
+        freedom = max(self.effective - 1.0, 0.1)
+        reach = float(stats.t.ppf(0.975, freedom)) * self.error / self.rate
+        return self.rate * math.exp(-min(reach, 700.0)), min(self.rate * math.exp(min(reach, 700.0)), 1.0)
+
+
+def nearest_failures(
+    margin: Margin, variables: int, *, seed: int = 0, most: int = _MOST, starts: int = _STARTS
+) -> Places:
     """Search the cheap model for the places where it fails first.
 
     From points that fail under inflated draws each search follows the margin's slope to the nearest point at
     which it is zero.
+
+    Parameters
+    ----------
+    most
+        Searches, each of which takes some slopes of all variables.
+    starts
+        Draws of each inflation that failures are looked for in.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
-    count, starts = 0, np.empty((0, variables))
+    count, failing = 0, np.empty((0, variables))
+    low = np.empty((0, variables))
     for wide in _WIDE:
-        drawn = wide * rng.standard_normal((_STARTS, variables))
-        found = drawn[margin(drawn) < 0.0]
+        drawn = wide * rng.standard_normal((starts, variables))
+        values = margin(drawn)
+        found = drawn[values < 0.0]
         count += len(drawn)
-        starts = np.concatenate([starts, found[: _MOST // 2]])
-        if len(starts) >= _MOST:
+        failing = np.concatenate([failing, found[: most // 2]])
+        low = np.concatenate([low, drawn[np.argsort(values)[:1]]])
+        if len(failing) >= most:
             break
-    if not len(starts):
-        return Places(starts, count)
-    u = starts[:_MOST]
+    # where few fail, or none, slopes from the design and from what came nearest may still lead there
+    u = failing[:most]
+    if len(u) < most:
+        u = np.concatenate([u, np.zeros((1, variables)), low])
+    arrived = np.empty((0, variables))
     for _ in range(_STEPS):
         value, slope = _slope(margin, u)
         count += len(u) * (variables + 1)
         size = np.maximum((slope**2).sum(axis=1), 1e-300)
-        wanted = ((slope * u).sum(axis=1) - value) / size
-        step = wanted[:, None] * slope - u
+        wanted = ((slope * u).sum(axis=1) - value)[:, None] * slope / size[:, None]
+        far = np.linalg.norm(wanted, axis=1, keepdims=True) / _FARTHEST
+        step = wanted / np.maximum(far, 1.0) - u
+        moving = np.linalg.norm(step, axis=1) > 1e-3
         u = u + 0.7 * step
-        if np.abs(step).max() < 1e-3:
+        arrived, u = np.concatenate([arrived, u[~moving]]), u[moving]
+        if not len(u):
             break
+    u = np.concatenate([arrived, u])
+    u = _apart(u[np.isfinite(u).all(axis=1)], math.inf)
     value, slope = _slope(margin, u)
     scale = np.linalg.norm(slope, axis=1) * np.maximum(np.linalg.norm(u, axis=1), 1.0)
-    kept = u[np.isfinite(u).all(axis=1) & (np.abs(value) < 0.05 * scale)]
+    count += len(u) * (variables + 1)
+    kept = u[np.abs(value) < 0.05 * scale]
     if not len(kept):  # no slope leads anywhere: the failing draws themselves, the nearest first
-        kept = starts[np.argsort(np.linalg.norm(starts, axis=1))][:_MOST]
+        kept = failing[np.argsort(np.linalg.norm(failing, axis=1))][:most]
     return Places(_apart(kept), count)
 
 
@@ -126,16 +167,15 @@ def _slope(margin: Margin, u: Array) -> tuple[Array, Array]:
     return values[:, 0], (values[:, 1:] - values[:, :1]) / _STEP
 
 
-def _apart(u: Array) -> Array:
+def _apart(u: Array, farther: float = _FARTHER) -> Array:
     """Return the places that matter, the nearest first, those that are the same once."""
-    order = np.argsort(np.linalg.norm(u, axis=1))
     found: list[Array] = []
-    for place in u[order]:
-        if np.linalg.norm(place) > np.linalg.norm(u[order[0]]) + _FARTHER:
+    for place in u[np.argsort(np.linalg.norm(u, axis=1))]:
+        if found and np.linalg.norm(place) > np.linalg.norm(found[0]) + farther:
             break
         if all(np.linalg.norm(place - other) > _SAME for other in found):
             found.append(place)
-    return np.array(found)
+    return np.array(found).reshape(len(found), u.shape[1])
 
 
 def count_failures(dear: Margin, places: Places, *, samples: int, seed: int) -> RareEstimate:
@@ -156,23 +196,36 @@ def count_failures(dear: Margin, places: Places, *, samples: int, seed: int) -> 
             "no draw of the cheap model fails, not even far outside the tolerances: a failure may be "
             "impossible within them",
         )  # fmt: skip
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
+    u = importance_points(places, samples, seed)
+    return failure_estimate(places, u, dear(u) < 0.0)
+
+
+def _mixture(places: Places) -> tuple[Array, Array]:
+    """Return weights and centres of the normals that samples come from: the design, then the places."""
     share = np.exp(-0.5 * ((places.at**2).sum(axis=1) - places.distance**2))
     share *= (1.0 - _DEFENSIVE) / share.sum()
-    weights = np.concatenate([[_DEFENSIVE], share])
     centres = np.concatenate([np.zeros((1, places.at.shape[1])), places.at])
-    # each centre gets its share of the samples, what is left over by chance
+    return np.concatenate([[_DEFENSIVE], share]), centres
+
+
+def importance_points(places: Places, samples: int, seed: int) -> Array:
+    """Return points about the places (samples, variables): each gets its share, what is left by chance."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
+    weights, centres = _mixture(places)
     exact = weights * samples
     numbers = np.floor(exact).astype(int)
     left = exact - numbers
-    more = (
-        rng.choice(len(weights), samples - numbers.sum(), replace=False, p=left / left.sum())
-        if (samples > numbers.sum())
-        else np.array([], int)
-    )
-    numbers[more] += 1
-    u = np.repeat(centres, numbers, axis=0) + rng.standard_normal((samples, centres.shape[1]))
-    failed = dear(u) < 0.0
+    if samples > numbers.sum():
+        more = rng.choice(len(weights), samples - numbers.sum(), replace=False, p=left / left.sum())
+        numbers[more] += 1
+    found = np.repeat(centres, numbers, axis=0) + rng.standard_normal((samples, centres.shape[1]))
+    return np.asarray(found)
+
+
+def failure_estimate(places: Places, u: Array, failed: NDArray[np.bool_]) -> RareEstimate:
+    """Return the failure rate from which of the points of `importance_points` failed on the dear model."""
+    samples = len(u)
+    weights, centres = _mixture(places)
     # log of phi(u) / phi(u - c) = c (c / 2 - u)
     ratio = -(u @ centres.T - 0.5 * (centres**2).sum(axis=1))
     weight = np.where(failed, 1.0 / (weights * np.exp(-ratio)).sum(axis=1), 0.0)

@@ -22,6 +22,7 @@ from cosim.tolerance.findings import Findings, find
 from cosim.tolerance.model_levels import check, two_levels
 from cosim.tolerance.monte_carlo import Measurer, Study, draw, pilot_size
 from cosim.tolerance.preparation import MOST, Asked, Prepared, prepare
+from cosim.tolerance.rare_study import rare_failures
 
 __all__ = [
     "RECORD", "Asked", "Prepared", "Processes", "check_folder", "measure_shard", "monte_carlo", "one_sample",
@@ -63,6 +64,8 @@ def monte_carlo(
     asked, model = prepared.asked, prepared.plan.model
     if asked.two_level:
         check(prepared)
+    if asked.rare and not asked.specs:
+        fail("counts failures of a specification: give one", key="--rare", allowed="--spec")
     batch = prepared.batch(prepared.names, model)
     how, notes = sampled(prepared, batch, on_progress)
     engine = processes.of(prepared.job(how, how.n)) if processes is not None else None
@@ -71,7 +74,10 @@ def monte_carlo(
     )
     corners = _corners(prepared, study, on_progress)
     levels = two_levels(prepared, study, processes, on_progress) if asked.two_level else None
-    return find(study, asked.specs, wanted=asked.wanted, corners=corners, notes=notes, levels=levels)
+    rare = rare_failures(prepared, study, processes, on_progress) if asked.rare else None
+    return find(
+        study, asked.specs, wanted=asked.wanted, corners=corners, notes=notes, levels=levels, rare=rare
+    )
 
 
 def sampled(

@@ -1,0 +1,248 @@
+"""Two models of one scene: levels, strata, rare failures; from the command and against closed forms."""
+
+import math
+import time
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import special, stats
+from support import SCENES
+
+from cosim import cli
+from cosim.tolerance.border_strata import allocation, failure_rate, learned, replicate_weights
+from cosim.tolerance.cube_points import sampling
+from cosim.tolerance.distributions import Shape
+from cosim.tolerance.engine import Processes
+from cosim.tolerance.preparation import Asked, Prepared
+from cosim.tolerance.recipe import Recipe, Term
+from cosim.tolerance.scene_study import monte_carlo
+from cosim.tolerance.spec import Spec
+from cosim.tolerance.varying import Component, Tolerances
+from reports.monte_carlo import write_monte_carlo
+
+WORDS = ["mc", str(SCENES / "drop.toml"), "--model", "linear", "--measure", "max_penetration"]
+D = 6
+SLOPE = np.array([1.0, -2.0, 0.5, 0.25, 1.5, -0.75])
+SLOPE /= np.linalg.norm(SLOPE)
+LIMIT = 2.0
+SPEC = Spec("k_max", high=LIMIT)
+
+
+def cheap(u):
+    return special.ndtri(u) @ SLOPE
+
+
+def dear(u, fails_at=math.inf):
+    """The cheap one, a little bent; and a failure that the cheap one knows nothing of."""
+    z = special.ndtri(u)
+    return np.where(z[:, 1] > fails_at, 9.0, z @ SLOPE + 0.02 * (z[:, 0] ** 2 - 1.0))
+
+
+def truth(fails_at):
+    """Failure rate by quadrature over z0 and z1: the other variables' sum is a Gaussian."""
+    rest = math.sqrt(1.0 - SLOPE[0] ** 2 - SLOPE[1] ** 2)
+    x, w = np.polynomial.hermite_e.hermegauss(60)
+    w = w / w.sum()
+    nodes, weights = np.polynomial.legendre.leggauss(400)
+    z1 = 8.5 * nodes
+    density = 8.5 * weights * stats.norm.pdf(z1)
+    needed = LIMIT - SLOPE[0] * x[:, None] - SLOPE[1] * z1[None, :] - 0.02 * (x[:, None] ** 2 - 1.0)
+    failing = np.where(z1[None, :] > fails_at, 1.0, stats.norm.sf(needed / rest))
+    return float(w @ failing @ density)
+
+
+def truth_at(limit):
+    """Failure rate of the bent model beyond any limit."""
+    nodes, weights = np.polynomial.legendre.leggauss(2000)
+    z0 = 8.5 * nodes
+    rest = math.sqrt(1.0 - SLOPE[0] ** 2)
+    needed = limit - SLOPE[0] * z0 - 0.02 * (z0**2 - 1.0)
+    return float(8.5 * weights @ (stats.norm.pdf(z0) * stats.norm.sf(needed / rest)))
+
+
+def estimate(seed, fails_at, n=600, cheap_samples=1 << 13):
+    """The failure rate as the study of two models takes its samples."""
+    how = sampling("plain", 1 << 20, D, seed)
+    first = 32
+    u = how.uniforms(0, first)
+    border = learned([SPEC], {"k_max": cheap(u)}, {"k_max": dear(u, fails_at)})
+    cube = sampling("sobol", cheap_samples, D, seed + 1_000_000)
+    weights = replicate_weights(border.strata({"k_max": cheap(cube.uniforms(0, cube.n))}), cube.replicates)
+    wanted = allocation(weights.mean(axis=0), n - first, n // 2)
+    pool = how.uniforms(first, 8 * n)
+    strata = border.strata({"k_max": cheap(pool)})
+    failed, counted = [], []
+    for h in range(3):
+        there = np.flatnonzero(strata == h)
+        taken = there[: max(wanted[h], int(np.sum(there < n - first)))]
+        failed.append(int(np.sum(~SPEC.passed(dear(pool[taken], fails_at)))))
+        counted.append(len(taken))
+    return failure_rate(weights, failed, counted, cube.n)
+
+
+@pytest.mark.parametrize("fails_at", [math.inf, 3.0])
+def test_a_yield_by_strata_is_unbiased_and_covered(fails_at):
+    exact = truth(fails_at)
+    found = [estimate(seed, fails_at) for seed in range(40)]
+    values = np.array([each.value for each in found])
+    assert abs(values.mean() - exact) < 4.0 * values.std(ddof=1) / math.sqrt(40)
+    # 95 % of 40 less three times a binomial's own scatter
+    assert sum(each.low <= exact <= each.high for each in found) >= 34
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fails_at", [math.inf, 3.0])
+def test_the_interval_of_strata_covers_in_1880_of_2000_repeats(fails_at):
+    exact = truth(fails_at)
+    found = [estimate(seed, fails_at) for seed in range(2000)]
+    assert sum(each.low <= exact <= each.high for each in found) >= 1880
+
+
+def test_no_failure_leaves_the_bound_of_every_stratum():
+    """Zero of n: three over n at least, whatever the cheap model is sure of."""
+    weights = np.tile([0.0, 0.01, 0.99], (16, 1))
+    found = failure_rate(weights, (0, 0, 0), (0, 20, 300), 1 << 16)
+    assert found.value == 0.0
+    assert found.high > 0.99 * 3.0 / 300
+    # and with few cheap samples what they have not met: three of 1024 are at the border
+    few = failure_rate(np.tile([0.0, 3 / 1024, 1021 / 1024], (16, 1)), (0, 3, 0), (0, 3, 10**6), 1024)
+    assert few.high > stats.beta.ppf(0.975, 4, 1021)
+
+
+@dataclass(frozen=True)
+class Formulas(Prepared):
+    """A prepared scene whose models are formulas of six resistors."""
+
+    dear_fails_at: float = math.inf
+    shift: float = 0.0
+
+    def digest(self) -> str:
+        return f"formulas {self.dear_fails_at} {self.asked.n} {self.seed}"
+
+    def batch(self, names, model):
+        return Formula(model, self.dear_fails_at, self.shift)
+
+
+class Formula:
+    """Measures by a formula; a sample on `spice` takes its time."""
+
+    def __init__(self, model, fails_at, shift):
+        self.model, self.fails_at, self.shift = model, fails_at, shift
+        self.failures = {}
+
+    def measures(self, values):
+        z = (values - 1.0) / SIGMA
+        if self.model == "spice":
+            time.sleep(2e-4 * len(values))
+        y = z @ SLOPE + self.shift
+        if self.model == "spice":
+            y = np.where(z[:, 1] > self.fails_at, 9.0, y + 0.02 * (z[:, 0] ** 2 - 1.0))
+        return y[:, None]
+
+
+SIGMA = 0.01
+
+
+def formulas(n, *, kind="gauss", limit=LIMIT, seed=1, shift=0.0, **asked):
+    size = 3 * SIGMA
+    recipes = [Recipe(1.0, terms=(Term(k, Shape(kind, -size, size)),)) for k in range(D)]
+    parts = tuple(Component(f"r{k}", 1.0, "Ohm", "", recipe=recipe) for k, recipe in enumerate(recipes))
+    tolerances = Tolerances(parts, tuple(f"r{k}" for k in range(D)))
+    specs = (Spec("peak_force", high=limit),)
+    plan = SimpleNamespace(model="spice", scene=None)
+    return Formulas(
+        Asked("", specs=specs, n=n, **asked), plan, tolerances, ("peak_force",), seed, shift=shift
+    )
+
+
+def measured(prepared, folder=None):
+    """Return the study, in this process alone or kept in a folder."""
+    return monte_carlo(prepared, None, Processes(folder, workers=1) if folder else None)
+
+
+def test_mean_and_deviation_of_a_study_of_two_models(tmp_path):
+    """Mean 0 and variance 1 + 2 * 0.02^2 in closed form; kept levels are not measured again."""
+    found = measured(formulas(400, two_level=True), tmp_path)
+    told = found.summaries["peak_force"]
+    spread = math.sqrt(1.0 + 2.0 * 0.02**2)
+    assert told.mean.low <= 0.0 <= told.mean.high
+    assert told.spread.low <= spread <= told.spread.high
+    assert "corrected by linear" in told.mean.how
+    # what plain samples leave, and what is left of it: the bend's share, 0.028
+    assert told.mean.half < 0.2 * 1.96 / math.sqrt(400)
+    levels = found.levels
+    assert levels.moments["peak_force"].pilot.correlation > 0.999
+    share = levels.yields["peak_force <= 2 N"]
+    assert share.failing.low <= truth(math.inf) <= share.failing.high
+    assert sum(share.counted) == 400 - 32 + levels.extra
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "levels").rglob("*.parquet")}
+    assert len(before) >= 2
+    again = measured(formulas(400, two_level=True), tmp_path)
+    assert again.levels.as_dict() == levels.as_dict()
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "levels").rglob("*.parquet")} == before
+    assert "Two models" in write_monte_carlo(found, tmp_path, "cosim mc --sample", "x").read_text()
+
+
+def test_what_is_left_of_an_interrupted_study_of_two_models_is_the_same(tmp_path):
+    whole = measured(formulas(100, two_level=True), tmp_path)
+    for name in ("same", "cheap"):
+        (tmp_path / "levels" / name / "samples.parquet").unlink()
+    (tmp_path / "samples.parquet").unlink()
+    again = measured(formulas(100, two_level=True), tmp_path)
+    assert again.levels.as_dict() == whole.levels.as_dict()
+
+
+def test_a_failure_in_40_million_is_counted_by_300_samples(tmp_path):
+    """The border of the dear model is nearly a plane, 5.45 standard deviations away at the cheap one."""
+    found = measured(formulas(300, limit=5.45, rare=True), tmp_path)
+    rare = found.rare
+    # Gaussian and the bend's lean, to second order: by quadrature
+    exact = truth_at(5.45)
+    assert rare.distance == pytest.approx(5.45, abs=0.01)
+    assert rare.first_order == pytest.approx(special.ndtr(-5.45), rel=0.05)
+    assert rare.rate.value == pytest.approx(exact, rel=0.5)
+    assert rare.rate.low <= exact <= rare.rate.high
+    assert rare.effective > 30.0
+    assert max(rare.device.items(), key=lambda each: abs(each[1] - 1.0))[0] == "r1"
+    assert "rare failures" in " ".join(found.notes)
+    assert "Rare failures" in write_monte_carlo(found, tmp_path, "cosim mc --sample", "x").read_text()
+
+
+def test_what_cannot_fail_is_the_answer(tmp_path):
+    """Cut at three standard deviations the sum ends at 3 sum |a|, here 6.0: a limit of 6.5 is never met."""
+    end = 3.0 * float(np.abs(SLOPE).sum())
+    found = measured(formulas(64, kind="truncated", limit=end + 0.5, rare=True))
+    assert "impossible" in found.rare.word
+    assert found.rare.rate.high == 0.0
+    # within the corners' reach it is possible, and found
+    near = measured(formulas(64, kind="truncated", limit=0.8 * end, rare=True))
+    assert near.rare.places > 0
+
+
+def test_a_study_of_measures_without_runs_has_no_second_model():
+    from dataclasses import replace
+
+    prepared = replace(formulas(64, two_level=True), names=("curl",))
+    prepared = replace(prepared, asked=replace(prepared.asked, specs=()))
+    assert "needs a run" in " ".join(measured(prepared).notes)
+
+
+def command(capsys, *words):
+    assert cli.main([*words]) == 2
+    return capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--two-level", "-n", "20"], "too few"),
+        (["--two-level", "--sampling", "sobol"], "is of plain samples"),
+        (["--two-level", "--shard", "1/2"], "merge first"),
+        (["--rare"], "give one"),
+    ],
+)
+def test_slips_are_told(words, said, tmp_path, capsys):
+    assert said in command(capsys, *WORDS, *words, "-o", str(tmp_path / "mc"))
+    assert not (tmp_path / "mc" / "samples.parquet").exists()
