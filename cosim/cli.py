@@ -36,6 +36,7 @@ from cosim.commands import (
     run,
     stability,
     sweep,
+    verify,
     warm,
 )
 from cosim.commands.command import caution_lines
@@ -61,6 +62,7 @@ COMMANDS = (
     accuracy.COMMAND,
     hard_cases.COMMAND,
     mc.COMMAND,
+    verify.COMMAND,
     stability.COMMAND,
     noise.COMMAND,
     device.COMMAND,

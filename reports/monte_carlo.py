@@ -1,10 +1,10 @@
 """A Monte Carlo study as a page: distributions, who is to blame, the worst devices, and what to buy."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import stats
@@ -60,7 +60,12 @@ class _Section:
 
 
 def write_monte_carlo(
-    found: "Findings", out: Path, replay: str, digest: str, cautions: Sequence[Caution] = ()
+    found: "Findings",
+    out: Path,
+    replay: str,
+    digest: str,
+    cautions: Sequence[Caution] = (),
+    asked: Mapping[str, Any] | None = None,
 ) -> Path:
     """Write ``report.html`` with its figures, ``mc.json``, and tables of samples, components and bill.
 
@@ -76,6 +81,8 @@ def write_monte_carlo(
         What the samples depend on, kept in the record.
     cautions
         For the head of the page.
+    asked
+        What the study was asked, from `cosim.tolerance.repeating.record_of`: it can be repeated then.
 
     Raises
     ------
@@ -92,7 +99,7 @@ def write_monte_carlo(
         command=replay.removesuffix(" --sample"),
         summary=[*sentences(found), CONVENTION], sections=sections, claims=[], warnings=grouped(cautions),
     )  # fmt: skip
-    record = json_text({"digest": digest, "replay": replay, **found.as_dict()}) + "\n"
+    record = json_text({"digest": digest, "replay": replay, "asked": asked, **found.as_dict()}) + "\n"
     tables = (found.samples_csv(), components_csv(found.study.tolerances), found.bill_csv(), record)
     files = dict(zip(FILES[1:], tables, strict=True))
     return write_page(out, html, [each for section in sections for each in section.pictures], files)

@@ -239,7 +239,7 @@ def command(capsys, *words):
     [
         (["--two-level", "-n", "20"], "too few"),
         (["--two-level", "--sampling", "sobol"], "is of plain samples"),
-        (["--two-level", "--shard", "1/2"], "merge first"),
+        (["--two-level", "--shard", "1/2"], "no meaning beside --shard"),
         (["--rare"], "give one"),
     ],
 )

@@ -17,6 +17,8 @@ _USUAL_SAMPLES = 200
 #: What `--list` and the like are asked for alone, and the options that have no meaning beside each.
 _ALONE = {
     "--list": (
+        "two_level",
+        "rare",
         "samples",
         "sample",
         "until",
@@ -28,9 +30,20 @@ _ALONE = {
         "merge",
         "out",
     ),
-    "--sample": ("until", "wanted", "worst_case", "workers", "chunk", "shard", "merge", "out"),
-    "--shard": ("wanted", "worst_case", "merge"),
-    "--merge": ("workers", "chunk"),
+    "--sample": (
+        "two_level",
+        "rare",
+        "until",
+        "wanted",
+        "worst_case",
+        "workers",
+        "chunk",
+        "shard",
+        "merge",
+        "out",
+    ),
+    "--shard": ("two_level", "rare", "wanted", "worst_case", "merge"),
+    "--merge": ("two_level", "rare", "workers", "chunk"),
     "--until": ("samples",),
 }
 #: Lines of the bill that are printed; the file has all.
@@ -87,7 +100,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.caution import collected
     from cosim.commands.progress import progress
-    from cosim.errors import fail
+    from cosim.tolerance.repeating import record_of
     from cosim.tolerance.scene_study import check_folder, measure_shard, monte_carlo, prepare
     from cosim.tolerance.spec import parse_specs
 
@@ -101,10 +114,6 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     digest = prepared.digest()
     check_folder(out, digest)
     processes = _processes(args, out)
-    for name, asked in (("--two-level", args.two_level), ("--rare", args.rare)):
-        if asked and (args.shard or args.merge):
-            fail("goes by the whole study: merge first, then ask again without", key=name,
-                 value="--shard" if args.shard else "--merge")  # fmt: skip
     if args.shard:
         with progress("mc") as show:
             said = measure_shard(prepared, processes, _shard(args.shard), show)
@@ -115,7 +124,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     refuse_foreign(out, FILES)  # told before the first sample
     with collected() as cautions, progress("mc") as show:
         found = monte_carlo(prepared, show, processes)
-    page = write_monte_carlo(found, out, replay(args), digest, cautions)
+    page = write_monte_carlo(found, out, replay(args), digest, cautions, record_of(prepared))
     result = found.as_dict() | {"page": str(page)}
     return result, "\n".join([*_text(found), f"wrote {page}"])
 

@@ -1,0 +1,117 @@
+"""A result held against its own repetition."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import cosim
+from cosim.errors import fail
+from cosim.results import BOARD, RECORD, Run
+from cosim.staging import scratch_folder
+
+__all__ = ["Verified", "verify"]
+
+Progress = Callable[[int, int, str], None]
+_MOST = 100_000
+
+
+@dataclass(frozen=True)
+class Verified:
+    """What was repeated, in words, and what differs; nothing: all bits are the same."""
+
+    what: str
+    repeated: tuple[int, ...]
+    different: tuple[str, ...]
+
+
+def verify(
+    folder: str | os.PathLike[str],
+    *,
+    samples: int = 8,
+    seed: int = 0,
+    trust: bool = False,
+    on_progress: Progress | None = None,
+) -> Verified:
+    """Repeat a run, or a random sample of a study, from what its folder keeps, and compare bit for bit.
+
+    A run is repeated from the scene and the board that it keeps, whatever became of the netlists since. A
+    study is repeated from its scene, which must be what it was.
+
+    Parameters
+    ----------
+    folder
+        Of `cosim run` or `cosim mc`.
+    samples, seed
+        Of a study: how many samples, and what chooses them.
+    trust
+        Whether netlists may hold commands and name files.
+
+    Raises
+    ------
+    InputError
+        For a folder that holds neither, or another version's result.
+
+    Examples
+    --------
+    >>> import cosim
+    >>> from cosim.assets import scenes_folder
+    >>> scene = cosim.load_scene(scenes_folder() / 'drop.toml', ['duration_s=0.02', 'solver.model=linear'])
+    >>> run = cosim.run(scene, estimate=False)
+    >>> verify(run.signals.path.parent).different
+    ()
+    """
+    place = Path(folder)
+    if not 1 <= samples <= _MOST:
+        fail("is no number of samples", key="--samples", value=samples, allowed=f"1 to {_MOST}")
+    if os.path.isfile(place / RECORD):
+        return _run_again(place, trust)
+    from cosim.tolerance.repeating import repeat_samples
+    from cosim.tolerance.scene_study import RECORD as STUDY
+
+    if not os.path.isfile(place / STUDY):
+        fail(f"holds neither a run ({RECORD}) nor a study of tolerances ({STUDY})", file=str(place))
+    numbers, different = repeat_samples(place, samples, seed, trust=trust, on_progress=on_progress)
+    return Verified(f"{len(numbers)} samples of a study", tuple(numbers), tuple(different))
+
+
+def _run_again(folder: Path, trust: bool) -> Verified:
+    from cosim.ngspice import deck_file
+    from cosim.plan import resolve
+    from cosim.runner import run
+
+    kept = Run.load(folder)
+    versions = kept.provenance.get("versions", {})
+    made = versions.get("cosim") if isinstance(versions, dict) else None
+    if made != cosim.__version__:
+        fail(
+            f"was written by cosim {made}, this is {cosim.__version__}: it can be read and compared "
+            "(cosim report, cosim compare --last), but its bits need not come again",
+            file=str(folder),
+        )
+    if not (folder / BOARD).is_file():
+        fail("keeps no board to be run again", file=str(folder))
+    plan = resolve(kept.scene, trust=trust, board=deck_file.load(folder, trust=trust))
+    with scratch_folder("verify") as scratch:
+        again = run(plan, scratch / "run", formats=())
+        different = []
+        for what, old, new in (
+            ("signal", kept.signals, again.signals), ("sample", kept.samples, again.samples),
+        ):  # fmt: skip
+            names = [*dict.fromkeys([*old, *new])]
+            for name in names:
+                if name not in old or name not in new:
+                    different.append(f"{what} {name}: only in the {'kept' if name in old else 'new'} run")
+                    continue
+                a, b = np.asarray(old[name]), np.asarray(new[name])
+                if a.shape != b.shape:
+                    different.append(f"{what} {name}: {len(b)} values, kept {len(a)}")
+                elif a.tobytes() != b.tobytes():
+                    first = int(np.flatnonzero(a.view(np.uint8) != b.view(np.uint8))[0]) // a.itemsize
+                    text = f"{what} {name}: {float(b[first])!r} at place {first}, kept {float(a[first])!r}"
+                    different.append(text)
+    return Verified("a run", (), tuple(different))

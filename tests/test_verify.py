@@ -1,0 +1,69 @@
+"""`cosim verify`: a result is what comes out again, or what differs is told."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from support import SCENES
+
+from cosim import cli
+
+DROP = str(SCENES / "drop.toml")
+SHORT = ["--set", "duration_s=0.05", "--set", "solver.model=linear"]
+
+
+def call(capsys: pytest.CaptureFixture[str], *words: str, code: int = 0) -> str:
+    assert cli.main([*words]) == code
+    said = capsys.readouterr()
+    return said.err if code == 2 else said.out
+
+
+def test_a_run_comes_out_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "run"
+    call(capsys, "run", DROP, *SHORT, "-o", str(out))
+    assert "the same, bit for bit" in call(capsys, "verify", str(out))
+    record = json.loads((out / "run.json").read_text())
+    assert record["provenance"]["versions"]["cosim"]
+    # a number changed behind the tool's back is found by its seal, before anything runs
+    raw = bytearray((out / "signals.raw").read_bytes())
+    raw[-1] ^= 1
+    (out / "signals.raw").write_bytes(raw)
+    assert "signals.raw" in call(capsys, "verify", str(out), code=2)
+
+
+def test_a_study_comes_out_again_and_a_changed_number_is_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "mc"
+    call(capsys, "mc", DROP, "--model", "linear", "--measure", "eta", "--measure", "k_max", "-n", "6",
+         "--spec", "k_max > 100", "-o", str(out), "--workers", "1")  # fmt: skip
+    told = json.loads(call(capsys, "verify", str(out), "--samples", "3", "--json"))
+    assert told["same"]
+    assert len(told["repeated"]) == 3
+    file = out / "samples.parquet"
+    table = pq.read_table(file)
+    k_max = table["k_max"].to_numpy().copy()
+    k_max[4] = np.nextafter(k_max[4], np.inf)
+    place = table.schema.get_field_index("k_max")
+    pq.write_table(table.set_column(place, table.schema.field(place), pa.array(k_max)), file)
+    said = call(capsys, "verify", str(out), "--samples", "6", code=1)
+    assert "sample 4: k_max" in said
+    assert said.count("sample ") == 1
+    # another version, another scene, no record of what was asked
+    record = json.loads((out / "mc.json").read_text())
+    for change, expected in (
+        ({"asked": {**record["asked"], "cosim": "0.0.1"}}, "was written by cosim 0.0.1"),
+        ({"asked": None}, "does not say what was asked"),
+        ({"digest": "0" * 64}, "have changed since"),
+        ({"asked": {**record["asked"], "n": None}}, "is no record of a study"),
+    ):
+        (out / "mc.json").write_text(json.dumps({**record, **change}))
+        assert expected in call(capsys, "verify", str(out), code=2)
+
+
+def test_slips_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "holds neither a run" in call(capsys, "verify", str(tmp_path), code=2)
+    assert "no number of samples" in call(capsys, "verify", str(tmp_path), "--samples", "0", code=2)
