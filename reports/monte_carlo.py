@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,22 +12,19 @@ from cosim.catalogue import UNITS
 from cosim.caution import Caution, grouped
 from cosim.results import json_text
 from cosim.tolerance.bill import grade_text
-from cosim.tolerance.border_strata import STRATA
 from cosim.tolerance.findings import components_csv
-from cosim.tolerance.intervals import Estimate
 from cosim.tolerance.listing import CONVENTION
 from cosim.tolerance.monte_carlo import worst
 from cosim.tolerance.scene_study import RECORD
 from cosim.tolerance.sensitivity import deviations
 from cosim.types import Array
 from cosim.units import heading, quantity
-from reports.page import PAGE_NAME, Picture, picture, render, write_page
+from reports.page import PAGE_NAME, picture, render, write_page
 from reports.style import FAINT, FORCE, INK, JOINTS, LIMIT, Drawn, figure, legend, look
+from reports.tolerance_sections import Section, Table, percent, rare_failures, two_models, value
 
 if TYPE_CHECKING:
     from cosim.tolerance.findings import Findings
-    from cosim.tolerance.model_levels import Levels
-    from cosim.tolerance.rare_study import Rare
 
 #: Figures of a measure; the last two need a fitted surface.
 PARTS = ("distribution", "estimate", "blame", "leading")
@@ -36,27 +32,6 @@ PARTS = ("distribution", "estimate", "blame", "leading")
 FILES = (PAGE_NAME, "samples.csv", "components.csv", "bill.csv", RECORD)
 #: Bars of the tornado, points of a scatter, rows of tables.
 _BARS, _POINTS, _ROWS, _WORST = 15, 4000, 40, 5
-
-
-@dataclass(frozen=True)
-class _Table:
-    title: str
-    head: list[str]
-    rows: list[list[str]]
-    note: str = ""
-    file: str = ""
-    numbers: set[int] = field(default_factory=set)
-
-
-@dataclass(frozen=True)
-class _Section:
-    name: str
-    title: str
-    notes: tuple[str, ...]
-    pictures: list[Picture]
-    tables: list[_Table]
-    price: str = ""
-    judges: tuple[()] = ()
 
 
 def write_monte_carlo(
@@ -92,8 +67,8 @@ def write_monte_carlo(
     with look():
         sections = [_overview(found), *(_measure(found, name, replay) for name in found.study.names)]
         sections += [_bill(found)] if found.bill else []
-        sections += [_two_models(found.levels)] if found.levels is not None else []
-        sections += [_rare(found.rare)] if found.rare is not None else []
+        sections += [two_models(found.levels)] if found.levels is not None else []
+        sections += [rare_failures(found.rare)] if found.rare is not None else []
     html = render(
         "study.html.j2", title="Tolerances: what the built devices do",
         command=replay.removesuffix(" --sample"),
@@ -130,22 +105,22 @@ def sentences(found: "Findings") -> list[str]:
     ]
     for text, each in found.yields.items():
         what = "All specifications are met" if text == "all" else f"{text} holds"
-        said.append(f"{what} for {_percent(each)} of the devices ({each.how}).")
+        said.append(f"{what} for {percent(each)} of the devices ({each.how}).")
     return [*said, *found.notes]
 
 
-def _overview(found: "Findings") -> _Section:
+def _overview(found: "Findings") -> Section:
     study = found.study
     rows = []
     for name, each in found.summaries.items():
         unit = UNITS.get(name, "")
-        ends = [_value(each.quantiles[share], unit) for share in (0.01, 0.5, 0.99)]
+        ends = [value(each.quantiles[share], unit) for share in (0.01, 0.5, 0.99)]
         rows.append(
-            [name, quantity(each.nominal, unit, 5), _value(each.mean, unit), _value(each.spread, unit), *ends]
+            [name, quantity(each.nominal, unit, 5), value(each.mean, unit), value(each.spread, unit), *ends]
         )
     how = next(iter(found.summaries.values())).mean.how
     tables = [
-        _Table(
+        Table(
             "What the devices do",
             ["measure", "nominal", "mean", "standard deviation", "1 % are below", "median", "1 % are above"],
             rows,
@@ -162,14 +137,14 @@ def _overview(found: "Findings") -> _Section:
                          str(corner.evaluations), str(corner.outside)])  # fmt: skip
         note = "No sample inside the limits lies beyond; those outside them are counted in the last column."
         head = ["measure", "least", "largest", "devices looked at", "samples outside the limits"]
-        tables.append(_Table("Worst case within all limits", head, rows, note))
+        tables.append(Table("Worst case within all limits", head, rows, note))
     pictures = []
     if len(study.names) > 1:
         pictures.append(picture("correlation", "Correlation of the measures", _correlation(found)))
-    return _Section("overview", "What the batch does", (), pictures, tables)
+    return Section("overview", "What the batch does", (), pictures, tables)
 
 
-def _measure(found: "Findings", name: str, replay: str) -> _Section:
+def _measure(found: "Findings", name: str, replay: str) -> Section:
     study, unit = found.study, UNITS.get(name, "")
     column = _known(found, name)
     title = name.replace("_", " ").capitalize()
@@ -180,8 +155,8 @@ def _measure(found: "Findings", name: str, replay: str) -> _Section:
         pictures.append(picture(f"{name}_scatter", "Leading components", _scatter(found, name)))
     rows = [[str(k), quantity(value, unit, 5), f"{replay} {k}"] for k, value in worst(study, name, _WORST)]
     note = "Farthest from the nominal device; the command measures the same device again, alone."
-    table = _Table("Worst samples", ["sample", name, "replay"], rows, note, "samples.csv")
-    return _Section(name, title, (), pictures, [table])
+    table = Table("Worst samples", ["sample", name, "replay"], rows, note, "samples.csv")
+    return Section(name, title, (), pictures, [table])
 
 
 def _distribution(found: "Findings", name: str, column: Array) -> Drawn:
@@ -309,9 +284,9 @@ def bill_table(found: "Findings", most: int = _ROWS) -> tuple[list[str], list[li
     names = list(found.surfaces)
     rows = [
         [
-            line.name, line.tolerance, *(_percent(line.share[n]) for n in names),
+            line.name, line.tolerance, *(percent(line.share[n]) for n in names),
             *(f"{line.slope[n]:.4g}" for n in names), grade_text(line.loosest), grade_text(line.better),
-            "-" if line.gain is None else _percent(line.gain),
+            "-" if line.gain is None else percent(line.gain),
         ]
         for line in found.bill[:most]
     ]  # fmt: skip
@@ -323,7 +298,7 @@ def bill_table(found: "Findings", most: int = _ROWS) -> tuple[list[str], list[li
     return head, rows
 
 
-def _bill(found: "Findings") -> _Section:
+def _bill(found: "Findings") -> Section:
     head, rows = bill_table(found)
     wanted = "the present yield" if found.wanted is None else f"a yield of {100 * found.wanted:g} %"
     note = (
@@ -332,78 +307,5 @@ def _bill(found: "Findings") -> _Section:
     )
     if len(found.bill) > _ROWS:
         note += f" {len(found.bill)} rows, all of them in the file."
-    table = _Table("Tolerance bill", head, rows, note, "bill.csv")
-    return _Section("bill", "What to buy better", (), [], [table])
-
-
-def _two_models(levels: "Levels") -> _Section:
-    rows = []
-    for name, each in levels.moments.items():
-        unit, pilot = UNITS.get(name, ""), each.pilot
-        mean = Estimate(each.mean, each.mean_low, each.mean_high, "")
-        spread = Estimate(each.spread, each.spread_low, each.spread_high, "")
-        rows.append(
-            [
-                name, _value(mean, unit), _value(spread, unit), f"{pilot.correlation:.5f}",
-                f"{pilot.of_squares:.5f}", f"{pilot.cost_ratio:.3g}", str(each.dear), str(each.cheap),
-                "-" if each.word else f"{pilot.gain():.3g}",
-            ]
-        )  # fmt: skip
-    head = ["measure", "mean", "standard deviation", "correlation", "of the squares", "cost ratio",
-            f"samples on {levels.dear}", f"on {levels.cheap}", "variance times cost"]  # fmt: skip
-    note = (
-        f"Samples on {levels.dear}, corrected by many on {levels.cheap} with a factor from a pilot that is "
-        "left out. Variance times cost is that of the mean, relative to plain sampling, at the best split."
-    )
-    tables = [_Table("Mean and standard deviation", head, rows, note)]
-    if levels.yields:
-        rows = [
-            [
-                text, _percent(each.passing),
-                *(f"{100 * w:.4g} %: {f} of {n}"
-                  for w, f, n in zip(each.weights, each.failed, each.counted, strict=True)),
-                f"{each.correlation:.4f}" if math.isfinite(each.correlation) else "no failure",
-            ]
-            for text, each in levels.yields.items()
-        ]  # fmt: skip
-        head = ["specification", "yield", *(f"{levels.cheap} {name}" for name in STRATA), "correlation"]
-        note = (
-            f"Strata by what {levels.cheap} says: their weight, and how many of their samples on "
-            f"{levels.dear} failed. The interval holds each stratum's exact bound and the weights' error."
-        )
-        tables.append(_Table("Yield by strata", head, rows, note))
-    words = tuple(f"{name}: {each.word}." for name, each in levels.moments.items() if each.word)
-    words += tuple(f"{text}: {each.word}." for text, each in levels.yields.items() if each.word)
-    return _Section("levels", "Two models", words, [], tables)
-
-
-def _rare(rare: "Rare") -> _Section:
-    rate = f"{rare.rate.value:.3g} ({rare.rate.low:.3g} to {rare.rate.high:.3g})"
-    distance = f"{rare.distance:.3g}" if math.isfinite(rare.distance) else "none found"
-    rows = [
-        [
-            rate, str(rare.samples), f"{rare.effective:.1f}", distance, f"{rare.first_order:.3g}",
-            str(rare.places), str(rare.evaluations),
-        ]
-    ]  # fmt: skip
-    head = ["failing share", f"samples on {rare.model}", "effective", "distance [sd]", "first order",
-            "places", f"devices on {rare.cheap}"]  # fmt: skip
-    note = (
-        f"Failures are searched on {rare.cheap} and counted on {rare.model} by importance sampling about the "
-        "places found; first order: as if the border were a plane at the nearest one."
-    )
-    tables = [_Table("How often a device fails", head, rows, note)]
-    if rare.device:
-        table = [[key, f"{value:.6g}"] for key, value in rare.device.items()]
-        tables.append(_Table("The most probable failing device", ["component", "value"], table,
-                             "Its largest deviations first, in units of the SI."))  # fmt: skip
-    return _Section("rare", "Rare failures", (f"{rare.word}.",) if rare.word else (), [], tables)
-
-
-def _value(of: "Estimate", unit: str) -> str:
-    low, high = (quantity(end, unit, 4) if math.isfinite(end) else "?" for end in (of.low, of.high))
-    return f"{quantity(of.value, unit, 5)} ({low} to {high})"
-
-
-def _percent(of: "Estimate") -> str:
-    return f"{100 * of.value:.4g} % ({100 * of.low:.4g} to {100 * of.high:.4g})"
+    table = Table("Tolerance bill", head, rows, note, "bill.csv")
+    return Section("bill", "What to buy better", (), [], [table])

@@ -1,0 +1,119 @@
+"""Parts of the page of a Monte Carlo study: its tables and sections, and what further models tell."""
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from cosim.catalogue import UNITS
+from cosim.tolerance.border_strata import STRATA
+from cosim.tolerance.intervals import Estimate
+from cosim.units import quantity
+from reports.page import Picture
+
+if TYPE_CHECKING:
+    from cosim.tolerance.model_levels import Levels
+    from cosim.tolerance.rare_study import Rare
+
+__all__ = ["Section", "Table", "percent", "rare_failures", "two_models", "value"]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of the page; `numbers` are columns aligned to the right."""
+
+    title: str
+    head: list[str]
+    rows: list[list[str]]
+    note: str = ""
+    file: str = ""
+    numbers: set[int] = field(default_factory=set)
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page, as the template of studies takes it."""
+
+    name: str
+    title: str
+    notes: tuple[str, ...]
+    pictures: list[Picture]
+    tables: list[Table]
+    price: str = ""
+    judges: tuple[()] = ()
+
+
+def two_models(levels: "Levels") -> Section:
+    """Return what a cheaper model adds to the study's own."""
+    rows = []
+    for name, each in levels.moments.items():
+        unit, pilot = UNITS.get(name, ""), each.pilot
+        mean = Estimate(each.mean, each.mean_low, each.mean_high, "")
+        spread = Estimate(each.spread, each.spread_low, each.spread_high, "")
+        rows.append(
+            [
+                name, value(mean, unit), value(spread, unit), f"{pilot.correlation:.5f}",
+                f"{pilot.of_squares:.5f}", f"{pilot.cost_ratio:.3g}", str(each.dear), str(each.cheap),
+                "-" if each.word else f"{pilot.gain():.3g}",
+            ]
+        )  # fmt: skip
+    head = ["measure", "mean", "standard deviation", "correlation", "of the squares", "cost ratio",
+            f"samples on {levels.dear}", f"on {levels.cheap}", "variance times cost"]  # fmt: skip
+    note = (
+        f"Samples on {levels.dear}, corrected by many on {levels.cheap} with a factor from a pilot that is "
+        "left out. Variance times cost is that of the mean, relative to plain sampling, at the best split."
+    )
+    tables = [Table("Mean and standard deviation", head, rows, note)]
+    if levels.yields:
+        rows = [
+            [
+                text, percent(each.passing),
+                *(f"{100 * w:.4g} %: {f} of {n}"
+                  for w, f, n in zip(each.weights, each.failed, each.counted, strict=True)),
+                f"{each.correlation:.4f}" if math.isfinite(each.correlation) else "no failure",
+            ]
+            for text, each in levels.yields.items()
+        ]  # fmt: skip
+        head = ["specification", "yield", *(f"{levels.cheap} {name}" for name in STRATA), "correlation"]
+        note = (
+            f"Strata by what {levels.cheap} says: their weight, and how many of their samples on "
+            f"{levels.dear} failed. The interval holds each stratum's exact bound and the weights' error."
+        )
+        tables.append(Table("Yield by strata", head, rows, note))
+    words = tuple(f"{name}: {each.word}." for name, each in levels.moments.items() if each.word)
+    words += tuple(f"{text}: {each.word}." for text, each in levels.yields.items() if each.word)
+    return Section("levels", "Two models", words, [], tables)
+
+
+def rare_failures(rare: "Rare") -> Section:
+    """Return how rare failures are, and which device fails first."""
+    rate = f"{rare.rate.value:.3g} ({rare.rate.low:.3g} to {rare.rate.high:.3g})"
+    distance = f"{rare.distance:.3g}" if math.isfinite(rare.distance) else "none found"
+    rows = [
+        [
+            rate, str(rare.samples), f"{rare.effective:.1f}", distance, f"{rare.first_order:.3g}",
+            str(rare.places), str(rare.evaluations),
+        ]
+    ]  # fmt: skip
+    head = ["failing share", f"samples on {rare.model}", "effective", "distance [sd]", "first order",
+            "places", f"devices on {rare.cheap}"]  # fmt: skip
+    note = (
+        f"Failures are searched on {rare.cheap} and counted on {rare.model} by importance sampling about the "
+        "places found; first order: as if the border were a plane at the nearest one."
+    )
+    tables = [Table("How often a device fails", head, rows, note)]
+    if rare.device:
+        table = [[key, f"{value:.6g}"] for key, value in rare.device.items()]
+        tables.append(Table("The most probable failing device", ["component", "value"], table,
+                             "Its largest deviations first, in units of the SI."))  # fmt: skip
+    return Section("rare", "Rare failures", (f"{rare.word}.",) if rare.word else (), [], tables)
+
+
+def value(of: "Estimate", unit: str) -> str:
+    """Return an estimate of a measure with its interval."""
+    low, high = (quantity(end, unit, 4) if math.isfinite(end) else "?" for end in (of.low, of.high))
+    return f"{quantity(of.value, unit, 5)} ({low} to {high})"
+
+
+def percent(of: "Estimate") -> str:
+    """Return a share with its interval."""
+    return f"{100 * of.value:.4g} % ({100 * of.low:.4g} to {100 * of.high:.4g})"
