@@ -35,7 +35,7 @@ from cosim.units import quantity
 __all__ = ["Errors", "measures_of", "request_of", "resolve", "run"]
 
 #: What adds errors to measures; see `run`.
-Errors = Callable[[Measures, Any], Mapping[str, dict[str, Any]]]
+Errors = Callable[[Measures, Any, tuple[int, ...]], Mapping[str, dict[str, Any]]]
 
 #: Who simulates a circuit model, in the child process.
 _TARGETS = {
@@ -79,8 +79,8 @@ def run(
     more
         Measures that no run is needed for, to be kept with its own (`cosim.comparisons.measuring`).
     errors
-        Called with the run's own measures and the `LinearCircuit` that was simulated, if any; returns the
-        measures with their errors (`cosim.accuracy.estimate`).
+        Called with the run's own measures, the `LinearCircuit` that was simulated, if any, and the samples at
+        which contact is made or lost; returns the measures with their errors (`cosim.accuracy.estimate`).
 
     Raises
     ------
@@ -129,7 +129,7 @@ def _run(
         stamp(stage.path / RAW, run_date())
         measures = done.measures | dict(more)
         if errors is not None:
-            measures |= errors(done.measures, answer.circuit)
+            measures |= errors(done.measures, answer.circuit, done.contacts)
         own = _own(plan, constants, stage.path / RAW, samples, child)
         measures |= own["rows"]
         warn(*plausibility.of_run(scene, constants, signals, samples, measures, amplifiers, ledger))
@@ -184,6 +184,11 @@ class _Simulated:
     amplifiers: list[dict[str, Any]]
     measures: dict[str, dict[str, Any]]
 
+    @property
+    def contacts(self) -> tuple[int, ...]:
+        """Numbers of the samples at which contact is made or lost."""
+        return tuple(np.flatnonzero(np.diff(self.samples["contact"], prepend=0.0)).tolist())
+
 
 def _simulated(
     plan: Plan,
@@ -228,8 +233,10 @@ def request_of(plan: Plan, child: Child | None = None) -> RunRequest:
     )
 
 
-def measures_of(plan: Plan, child: Child | None) -> dict[str, dict[str, Any]]:
-    """Simulate a plan whose board was judged before, and return its measures; nothing is kept.
+def measures_of(plan: Plan, child: Child | None) -> tuple[dict[str, dict[str, Any]], tuple[int, ...]]:
+    """Simulate a plan whose board was judged before; nothing is kept.
+
+    Returns its measures, and the numbers of the samples at which contact is made or lost.
 
     Raises
     ------
@@ -237,7 +244,8 @@ def measures_of(plan: Plan, child: Child | None) -> dict[str, dict[str, Any]]:
         As `run`.
     """
     with scratch_folder("measures") as folder:
-        return _simulated(plan, folder, child).measures
+        done = _simulated(plan, folder, child)
+        return done.measures, done.contacts
 
 
 def _python_folders(scene: Scene) -> list[Path]:

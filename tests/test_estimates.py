@@ -210,3 +210,21 @@ def test_the_page_shows_what_reltol_would_make_one_believe(tmp_path: Path) -> No
     value = found.measures["max_penetration"]["value"]
     assert row[2] == f"± {1e9 * float(f'{1e-4 * value:.0e}'):.0f} nm"
     assert found.measures["max_penetration"]["error"] > 0.0
+
+
+def test_another_sequence_of_contacts_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from cosim.accuracy import estimate
+
+    row = {"value": 2.0, "unit": "N", "text": ""}
+    monkeypatch.setattr(estimate, "measures_of", lambda *_: ({"peak_force": {**row, "value": 3.0}}, (4, 9)))
+    estimated = estimator(resolve(scene_of(tmp_path, THROWN, "solver.model=ideal")), None)
+    for contacts, words in (
+        ((4, 9), None),
+        ((4, 8), "at sample 8, there at sample 9"),
+        ((4,), "at none, there"),
+    ):
+        with collected(forward=False) as heard:
+            rows = estimated({"peak_force": row}, None, contacts)
+        assert rows["peak_force"]["error"] >= 1.0  # both sequences are inside
+        assert [c.code for c in heard] == (["sequence-differs"] if words else [])
+        assert words is None or words in heard[0].text

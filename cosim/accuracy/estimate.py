@@ -11,17 +11,17 @@ difference with a margin.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from cosim.accuracy.solver_settings import carries
-from cosim.caution import collected
+from cosim.caution import Caution, collected, warn
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import CosimError
 from cosim.ngspice.child import Child
 from cosim.plan import Plan, resolve
-from cosim.runner import measures_of
+from cosim.runner import Errors, measures_of
 
 __all__ = ["Twin", "estimator", "twin_of"]
 
@@ -88,28 +88,48 @@ def twin_of(plan: Plan, *, own: bool = False) -> Twin:
     return Twin(other, margin, words)
 
 
-def estimator(plan: Plan, child: Child | None) -> Callable[[Measures, Any], dict[str, dict[str, Any]]]:
+def estimator(plan: Plan, child: Child | None) -> Errors:
     """Return what `cosim.runner.run` calls for the errors of its measures.
 
-    Every row gets 'error', a bound in the measure's unit, or None with 'no_error' saying why.
+    Every row gets 'error', a bound in the measure's unit, or None with 'no_error' saying why. Where run and
+    twin make contact at other samples their bounds span both sequences, which a caution tells: neither is
+    close to the other, and a third may come of tighter tolerances.
     """
 
-    def errors(measures: Measures, circuit: LinearCircuit | None) -> dict[str, dict[str, Any]]:
+    def errors(
+        measures: Measures, circuit: LinearCircuit | None, contacts: tuple[int, ...] = ()
+    ) -> dict[str, dict[str, Any]]:
         why = ""
         for own in (False, True):
             try:
                 twin = twin_of(plan, own=own)
                 with collected(forward=False):
-                    found = measures_of(twin.plan, child)
+                    found, others = measures_of(twin.plan, child)
                 break
             except CosimError as error:
                 why = error.in_brief
         else:
             return {name: {**row, "error": None, "no_error": why} for name, row in measures.items()}
+        if contacts != others:
+            warn(_other_sequence(contacts, others))
         share = doubt(circuit)
         return {name: _with_error(name, row, found.get(name), twin, share) for name, row in measures.items()}
 
     return errors
+
+
+def _other_sequence(contacts: tuple[int, ...], others: tuple[int, ...]) -> Caution:
+    apart = next(
+        (k for k, pair in enumerate(zip(contacts, others, strict=False)) if pair[0] != pair[1]),
+        min(len(contacts), len(others)),
+    )
+    at = [f"sample {each[apart]}" if apart < len(each) else "none" for each in (contacts, others)]
+    return Caution(
+        "sequence-differs",
+        f"in a closer run contact changes at other samples: change {apart + 1} of contact comes at {at[0]}, "
+        f"there at {at[1]}; the bounds span both",
+        "tighten the tolerances (--tol) until both agree, or take measures that do not depend on it",
+    )
 
 
 def doubt(circuit: LinearCircuit | None) -> float:
