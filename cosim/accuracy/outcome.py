@@ -85,10 +85,13 @@ def instants(run: Run) -> Array:
 
 
 def motion(signals: Mapping[str, Array], times: Array) -> dict[str, list[float]]:
-    """Return the signals of `AXES` that there are at given times [k] s, behind their start."""
-    t = np.asarray(signals["time"])
+    """Return the signals of `AXES` that there are at given times [k] s, behind their start.
+
+    Where a signal jumps it is the limit from the left, which every integrator has a row for.
+    """
+    t, first = np.unique(np.asarray(signals["time"]), return_index=True)
     return {
-        name: [float(signals[name][0]), *np.interp(times, t, np.asarray(signals[name])).tolist()]
+        name: [float(signals[name][0]), *np.interp(times, t, np.asarray(signals[name])[first]).tolist()]
         for name in AXES
         if name in signals
     }

@@ -1,0 +1,137 @@
+"""Our time over that of the best peer at equal accuracy, over a range of accuracies.
+
+`python -m benchmarks.work_precision [spice|linear]` prints a line an accuracy and the worst of the range.
+
+* `wp_spice`: the lockstep against one deck in plain ngspice (trapezoids and Gear, five tolerances each), the
+  same netlist, shipped scenes; errors of position and force against the references of `cosim accuracy`. Not
+  above 1.
+* `wp_linear`: our own loop against SciPy's LSODA and Radau and SUNDIALS' CVODE (where scikit-sundae is
+  installed) on the linear system of the drop; errors against matrix exponentials. Not above 0.05.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+import sys
+import time
+from typing import Any
+
+import numpy as np
+
+from benchmarks.models import Prepared, model, packed, scene, signals
+from benchmarks.rig import ROOT, lockstep, retold
+from benchmarks.stiff import DURATION_S, OUR_TOLERANCES, Solver, lsoda, radau, sundials, system
+from cosim.accuracy.work_precision import accuracy
+from cosim.loop.linear.run_linear import prepare
+from cosim.ngspice.child import Child, start_early
+from cosim.staging import scratch_folder
+
+SCENES = ("press", "drop", "slope")
+#: Accuracies of the range, and the peers' tolerances, the loosest first.
+SPICE, LINEAR = (1e-2, 1e-3, 1e-4, 1e-5), (1e-2, 1e-4, 1e-6, 1e-8)
+PEER_TOLERANCES = tuple(10.0**-k for k in range(2, 12))
+LIMITS = {"spice": 1.0, "linear": 0.05}
+REPETITIONS = 3
+
+
+def wp_spice() -> float:
+    """Print and return the worst ratio of the lockstep over plain ngspice."""
+    worst = 0.0
+    with start_early("cosim.loop.early_imports", reads=[ROOT / "scenes"]) as child:
+        for name in SCENES:
+            path = ROOT / "scenes" / f"{name}.toml"
+            with scratch_folder("wp") as folder:
+                found = accuracy(path, folder, models=("spice",), repeats=REPETITIONS, child=child)
+            for wanted in SPICE:
+                best = {}
+                for who in ("spice", "peer"):
+                    rows = [
+                        row
+                        for row in found.rows
+                        if row.setting.model == who and row.worst(("position", "force")) <= wanted
+                    ]
+                    best[who] = min(rows, key=lambda row: row.seconds, default=None)
+                ours, peer = best["spice"], best["peer"]
+                ratio = ours.seconds / peer.seconds if ours and peer else math.inf if peer else 0.0
+                worst = max(worst, ratio)
+                told = [f"{who} {1e3 * row.seconds:.3g} ms ({row.setting.label})" if row else f"{who}: none"
+                        for who, row in best.items()]  # fmt: skip
+                print(f"{name} {wanted:g}: {'; '.join(told)}; ratio {ratio:.3g}", flush=True)
+    return worst
+
+
+def race(payload: dict[str, Any], report: Any) -> list[dict[str, Any]]:
+    """Time all solvers on the linear system of the drop, in the child process."""
+    plan = scene("drop", "effects.dac=false", "effects.dac_settling=false", f"duration_s={DURATION_S!r}")
+    constants = lockstep(retold(plan)).constants
+    assert constants is not None
+    circuit = model(plan, "linear", 0.0)
+    table = signals(packed(plan, constants, circuit, OUR_TOLERANCES[-1]))
+    whole = system(prepare(plan.scene, constants, circuit, record=False), table)
+    truth = whole.outputs(whole.exact())
+    size = np.abs(truth).max(axis=0)
+    instants = whole.period_s * np.arange(1, len(whole.a) + 1)
+
+    def ours(tol: float) -> float:
+        got = signals(packed(plan, constants, circuit, tol))
+        columns = [np.interp(instants, got["time"], got[name]) for name in ("q1", "v1", "imot1")]
+        return float((np.abs(np.column_stack(columns) - truth).max(axis=0) / size).max())
+
+    peers: dict[str, Solver] = {"LSODA": lsoda, "Radau": radau}
+    cvode = sundials()
+    if cvode is not None:
+        peers["CVODE"] = cvode
+    made = []
+    for name, solver in peers.items():
+        for rtol in PEER_TOLERANCES:
+            walls = []
+            for _ in range(REPETITIONS):
+                begun = time.perf_counter()
+                found = solver(whole, rtol)
+                walls.append(time.perf_counter() - begun)
+            error = float((np.abs(whole.outputs(found) - truth).max(axis=0) / size).max())
+            made.append({"who": name, "tolerance": rtol, "error": error, "wall_s": statistics.median(walls)})
+            report({"time_s": rtol})
+            if error <= LINEAR[-1]:
+                break
+    for tol in (1e-3, 1e-4, 1e-5, *OUR_TOLERANCES):
+        run = Prepared(plan, constants, circuit, tol)
+        wall = statistics.median(run.seconds() for _ in range(5 * REPETITIONS))
+        made.append({"who": "ours", "tolerance": tol, "error": ours(tol), "wall_s": wall})
+    return made
+
+
+def wp_linear() -> float:
+    """Print and return the worst ratio of our own loop over the fastest stiff solver."""
+    with Child() as child:
+        made = child.call("benchmarks.work_precision:race", {})
+    worst = 0.0
+    for wanted in LINEAR:
+        fit = [each for each in made if each["error"] <= wanted]
+        ours = min((e for e in fit if e["who"] == "ours"), key=lambda e: e["wall_s"], default=None)
+        peer = min((e for e in fit if e["who"] != "ours"), key=lambda e: e["wall_s"], default=None)
+        ratio = ours["wall_s"] / peer["wall_s"] if ours and peer else math.inf if peer else 0.0
+        worst = max(worst, ratio)
+        told = [
+            f"{e['who']} {1e3 * e['wall_s']:.3g} ms ({e['tolerance']:g}, error {e['error']:.1e})"
+            for e in (ours, peer)
+            if e
+        ]
+        print(f"linear {wanted:g}: {'; '.join(told)}; ratio {ratio:.3g}", flush=True)
+    return worst
+
+
+def main(names: list[str]) -> int:
+    """Run the races asked for; 1 where one is above its limit."""
+    missed = 0
+    for name, race_of in (("linear", wp_linear), ("spice", wp_spice)):
+        if not names or name in names:
+            worst = race_of()
+            missed += worst > LIMITS[name]
+            print(f"wp_{name}: {worst:.3g}, not above {LIMITS[name]:g}")
+    return int(missed > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
