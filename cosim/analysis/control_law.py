@@ -16,7 +16,7 @@ from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import fail
 from cosim.scene import CommandPath, Method, Scene
-from cosim.scene.mechanism import mechanism, operator
+from cosim.scene.mechanism import known_mechanism, mechanism, operator
 from cosim.types import Array
 from mech.contact import operator_force
 from mech.linkage import Linkage
@@ -75,6 +75,8 @@ def law_point(scene: Scene, constants: DesignConstants, linkage: Linkage, q: Arr
             allowed="false",
         )
     normal, point = np.array(scene.wall.normal), np.array(scene.wall.point_m)
+    if scene.designed:
+        linkage = known_mechanism(scene, constants.gear)
     jac = linkage.jacobian(q)
     w, dw = jac.T @ normal, linkage.geometric_stiffness(q, normal)  # dw[:, j] = dw / dq_j
     depth = float(normal @ (point - linkage.forward(q)))

@@ -56,7 +56,7 @@ def compute_sample(s: Record) -> None:
     if s.law_address != 0:
         call_plain(s.law_address)
     else:
-        law(s.c, s.p, s.x)
+        law(s.c, s.known, s.x)
     slot = s.queue_in % QUEUE
     to_volts(s.c, s.x, s.queue[slot])
     s.queue_time[slot] = (s.tick + s.delay_ticks) * s.c.period + s.delay_s

@@ -20,7 +20,7 @@ from cosim.loop.noise import Noise, no_noise, potentiometer_noise, with_errors
 from cosim.loop.numba_calls import name_hash
 from cosim.loop.state import QUEUE, STATE
 from cosim.scene import Scene, choices
-from cosim.scene.mechanism import encoder_step, mechanism, operator, start
+from cosim.scene.mechanism import encoder_step, known_mechanism, mechanism, operator, start
 from mech import Operator
 
 _METHOD = {
@@ -150,6 +150,7 @@ def pack(
     s = state[0]
     person = operator(scene)
     s["p"], s["op"] = linkage.pack()[0], person.pack()[0]
+    s["known"] = known_mechanism(scene, constants.gear).pack()[0]
     s["running"] = 1
     s["n"] = n
     q, v = start(scene, linkage)

@@ -30,6 +30,7 @@ STATE = np.dtype(
         ("running", "i8"),  # first word: 0 tells `accepted` that the values are of another analysis
         # mechanics at the last accepted point
         ("p", LINKAGE),
+        ("known", LINKAGE),  # as the computer knows it
         ("op", OPERATOR),
         ("w", WORK),
         ("n", "i8"),

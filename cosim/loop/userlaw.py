@@ -137,7 +137,7 @@ class UserLaw:
 
     def _control(self) -> None:
         n = int(self.state["n"])
-        c, x, p = self.state["c"], self.state["x"], self.state["p"]
+        c, x, p = self.state["c"], self.state["x"], self.state["known"]
         q = x["q"][:n].copy()
         r, jac = np.zeros(2), np.zeros((2, NMAX))
         padded = np.zeros(NMAX)

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from cosim.errors import InputError, Problem
 from cosim.scene import Scene, choices, device_tables, schema
+from cosim.scene.numbers import with_number
 from mech import Chain, Hand, NoOperator, Operator, ParameterError, PointMass, Slider, load_user
 
-__all__ = ["encoder_step", "mechanism", "operator", "start"]
+__all__ = ["encoder_step", "known_mechanism", "mechanism", "operator", "start"]
 
 
 def mechanism(scene: Scene, gear: float) -> Chain | Slider:
@@ -59,6 +60,13 @@ def mechanism(scene: Scene, gear: float) -> Chain | Slider:
         stop_restitution=slider.stop_restitution if effects.end_stops else None,
         **_shafts(scene, slider),
     )
+
+
+def known_mechanism(scene: Scene, gear: float) -> Chain | Slider:
+    """Linkage that the computer reckons with: the device's own, but for numbers known of the design."""
+    for key, value in scene.designed:
+        scene = with_number(scene, key, value)
+    return mechanism(scene, gear)
 
 
 def _shafts(scene: Scene, table: device_tables.Chain | device_tables.Slider) -> dict[str, Any]:

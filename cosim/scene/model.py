@@ -31,6 +31,8 @@ class Scene(SceneTables):
 
     _file: Path | None = PrivateAttr(default=None)
     _origin: Origin = PrivateAttr(default=Origin(()))
+    # numbers of the device as designed, by key, where the computer knows these and not the device's own
+    _designed: tuple[tuple[str, float], ...] = PrivateAttr(default=())
 
     @classmethod
     def of_layers(cls, layers: Sequence[Layer], file: Path | None) -> "Scene":
@@ -93,6 +95,17 @@ class Scene(SceneTables):
     def file_name(self) -> str | None:
         """Path of its file as errors tell it; ``None`` where there is none."""
         return str(self._file) if self._file else None
+
+    @property
+    def designed(self) -> tuple[tuple[str, float], ...]:
+        """Numbers of the linkage, by key, that the computer takes for the device's own."""
+        return self._designed
+
+    def knowing(self, designed: Sequence[tuple[str, float]]) -> "Scene":
+        """Return the scene with a computer that knows these numbers of the design, not the device's own."""
+        scene = self.model_copy()
+        scene._designed = tuple(designed)
+        return scene
 
     @property
     def joints(self) -> int:

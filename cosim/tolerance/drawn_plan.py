@@ -16,6 +16,8 @@ __all__ = ["SCENE", "motor_constant", "nominal", "of_board", "with_numbers"]
 SCENE = "scene:"
 #: Parameter of a motor that its board states as a design number as well.
 MOTOR_CONSTANT = "motor_k"
+#: Numbers of the linkage that the computer's law is written in.
+_LENGTHS = ("device.chain.lengths_m", "device.slider.radius_m")
 
 
 def of_board(keys: Sequence[str]) -> list[int]:
@@ -57,8 +59,15 @@ def motor_constant(plan: Plan, keys: Sequence[str]) -> int | None:
 
 
 def with_numbers(scene: Scene, keys: Sequence[str], values: Sequence[float]) -> Scene:
-    """Return a scene with other numbers; `keys` are ``scene:device.chain.masses_kg[0]``, others are left."""
+    """Return a scene with other numbers; `keys` are ``scene:device.chain.masses_kg[0]``, others are left.
+
+    A computer that is not calibrated goes on with the lengths of the design.
+    """
+    designed = list(scene.designed)
     for key, value in zip(keys, values, strict=True):
         if key.startswith(SCENE):
-            scene = with_number(scene, key.removeprefix(SCENE), value)
-    return scene
+            name = key.removeprefix(SCENE)
+            if name.startswith(_LENGTHS) and scene.tolerance.calibration == "none":
+                designed.append((name, number_of(scene, name)))
+            scene = with_number(scene, name, value)
+    return scene.knowing(designed) if designed else scene

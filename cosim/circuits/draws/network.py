@@ -105,9 +105,9 @@ class _Part:
 
         def reached(by: Complex, linked: NDArray[np.bool_]) -> NDArray[np.bool_]:
             size = np.abs(by) / scale[:, :, None]
-            found: NDArray[np.bool_] = (size > _REACHES * size.max(axis=(1, 2), keepdims=True)).any(
-                axis=(0, 2)
-            )
+            found: NDArray[np.bool_] = (
+                size > _REACHES * size.max(axis=(1, 2), keepdims=True, initial=0.0)
+            ).any(axis=(0, 2))
             for _ in range(len(found)):
                 found |= linked[:, found].any(axis=1)
             return found
