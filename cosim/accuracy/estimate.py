@@ -79,7 +79,8 @@ def twin_of(plan: Plan, *, own: bool = False) -> Twin:
         finer = {
             "max_step_s": max(min(solver.max_step_s, scene.computer.period_s, _USUAL_STEP_S) / _FINER, 1e-9),
             "coupling_tolerance_rad": max(1e-3 * min(solver.coupling_tolerance_rad, 1e-7), 1e-14),
-            "reduction_tolerance": min(solver.reduction_tolerance, 1e-6),
+            # its default is a bound over the band of a hand; what overshoots behind a jump is faster
+            "reduction_tolerance": min(solver.reduction_tolerance, 1e-9),
         }
         words, margin = f"the model {model}, an eighth of the step and tight tolerances", _MARGIN
     update = {"solver": solver.model_copy(update={**finer, "model": type(solver.model)(model)})}

@@ -149,9 +149,9 @@ def prepare(
     if record and dense:
         state["fresh"] = _SETTLED * _slowest(whole.a_post)
         first = max(FIRST_ROW_SHARE * scene.computer.period_s, _FIRST_OF_FRESH * float(state["fresh"]))
-        first *= min(
-            1.0, scene.solver.max_step_s / _USUAL_STEP_S
-        )  # who asks for closer rows gets them here too
+        if scene.solver.max_step_s < _USUAL_STEP_S:  # who asks for closer rows gets them here, too
+            first *= scene.solver.max_step_s / _USUAL_STEP_S
+            state["fresh"] = max(float(state["fresh"]), scene.computer.period_s)
     failures: list[Exception] = []
     leaps, callback = exact(state, whole, memory.knots, failures)
     tables = stepper.Tables(memory.state, maps, desk, leaps)
