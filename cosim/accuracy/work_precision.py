@@ -129,6 +129,12 @@ def accuracy(
     InputError, SimulationError
         When scene or references cannot be run; a single setting that cannot is told in its row.
     """
+    useless = [name for name in measures if name not in OF_A_RUN or name in _NO_ERROR]
+    if useless:
+        fail(
+            "has no error that a setting of the solver could make", key="--measure",
+            value=", ".join(useless), allowed=", ".join(n for n in OF_A_RUN if n not in _NO_ERROR),
+        )  # fmt: skip
     scene = load_scene(path, overrides)
     with collected(forward=False):
         plan = resolve(scene, trust=trust)

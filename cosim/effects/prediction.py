@@ -1,9 +1,9 @@
 """What a run will cost: points, seconds and the start before them, before anything has run.
 
 Calibrated on the shipped scenes in the three models, with parts at every level and of a vendor, with noise of
-both kinds, at relative tolerances from 1e-3 to 1e-6 and at other periods and steps: points and processor time
-are within a factor of two on those (a test holds this). The machine enters by the microseconds a point,
-measured on one of two cores.
+both kinds, at relative tolerances from 1e-3 to 1e-6, periods from 1 to 100 ms and other steps: points and
+processor time are within a factor of two on those (a test holds this). The machine enters by the microseconds
+a point, measured on one of two cores.
 """
 
 from __future__ import annotations
@@ -15,6 +15,10 @@ from cosim.scene import Level, PotNoise, Scene
 #: Points of a sample beyond the longest steps: what the restart behind its jump and its ramp takes; in
 #: `spice` at ngspice's relative tolerance `_RTOL`, and with its fourth root at others.
 RESTART_POINTS = {"spice": 13.0, "linear": 10.0, "ideal": 10.0}
+#: The codes move less in a shorter period, and often not at all, and fewer short steps stand behind a smaller
+#: jump: below this period [s] the points of a sample fall with so much of a power of it.
+RESTART_PERIOD_S = 0.01
+RESTART_POWER = {"spice": 0.35, "linear": 0.7, "ideal": 0.45}
 #: Points of any further instant that is landed on: ngspice starts afresh there with short steps, whose
 #: length goes with the third root of the tolerance, as that of any method of second order.
 EVENT_POINTS = {"spice": 17.0, "linear": 1.0, "ideal": 1.0}
@@ -37,6 +41,8 @@ INTERVAL_S = {"spice": 0.0, "linear": 1.4e-4, "ideal": 1.1e-5}
 EXACT_INTERVAL_S = {"spice": 0.0, "linear": 1.9e-3, "ideal": 1.5e-3}
 #: Seconds a sample for a control law in Python.
 LAW_S = 1.5e-4
+#: Microseconds a point for an operator in Python: it is called some twice a point, at trials too.
+OPERATOR_US = {"spice": 15.0, "linear": 24.0, "ideal": 24.0}
 #: Seconds of processor time from the command to the first point, with everything compiled and extracted
 #: before: two processes load Python, ngspice and compiled code, and the board's stability is judged.
 START_S = 1.6
@@ -51,7 +57,8 @@ def predict(scene: Scene, constants: Stated, model: str) -> dict[str, float]:
     step = min(scene.solver.max_step_s, scene.computer.period_s)
     samples = scene.duration_s / scene.computer.period_s
     finer = _RTOL / scene.solver.rtol if model == "spice" else 1.0
-    points = samples * (RESTART_POINTS[model] * finer**0.25 + scene.computer.period_s / step)
+    smaller = min(scene.computer.period_s / RESTART_PERIOD_S, 1.0) ** RESTART_POWER[model]
+    points = samples * (RESTART_POINTS[model] * smaller * finer**0.25 + scene.computer.period_s / step)
     noisy = 0.0
     for effect in EFFECTS:
         if effect.is_in_force(scene) and not effect.lacks(scene):
@@ -65,6 +72,8 @@ def predict(scene: Scene, constants: Stated, model: str) -> dict[str, float]:
     micro = fixed + joint * scene.joints + straight * constants.straight + bent * constants.bent
     if model == "spice" and scene.effects.opamp_slew:
         micro *= SLEW_STEPS
+    if scene.operator.type == "python":
+        micro += OPERATOR_US[model]
     apart = EXACT_S[model] if _is_exact(scene) else 0.0
     if any(each.fresh_intervals and each.is_in_force(scene) for each in EFFECTS):
         apart += samples * (EXACT_INTERVAL_S if _is_exact(scene) else INTERVAL_S)[model]

@@ -77,7 +77,7 @@ def chosen(names: Iterable[str], *, slow: bool) -> list[HardCase]:
 
 
 def _is(case: HardCase, name: str) -> bool:
-    return str(case.row) == name if name.isdigit() else case.name.startswith(name)
+    return bool(name) and (str(case.row) == name if name.isdigit() else case.name.startswith(name))
 
 
 def run_cases(
