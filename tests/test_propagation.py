@@ -554,3 +554,19 @@ def test_energy_account_closes(tmp_path: Path) -> None:
     turned = np.abs(made.bench.total).sum()
     assert turned > 0.02
     assert abs(held - made.bench.total.sum()) < 1e-7 * turned
+
+
+def test_the_current_behind_an_event_is_the_limited_one(tmp_path: Path) -> None:
+    """Where the stepper moves (friction has instants of its own), the first row stands behind an event."""
+    limit, friction = 0.3, 1e-6
+    tables = slider(
+        duration_s=0.1, device={"start": {"q_rad": [-0.9]}}, effects={"coulomb": True},
+        computer={"period_s": 0.02},
+    )  # fmt: skip
+    tables["device"]["slider"]["coulomb_n_m"] = friction
+    made = propagate(scene_of(tmp_path, tables), ideal(1, emf=False, limit=limit), tol=1e-9)
+    assert rows(made, "imot1")[0] == limit  # the spring asks for 5 A
+    assert np.abs(rows(made, "imot1")).max() <= limit
+    inertia = 0.2 * RADIUS**2
+    assert rows(made, "a1")[0] == pytest.approx(TORQUE * limit / inertia, rel=1e-4)
+    assert np.abs(rows(made, "a1")).max() <= (TORQUE * limit + friction) / inertia * (1 + 1e-12)
