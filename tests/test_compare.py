@@ -176,7 +176,7 @@ def test_a_stored_board_is_the_same_and_is_checked_like_any_netlist(tmp_path):
     with pytest.raises(InputError, match="was changed"):
         deck_file.load(tmp_path)
     (tmp_path / deck_file.FILE).write_text("{}")
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="does not hold what a result holds"):
         deck_file.load(tmp_path)
 
 
