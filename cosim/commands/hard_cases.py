@@ -47,6 +47,7 @@ def _as_dict(found: "Outcome") -> dict[str, Any]:
         "got": found.got if found.number else None,
         "bound": case.bound[found.model],
         "reason": case.reason,
+        "broken": case.broken,
         "held": found.held,
         "failed": found.failed,
         "seconds": found.seconds,

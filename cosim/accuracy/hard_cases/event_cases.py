@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -50,11 +51,12 @@ def _beside_a_sample(bench: Bench, model: str) -> float:
     return float(np.ptp(ends)) / abs(ends[0])
 
 
-def _both_limits(bench: Bench, model: str) -> float:
+def _both_limits(friction_n_m: float, bench: Bench, model: str) -> float:
     """Return the current at the right of the first gain's jump, over that of a spring at this very angle."""
     tables = slider(
-        duration_s=0.2, device={"start": {"q_rad": [0.1], "v_rad_per_s": [-1.0]}},
-        computer={"law": "law.py:Spring"},
+        duration_s=0.2,
+        device={"start": {"q_rad": [0.1], "v_rad_per_s": [-1.0]}, "slider": {"coulomb_n_m": friction_n_m}},
+        computer={"law": "law.py:Spring"}, effects={"coulomb": friction_n_m > 0.0},
     )  # fmt: skip
     signals = bench.run(tables, model, _SPRING).signals
     t, q, i = (np.asarray(signals[name]) for name in ("time", "q1", "imot1"))
@@ -168,8 +170,11 @@ CASES = (
     HardCase("push that begins on a sample or an ulp beside it", 25, "change of the end, relative", 0.0,
              {**dict.fromkeys(OWN, 1e-12), "spice": 1e-9},
              "an ulp of 0.1 s is 1e-17 s; a step of the lockstep falls otherwise", _beside_a_sample),
-    HardCase("jump at a sample", 26, "current at its right over the spring's", 1.0, dict.fromkeys(OWN, 1e-9),
-             "two rows at one instant; gains and angles are exact", _both_limits),
+    *(HardCase(f"jump at a sample, {path}", 26, "current at its right over the spring's", 1.0,
+               dict.fromkeys(OWN, 1e-9), "two rows at one instant; gains and angles are exact",
+               partial(_both_limits, friction),
+               broken=f"no row for the right-hand limit in {module}")
+      for path, friction, module in (("exact", 0.0, "exact_steps"), ("by collocation", 1e-6, "stepper"))),
     HardCase("two stops struck at one instant", 27, "difference from one another and exchanged [rad]", 0.0,
              dict.fromkeys(OWN, 1e-9), "located to 2^-36 of an interval at 2 rad/s", _simultaneous),
     *(HardCase(f"two hits in one step, number {k + 1}", 28, "instant [s]", (0.2 + 0.4 * k) / 10.0,
@@ -179,7 +184,8 @@ CASES = (
                "the angle's tolerance over the speed of 0.17 rad/s there", _dip(what))
       for what, at in (("enters", _TOP - _LATE), ("leaves", _TOP + _LATE))),
     HardCase("delay of 2.5 periods", 30, "commands lost", 0.0, dict.fromkeys(ALL, 0.0),
-             "each has its own instant", _lost_samples),
+             "each has its own instant", _lost_samples,
+             broken="at most one period of delay in queue_time: 25 lost"),
     HardCase("contacts within one period of 100 ms", 58, "contacts",
              math.floor((0.1 - 0.05 / 5.0) / (_TURN + _FLIGHT)) + 1.0, dict.fromkeys(ALL, 0.0),
              "half swings in the stops and flights between them", _contacts),

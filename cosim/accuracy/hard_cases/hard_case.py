@@ -64,6 +64,7 @@ class HardCase:
     reason : where the bound comes from
     find : what finds it, on a bench and a model
     slow : whether it takes more than some seconds
+    broken : a change of the program that made it miss when it was tried
     """
 
     name: str
@@ -74,6 +75,7 @@ class HardCase:
     reason: str
     find: Callable[[Bench, str], float]
     slow: bool = False
+    broken: str = ""
 
 
 @dataclass(frozen=True)
