@@ -1,4 +1,4 @@
-"""All pictures of some folders on one sheet, to be looked at side by side: `python -m reports.contact_sheet`."""
+"""All pictures of some folders on one sheet, to be looked at: `python -m reports.contact_sheet FOLDER`."""
 
 import argparse
 import math
