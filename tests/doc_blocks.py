@@ -84,8 +84,12 @@ def shell_lines(text):
 
 
 def words(line):
-    """Return the words of a command, its comment left out."""
-    return shlex.split(line, comments=True)
+    """Return the words of a command, and whether it is one plain command: no pipe, redirection or loop."""
+    lexer = shlex.shlex(line, posix=True, punctuation_chars="|<>;&()")
+    lexer.whitespace_split = True
+    found = list(lexer)
+    ends = [k for k, word in enumerate(found) if word and set(word) <= set("|<>;&()")]
+    return (found[: ends[0]] if ends else found), not ends and "$(" not in line
 
 
 def lacking(text):
@@ -130,11 +134,11 @@ class Reader:
         """Run a command; return what it prints. Our own runs in this process, which has its code loaded."""
         from cosim.cli import main
 
-        program, *arguments = words(line)
+        (program, *arguments), plain = words(line)
         if program == "cd":
             self.folder = self.folder / arguments[0]
             return ""
-        if program != "cosim" or any(mark in line for mark in ("|", ">", "$(", "&&")):
+        if program != "cosim" or not plain:
             return self._shell(line)
         out = io.StringIO()
         with contextlib.chdir(self.folder), contextlib.redirect_stdout(out):

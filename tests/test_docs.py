@@ -61,7 +61,7 @@ def test_code_of_a_page_is_understood(name):
         if block.kind == "python" and not block.why_not:
             check_python(block.text)
     for line in commands(PAGES[name]):
-        program, *arguments = words(line.split("|")[0].split(">")[0])
+        (program, *arguments), _ = words(line)
         if program == "cosim" and arguments[0] != "--completion":
             build_parser().parse_args(arguments)
 
