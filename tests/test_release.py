@@ -67,6 +67,7 @@ def test_archives_hold_what_they_need_and_no_more(archives):
         names = found.namelist()
     assert "cosim/data/docs/index.html" in names
     assert "cosim/data/netlists/board2.cir" in names
+    assert {"cosim/py.typed", "mech/py.typed", "reports/py.typed"} <= set(names)  # types are for users, too
     assert not [name for name in names if name.startswith(("tests/", "benchmarks/", "examples/"))]
     assert sum(found.getinfo(name).file_size for name in names) < 30e6
     with tarfile.open(sdist) as archive:
