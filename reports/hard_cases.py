@@ -21,7 +21,7 @@ _HEAD = [
 ]  # fmt: skip
 
 
-def write_hard_cases(found: Sequence[Outcome], folder: Path) -> Path:
+def write_hard_cases(outcomes: Sequence[Outcome], folder: Path) -> Path:
     """Write ``report.html`` and ``hard_cases.csv`` into the folder and return the page.
 
     Raises
@@ -29,11 +29,11 @@ def write_hard_cases(found: Sequence[Outcome], folder: Path) -> Path:
     InputError
         The folder cannot be written, or holds something else under these names.
     """
-    rows = [_row(each) for each in found]
-    held = sum(each.held for each in found)
+    rows = [_row(each) for each in outcomes]
+    held = sum(each.held for each in outcomes)
     table = TextTable("Case by case", _HEAD, rows, {0, 4, 5, 6, 7, 9}, "", FILES[1])
     note = (
-        f"{held} of {len(found)} hold. Every expected value is theory's: a closed form, a matrix "
+        f"{held} of {len(outcomes)} hold. Every expected value is theory's: a closed form, a matrix "
         "exponential, an elliptic integral; none is this program's output."
     )
     section = Section("cases", "Scenes that are hard for numbers", [], (note,), [], [table], "")

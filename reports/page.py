@@ -115,11 +115,11 @@ def write_report(
 
 def _doubts(run: RunLike, trials: Sequence[Trial]) -> list[Caution]:
     """Return what to doubt about the run, and about every other one that is shown."""
-    found = [*run.warnings]
+    cautions = [*run.warnings]
     for trial in trials:
         if trial.run is not None and trial.run is not run:
-            found += [replace(each, text=f"{trial.label}: {each.text}") for each in trial.run.warnings]
-    return found
+            cautions += [replace(each, text=f"{trial.label}: {each.text}") for each in trial.run.warnings]
+    return cautions
 
 
 def draw_all(view: View, *, first: bool = False) -> tuple[list[Picture], list[str]]:

@@ -20,7 +20,7 @@ _DASHES = ("-", (0, (5, 2)), (0, (2, 1.5)), (0, (6, 1.5, 1, 1.5)), (0, (1, 1)), 
 _LOGARITHMIC = 8.0
 
 
-def write_sweep(found: "Sweep", folder: Path) -> Path | None:
+def write_sweep(sweep: "Sweep", folder: Path) -> Path | None:
     """Write ``sweep.png`` and ``sweep.svg``; ``None`` where the first range is not of numbers.
 
     Raises
@@ -29,34 +29,34 @@ def write_sweep(found: "Sweep", folder: Path) -> Path | None:
         As `cosim.belongings.write_files`.
     """
     with look():
-        drawn = draw(found)
+        drawn = draw(sweep)
         files = pictures(drawn.figure) if drawn is not None else {}
     write_files(folder, {f"sweep.{ending}": data for ending, data in files.items()}, MANIFEST)
     return folder / FILES[-1] if files else None
 
 
-def draw(found: "Sweep") -> Drawn | None:
+def draw(sweep: "Sweep") -> Drawn | None:
     """Return the figure."""
-    axis = [number(values[0]) for values in found.values]
+    axis = [number(values[0]) for values in sweep.values]
     known = [value for value in axis if value is not None]
-    seen = any(value is not None for column in found.measures.values() for value in column)
+    seen = any(value is not None for column in sweep.measures.values() for value in column)
     if len(known) < len(axis) or len(set(known)) < 2 or not seen:
         return None
-    names = list(found.measures)
+    names = list(sweep.measures)
     drawing, grid = figure(1.0 + 2.3 * len(names), rows=len(names), sharex=True)
-    groups = list(dict.fromkeys(values[1:] for values in found.values))
+    groups = list(dict.fromkeys(values[1:] for values in sweep.values))
     for row, name in enumerate(names):
-        axes, column = grid[row, 0], found.measures[name]
+        axes, column = grid[row, 0], sweep.measures[name]
         unit = UNITS.get(name, "")
         largest = max((abs(value) for value in column if value is not None), default=0.0)
         factor, shown = scale(largest, unit) if unit in ("N", "m", "A", "s") else (1.0, unit)
         for place, group in enumerate(groups):
             line = sorted(
                 (x, value * factor)
-                for x, values, value in zip(known, found.values, column, strict=True)
+                for x, values, value in zip(known, sweep.values, column, strict=True)
                 if values[1:] == group and value is not None
             )
-            pairs = zip(found.names[1:], group, strict=True)
+            pairs = zip(sweep.names[1:], group, strict=True)
             label = ", ".join(
                 f"{key.rpartition('.')[2]} = {value} {unit_of(key)}".rstrip() for key, value in pairs
             )
@@ -73,6 +73,6 @@ def draw(found: "Sweep") -> Drawn | None:
         if min(known) > 0.0 and max(known) / min(known) >= _LOGARITHMIC:
             axes.set_xscale("log")
     legend(grid[0, 0], columns=3)
-    grid[-1, 0].set_xlabel(heading(found.names[0], unit_of(found.names[0])))
-    drawing.suptitle(f"{', '.join(name.replace('_', ' ') for name in names)} over {found.names[0]}")
+    grid[-1, 0].set_xlabel(heading(sweep.names[0], unit_of(sweep.names[0])))
+    drawing.suptitle(f"{', '.join(name.replace('_', ' ') for name in names)} over {sweep.names[0]}")
     return Drawn(drawing, "")

@@ -138,12 +138,12 @@ def noise(scene: ContactLike, *, trust: bool = False, child: Child | None = None
     with doubts():
         here = contact(scene, trust=trust, child=child)
         scene, effects = here.plan.scene, here.plan.scene.effects
-        found = rms = None
+        covariance = rms = None
         if effects.pot_noise is not PotNoise.NONE or not effects.component_noise:
-            found = noise_covariance(scene, here.constants, here.circuit)
+            covariance = noise_covariance(scene, here.constants, here.circuit)
         if effects.component_noise:
             rms = component_force(scene, here.plan.board, child)
-        return Noise(found, rms, scene.device.component_noise_bandwidth_hz)
+        return Noise(covariance, rms, scene.device.component_noise_bandwidth_hz)
 
 
 def device(scene: ContactLike, *, trust: bool = False, child: Child | None = None) -> DeviceNumbers:

@@ -45,12 +45,12 @@ class Loop:
 def measure_loops(bench: Bench) -> list[Loop]:
     """Open every loop in turn, with all pins at zero; places without feedback are left out."""
     bench.hold({})
-    found = []
+    loops = []
     for probe in bench.probes:
         f, t = bench.loop_gain(probe, _SWEEP)
         if np.abs(t).max() > _NO_LOOP:
-            found.append(_loop(probe, f, t))
-    return found
+            loops.append(_loop(probe, f, t))
+    return loops
 
 
 def _loop(probe: Probe, f_hz: Real, t: Complex) -> Loop:

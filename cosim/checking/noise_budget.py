@@ -77,7 +77,7 @@ def measure_noise(bench: Bench, constants: DesignConstants) -> list[Noise]:
         "springs at k_fs, dampers at c_fs": springs | {f"ksd{pair}": constants.v_fs for pair in pairs},
     }
     per_ampere = constants.kt * constants.gear
-    found = []
+    noises = []
     for gains, held in states.items():
         bench.hold(held)
         for i in range(1, bench.joints + 1):
@@ -87,8 +87,8 @@ def measure_noise(bench: Bench, constants: DesignConstants) -> list[Noise]:
             true = abs(bench.response(f"pot{i}", f"lin 1 {low!r} {low!r}")[f"imot{i}"][0])
             torque, top = total * per_ampere, _top(bench, heard.elements, total)
             complete = bool(true < _NO_GAIN or (gain is not None and abs(gain / true - 1.0) < _SAME_GAIN))
-            found.append(Noise(i, gains, total, torque, torque / constants.r_tip, top, complete))
-    return found
+            noises.append(Noise(i, gains, total, torque, torque / constants.r_tip, top, complete))
+    return noises
 
 
 def _top(bench: Bench, elements: dict[str, float], total: float) -> tuple[Contributor, ...]:
@@ -110,7 +110,7 @@ def measure_pot_noise(
     bench: Bench, constants: DesignConstants, noise_rad: float, bandwidth_hz: float
 ) -> list[PotNoise]:
     """Pass white potentiometer noise through the measured spring and damper of each joint."""
-    found = []
+    pot_noises = []
     sweep = f"dec 20 {LOW_HZ:g} {bandwidth_hz!r}"
     to_force = constants.kt * constants.gear / constants.r_tip
     for j in range(1, bench.joints + 1):
@@ -124,6 +124,6 @@ def measure_pot_noise(
             forces.append(noise_rad * math.sqrt(mean_square) * to_force)
         spring, damper = forces
         softer = SOFT_N_PER_M * constants.r_tip**2 / constants.k_fs
-        found.append(PotNoise(j, noise_rad, bandwidth_hz, spring, spring * softer, damper))
+        pot_noises.append(PotNoise(j, noise_rad, bandwidth_hz, spring, spring * softer, damper))
     bench.hold({})
-    return found
+    return pot_noises

@@ -28,16 +28,16 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         every = load_variants(args)
         for variant, scene in every:
             with collected(about(variant, every)):
-                found = device(scene, trust=args.trust, child=child)
-                cases.append({"set": dict(variant.values), **found.as_dict()})
+                numbers = device(scene, trust=args.trust, child=child)
+                cases.append({"set": dict(variant.values), **numbers.as_dict()})
                 head = variant.label or scene.title
-                columns[head] = flat(found)
-                lines = [f"{head} (circuit model {found.model}, {quantity(found.period_s, 's')})"]
+                columns[head] = flat(numbers)
+                lines = [f"{head} (circuit model {numbers.model}, {quantity(numbers.period_s, 's')})"]
                 lines += [
                     f"  {name_of(name):38s}{_text(value, unit_in(name))}"
                     for name, value in columns[head].items()
                 ]
-                texts.append("\n".join([*lines, f"  workspace: {found.workspace.note}"]))
+                texts.append("\n".join([*lines, f"  workspace: {numbers.workspace.note}"]))
     if args.file:
         _write(Path(args.file), columns)
         texts.append(f"wrote {args.file}")

@@ -25,9 +25,9 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.scene.keys import section
 
     used = {key: effect.name for effect in EFFECTS for key in effect.keys}
-    found = section(args.section)
-    rows = [{**asdict(key), "effect": used.get(key.path)} for key in found]
-    return {"keys": rows}, "\n".join(_text(key, used.get(key.path)) for key in found)
+    keys = section(args.section)
+    rows = [{**asdict(key), "effect": used.get(key.path)} for key in keys]
+    return {"keys": rows}, "\n".join(_text(key, used.get(key.path)) for key in keys)
 
 
 def _text(key: "Key", effect: str | None) -> str:

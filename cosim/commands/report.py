@@ -112,14 +112,14 @@ def study_files(given: list[Path]) -> list[Path]:
     from cosim.errors import fail
     from cosim.studies.study import is_study
 
-    found: list[Path] = []
+    paths: list[Path] = []
     for path in given:
         listed = path.glob("*.toml") if os.path.isdir(path) else ()
         inside = [path] if is_study(path) else sorted(filter(is_study, listed))
-        if found and not inside:
+        if paths and not inside:
             fail("holds no study file: studies and results need pages of their own", file=str(path))
-        found += inside
-    return found
+        paths += inside
+    return paths
 
 
 def _report_studies(args: argparse.Namespace, files: list[Path]) -> tuple[dict[str, Any], str]:

@@ -57,58 +57,58 @@ def _folders(args: argparse.Namespace, labels: list[str]) -> list[Path | None]:
     return [*folders]
 
 
-def describe(found: "Limits") -> str:
+def describe(limits: "Limits") -> str:
     """Return the limits in words."""
-    facts = found.as_dict()
-    name = found.key.split("_")[0]
+    facts = limits.as_dict()
+    name = limits.key.split("_")[0]
     lines = []
-    critical = found.stability.critical
+    critical = limits.stability.critical
     if critical is not None:
-        verdict = "stable" if found.stability.stable else "UNSTABLE"
+        verdict = "stable" if limits.stability.stable else "UNSTABLE"
         goes = "grows" if critical.growth > 1.0 else "decays"
         lines.append(
-            f"  {verdict} at {_stiff(found.stiffness)} {name}: critical mode {goes} x {critical.growth:.6f} "
+            f"  {verdict} at {_stiff(limits.stiffness)} {name}: critical mode {goes} x {critical.growth:.6f} "
             f"a period, {quantity(critical.frequency_hz, 'Hz', 4)}, damping ratio {critical.damping:.3g}"
             + (" (ambiguous: sampling folds it onto another frequency)" if critical.ambiguous else "")
         )
-    if facts["border_n_per_m"] is not None and found.border.value > 0.0:
+    if facts["border_n_per_m"] is not None and limits.border.value > 0.0:
         lines.append(
-            f"  exact border       {_stiff(found.border.value)}, "
+            f"  exact border       {_stiff(limits.border.value)}, "
             f"at {quantity(facts['border_frequency_hz'], 'Hz', 4)}"
         )
-    elif found.border.value > 0.0:
+    elif limits.border.value > 0.0:
         lines.append("  exact border       none up to 1e7 N/m")
     else:
         lines.append("  exact border       nothing is stable")
-    if found.passive_n_per_m is not None:
-        lines.append(f"  passive up to      {_stiff(found.passive_n_per_m)}")
-    elif found.least_damping_n_m_s < 0.0:
+    if limits.passive_n_per_m is not None:
+        lines.append(f"  passive up to      {_stiff(limits.passive_n_per_m)}")
+    elif limits.least_damping_n_m_s < 0.0:
         lines.append("  passive            never: the analog part alone is active at some frequency")
-    if found.gil_hulin_n_per_m is not None:
-        lines.append(f"  Gil and Hulin      {_stiff(found.gil_hulin_n_per_m)} (rule of thumb)")
-    if found.board_n_per_m is not None:
-        lines.append(f"  board's range      {_stiff(found.board_n_per_m)}, its gain DACs at full scale")
+    if limits.gil_hulin_n_per_m is not None:
+        lines.append(f"  Gil and Hulin      {_stiff(limits.gil_hulin_n_per_m)} (rule of thumb)")
+    if limits.board_n_per_m is not None:
+        lines.append(f"  board's range      {_stiff(limits.board_n_per_m)}, its gain DACs at full scale")
     lines.append(
-        f"  device's damping   {quantity(found.viscosity_n_s_per_m, 'N s/m', 5)} along the normal"
+        f"  device's damping   {quantity(limits.viscosity_n_s_per_m, 'N s/m', 5)} along the normal"
         + (
-            f"; the discrete law needs {quantity(found.needed_n_s_per_m, 'N s/m', 5)}"
-            if found.needed_n_s_per_m is not None
+            f"; the discrete law needs {quantity(limits.needed_n_s_per_m, 'N s/m', 5)}"
+            if limits.needed_n_s_per_m is not None
             else ""
         )
     )
-    lines.append(f"  design for         {_advice(found)}")
-    if found.stability.free:
-        lines.append(f"  free directions    {found.stability.free} (nothing holds the tip along the wall)")
-    return "\n".join([*lines, *(f"  left out: {note}" for note in found.stability.notes)])
+    lines.append(f"  design for         {_advice(limits)}")
+    if limits.stability.free:
+        lines.append(f"  free directions    {limits.stability.free} (nothing holds the tip along the wall)")
+    return "\n".join([*lines, *(f"  left out: {note}" for note in limits.stability.notes)])
 
 
 def _stiff(value: float) -> str:
     return quantity(value, "N/m", 5)
 
 
-def _advice(found: "Limits") -> str:
+def _advice(limits: "Limits") -> str:
     """Return which limit to design for, and why the others differ."""
-    value, which = found.design
+    value, which = limits.design
     if value == 0.0:
         return "nothing: no stiffness is stable with this circuit and period"
     if math.isinf(value):
@@ -118,13 +118,13 @@ def _advice(found: "Limits") -> str:
         said += "no stiffness beyond it can be commanded, and up to it this scene is stable"
     elif which == "the largest passive stiffness":
         said += "stable whoever holds the device, at rest or moving"
-    elif found.passive_n_per_m is None:
+    elif limits.passive_n_per_m is None:
         said += "for this operator and pose, contact held; another hand or pose has another border"
     else:
         said += "this operator or pose is worse than the device held by nobody"
-    if which != "the exact border" and found.border.value > value:
+    if which != "the exact border" and limits.border.value > value:
         said += "; the exact border is for this operator and pose, contact held"
-    if found.gil_hulin_n_per_m is not None:
+    if limits.gil_hulin_n_per_m is not None:
         said += (
             "; Gil and Hulin's rule knows the device's damping and the delay alone, no mass and no circuit"
         )

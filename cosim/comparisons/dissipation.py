@@ -36,13 +36,13 @@ def dissipation(run: Run, stated: Stated) -> list[Dissipation]:
         return []
     ohm = max(resistance)
     t = np.asarray(run.signals["time"])
-    found = []
+    dissipations = []
     for joint in range(1, run.scene.joints + 1):
         current = np.asarray(run.signals[f"imot{joint}"])
         volts = ohm * current + stated.torque_per_amp * np.asarray(run.signals[f"v{joint}"])
         motor = ohm * current**2
         driver = np.abs(current) * (SUPPLY_V - volts * np.sign(current))
-        found.append(
+        dissipations.append(
             Dissipation(
                 joint,
                 time_mean(t, motor),
@@ -51,4 +51,4 @@ def dissipation(run: Run, stated: Stated) -> list[Dissipation]:
                 float(driver.max()),
             )
         )
-    return found
+    return dissipations

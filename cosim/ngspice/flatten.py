@@ -80,16 +80,16 @@ class Reader:
             near = nearest(section, named)
             fail(f"no section '{section}'" + (f", nearest is '{near}'" if near else ""), file=str(path),
                  allowed=", ".join(named) or "the file has no .lib sections")  # fmt: skip
-        found: list[Line] = []
+        lines: list[Line] = []
         files = 0
         for line in self._walk(path, rows, section, ()):
             if line.text:
-                found.append(line)
+                lines.append(line)
             else:
                 files += 1
-            if len(found) > MOST_LINES or files > MOST_FILES:
+            if len(lines) > MOST_LINES or files > MOST_FILES:
                 fail(f"includes grow to more than {MOST_LINES} lines or {MOST_FILES} files", file=str(path))
-        return found
+        return lines
 
     def rows(self, path: Path) -> list[Line]:
         """Return the lines of one file, its values as its dialect means them."""

@@ -244,9 +244,9 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     for model in ("linear", "ideal"):
         plan = resolve(spec.scene(*(IDEAL if model == "ideal" else ()), "solver.model=auto"))
         circuit, constants = circuit_of(plan, reduced=True)
-        found = device_numbers(plan.scene, constants, circuit)
-        kept.append(found)
-        for name, value in flat(found).items():
+        numbers = device_numbers(plan.scene, constants, circuit)
+        kept.append(numbers)
+        for name, value in flat(numbers).items():
             columns.setdefault(name, []).append(value)
     full = kept[0]
     note = (
@@ -288,23 +288,23 @@ IDEAL = (
 )  # fmt: skip
 
 
-def flat(found: DeviceNumbers) -> dict[str, Any]:
+def flat(numbers: DeviceNumbers) -> dict[str, Any]:
     """Return the numbers with units as a flat table."""
-    room = found.workspace
+    room = numbers.workspace
     return {
-        "continuous force, any direction [N]": found.continuous_n,
-        "peak force, any direction [N]": found.peak_n,
-        "continuous force, best direction [N]": found.continuous_best_n,
-        "continuous force, worst pose [N]": found.continuous_least_n,
-        "peak force, worst pose [N]": found.peak_least_n,
-        "stiffness, computer alone [N/m]": _number(found.discrete_n_per_m.value),
-        "stiffness, circuit alone [N/m]": _number(found.analog_n_per_m.value),
-        "stiffness of the circuit ends by": found.analog_n_per_m.by,
-        "stiffness, both [N/m]": _number(found.stiffness_n_per_m),
-        "damping, computer alone [N s/m]": _number(found.discrete_n_s_per_m.value),
-        "damping, circuit alone [N s/m]": _number(found.analog_n_s_per_m.value),
-        "damping of the circuit ends by": found.analog_n_s_per_m.by,
-        "damping, both [N s/m]": _number(found.damping_n_s_per_m),
+        "continuous force, any direction [N]": numbers.continuous_n,
+        "peak force, any direction [N]": numbers.peak_n,
+        "continuous force, best direction [N]": numbers.continuous_best_n,
+        "continuous force, worst pose [N]": numbers.continuous_least_n,
+        "peak force, worst pose [N]": numbers.peak_least_n,
+        "stiffness, computer alone [N/m]": _number(numbers.discrete_n_per_m.value),
+        "stiffness, circuit alone [N/m]": _number(numbers.analog_n_per_m.value),
+        "stiffness of the circuit ends by": numbers.analog_n_per_m.by,
+        "stiffness, both [N/m]": _number(numbers.stiffness_n_per_m),
+        "damping, computer alone [N s/m]": _number(numbers.discrete_n_s_per_m.value),
+        "damping, circuit alone [N s/m]": _number(numbers.analog_n_s_per_m.value),
+        "damping of the circuit ends by": numbers.analog_n_s_per_m.by,
+        "damping, both [N s/m]": _number(numbers.damping_n_s_per_m),
         "workspace, area [cm^2]": 1e4 * room.area_m2,
         "workspace, width [m]": _number(room.width_m),
         "workspace, height [m]": _number(room.height_m),

@@ -204,14 +204,14 @@ class Draws:
         steady = parts["d_post"][:, :m]
         if len(parts["a_post"]):
             steady = steady - parts["c_post"] @ np.linalg.solve(parts["a_post"], parts["b_post"][:, :m])
-        found = self._network.offsets(paths, steady, change)
+        offsets = self._network.offsets(paths, steady, change)
         return LinearCircuit(
             joints=n,
             model=self._model,
-            gain=paths.gain * v_fs / (v_fs + found.y),
-            offset=found.current,
-            x_offset=found.x,
-            y_offset=found.y,
+            gain=paths.gain * v_fs / (v_fs + offsets.y),
+            offset=offsets.current,
+            x_offset=offsets.x,
+            y_offset=offsets.y,
             limit=self._limits(values),
             **parts,
         )

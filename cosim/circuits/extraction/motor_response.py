@@ -92,7 +92,7 @@ def known(board: Deck) -> MotorResponse | None:
         return None
 
 
-def keep(board: Deck, found: MotorResponse) -> None:
+def keep(board: Deck, motor_response: MotorResponse) -> None:
     """Keep it under the deck's digest."""
-    arrays = {"hz": found.hz, "rest": found.rest, "channel": found.channel}
-    store_arrays(_name(board), {"v_fs": found.v_fs, "names": list(found.names)}, arrays)
+    arrays = {"hz": motor_response.hz, "rest": motor_response.rest, "channel": motor_response.channel}
+    store_arrays(_name(board), {"v_fs": motor_response.v_fs, "names": list(motor_response.names)}, arrays)

@@ -177,11 +177,11 @@ def component_noise(payload: dict[str, Any], report: Report) -> ComponentNoise:
             v_fs=about["v_fs"],
             notes=tuple(about["notes"]),
         )
-    found = extract_noise(board, report)
-    kept = {field.name: getattr(found, field.name) for field in fields(found)}
+    noise = extract_noise(board, report)
+    kept = {field.name: getattr(noise, field.name) for field in fields(noise)}
     arrays = {key: value for key, value in kept.items() if isinstance(value, np.ndarray)}
     store_arrays(name, {key: value for key, value in kept.items() if key not in arrays}, arrays)
-    return found
+    return noise
 
 
 def extract_noise(board: Deck, report: Report | None = None) -> ComponentNoise:

@@ -34,7 +34,7 @@ class Probe:
 def find_probes(board: Deck) -> list[Probe]:
     """Return every 0 V source of the board outside nested definitions, in the order of the netlist."""
     net = parse(board.lines[1:])
-    found: list[Probe] = []
+    probes: list[Probe] = []
 
     def walk(block: Block, path: str, nets: dict[str, str]) -> None:
         def named(node: str) -> str:
@@ -42,7 +42,7 @@ def find_probes(board: Deck) -> list[Probe]:
 
         for words in _sources(block):
             first, second = (named(word.lower()) for word in words[1:3])
-            found.append(Probe(path, f"v.{path}.{words[0].lower()}", (first, second)))
+            probes.append(Probe(path, f"v.{path}.{words[0].lower()}", (first, second)))
         for instance in block.instances():
             child = net.blocks.get(instance.block)
             if child is not None:
@@ -50,7 +50,7 @@ def find_probes(board: Deck) -> list[Probe]:
                 walk(child, f"{path}.{instance.name}", inner)
 
     walk(net.blocks[board.board], "xboard", {pin: pin for pin in board.pins})
-    return found
+    return probes
 
 
 def external_probes(board: Deck, sources: Collection[str]) -> Deck:

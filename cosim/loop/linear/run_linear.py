@@ -133,9 +133,9 @@ def prepare(
     state["w"]["located"] = any(state["p"][name] for name in ("coulomb_on", "stops_on", "backlash_on"))
     names = channels(n)
     driven = [names.index(name) - n for name in driving.channels if name.startswith("ks")]
-    whole = shifted(circuit)
+    shifted_circuit = shifted(circuit)
     maps = plan(
-        whole, driven,
+        shifted_circuit, driven,
         gear=constants.gear,
         commands=any(name.startswith("cmd") for name in driving.channels),
         speeds=driving.speeds,
@@ -147,13 +147,13 @@ def prepare(
     desk = bench(maps, np.zeros(maps.before + maps.after))
     first = 0.0
     if record and dense:
-        state["fresh"] = _SETTLED * _slowest(whole.a_post)
+        state["fresh"] = _SETTLED * _slowest(shifted_circuit.a_post)
         first = max(FIRST_ROW_SHARE * scene.computer.period_s, _FIRST_OF_FRESH * float(state["fresh"]))
         if scene.solver.max_step_s < _USUAL_STEP_S:  # who asks for closer rows gets them here, too
             first *= scene.solver.max_step_s / _USUAL_STEP_S
             state["fresh"] = max(float(state["fresh"]), scene.computer.period_s)
     failures: list[Exception] = []
-    leaps, callback = exact(state, whole, memory.knots, failures)
+    leaps, callback = exact(state, shifted_circuit, memory.knots, failures)
     tables = stepper.Tables(memory.state, maps, desk, leaps)
     return Propagation(memory, circuit, maps, desk, leaps, callback, failures, first, tables)
 
