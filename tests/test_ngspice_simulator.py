@@ -184,7 +184,7 @@ def test_c_callbacks_by_address_breakpoints_and_truncation(simulator: Simulator)
     simulator.load(RC)
     set_breakpoint = ctypes.CFUNCTYPE(ctypes.c_bool, ctypes.c_double)(simulator.set_breakpoint_address())
     assert set_breakpoint(math.pi * 1e-4)
-    simulator.set_breakpoint(math.e * 1e-4)
+    assert set_breakpoint(math.e * 1e-4)
     simulator.command("tran 1u 1m 0 100u")
     assert set(names) == {"time", "a", "b", "v1#branch"}
     for wanted in (math.pi * 1e-4, math.e * 1e-4):  # a breakpoint is met to rounding

@@ -12,8 +12,6 @@ from dataclasses import dataclass
 
 from cosim.ngspice.deck import Deck, board_pins
 
-#: The external sources are called v00 ... v99, two digits that compiled code reads: n = 6 needs 96.
-MOST_SOURCES = 100
 #: Nodes that are recorded or watched, at most.
 MOST_NODES = 256
 #: Supplies of every board [V]: vcc and vee are driven by the deck.

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from cosim.circuits.design_constants import Stated
 from cosim.effects import EFFECTS
-from cosim.scene import Level, PotNoise, Scene
+from cosim.scene import Level, PotNoise, PythonOperator, Scene
 
 #: Points of a sample beyond the longest steps: what the restart behind its jump and its ramp takes; in
 #: `spice` at ngspice's relative tolerance `_RTOL`, and with its fourth root at others.
@@ -99,5 +99,5 @@ def _is_exact(scene: Scene) -> bool:
     effects = scene.effects
     bent = effects.pot_linearity or effects.pot_calibration
     bent = bent or effects.pot_noise in (PotNoise.STATIC, PotNoise.POSITION)
-    others = effects.coulomb or effects.end_stops or effects.component_noise
-    return scene.is_slider and not (bent or others)
+    others = effects.coulomb or effects.end_stops or effects.component_noise or effects.shaft
+    return scene.is_slider and not (bent or others or isinstance(scene.operator, PythonOperator))

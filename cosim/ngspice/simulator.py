@@ -276,11 +276,6 @@ class Simulator:
         """Return the address of ``int ngSpice_Command(char *)``, by which a callback stops a run."""
         return self._address(self._library.api.ngSpice_Command)
 
-    def set_breakpoint(self, time_s: float) -> None:
-        """Make the running or the next transient analysis land exactly on `time_s`."""
-        if not math.isfinite(time_s) or not self._library.api.ngSpice_SetBkpt(time_s):
-            raise SimulationError(f"ngspice refused the breakpoint {time_s!r}", deck=self._deck)
-
     def stop(self) -> None:
         """Stop the running analysis at its next point; for use inside callbacks.
 
