@@ -1,14 +1,21 @@
 """Delay of a spring, block by block: against formulas, the fitted model, and a known network."""
 
+import json
 import shutil
 
 import numpy as np
 import pytest
 from extraction_boards import NETLISTS, board, shipped
 
+from cosim import cli
+from cosim.analysis.extracted import circuit_of
+from cosim.assets import scenes_folder
 from cosim.circuits.extraction.block_delays import spring_delays
 from cosim.ngspice.child import call
 from cosim.ngspice.deck import load_deck
+from cosim.plan import resolve
+from cosim.scene import load_scene
+from cosim.studies.analog_limit import lag
 
 #: From netlists/: gain-bandwidths, multiplier's pole, winding.
 TL072, OPA548, AD633 = 3e6, 1e6, 1e6
@@ -160,3 +167,25 @@ def test_own_topologies_are_told_right_or_together(tmp_path, name, driver):
     assert found.keys() - set(own) == others.keys()
     for instance, delay in others.items():
         assert found[instance] == pytest.approx(delay, rel=1e-3, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "more", [(), ("vca_offset=true", "opamp_offset=true", "driver=current")], ids=["", "offsets"]
+)
+def test_four_tell_one_delay(more, capsys):
+    """Certificate, study of the analog limit, blocks and `check`: of the spring alone, whatever leaks by it.
+
+    They share no code but ngspice: derivatives of the fitted state space, its response at a low frequency,
+    products of cuts, and a sweep. A fit is right to 1e-6 and better.
+    """
+    asked = [*(f"effects.{each}" for each in more), "solver.model=linear"]
+    plan = resolve(load_scene(scenes_folder() / "press.toml", asked))
+    circuit, constants = circuit_of(plan)
+    told = circuit.certificate["delay_s"]
+    words = ["check", str(plan.scene.file), "--json", *(word for each in asked for word in ("--set", each))]
+    assert cli.main(words) in (0, 1)
+    paths = json.loads(capsys.readouterr().out)["checks"][0]["paths"]
+    seen = next(path["delay_s"] for path in paths if path["kind"] == "pot" and path["joint"] == 1)
+    whole = spring_delays(plan.board)[0].total_s
+    for other in (told["spring_before"] + told["after"], lag(constants, circuit), seen):
+        assert other == pytest.approx(whole, rel=1e-5)
