@@ -468,3 +468,14 @@ def test_a_point_that_is_not_found_at_rated_current_leaves_the_rest(monkeypatch)
     (note,) = notes
     assert note.startswith("w_rated 11 is not told: ")
     assert "no DC operating point" in note
+
+
+def test_the_most_current_is_that_of_the_dacs_own_range(capsys):
+    """DACs of 0.2 V, gains at 10 V full scale: (u k_fs/v_rad + cmd/v_nm)/(kt gear), far from any limit.
+
+    With both at 10 V, as shipped, the one range cannot be told from the other.
+    """
+    assert main(["check", str(SCENES / "press.toml"), "--set", "dac_v=0.2", "--json"]) in (0, 1)
+    found = json.loads(capsys.readouterr().out)["checks"][0]["headroom"]["limits_a"]
+    wanted = (0.2 * 3.0003 / 3.37034 + 0.2 / 15.625) / (0.04 * 8)
+    assert found == pytest.approx([wanted] * 2, rel=2e-3)  # design constants are rounded, amplifiers finite

@@ -2,12 +2,14 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from linear_runs import CONSTANTS, ideal, lagging
 from support import COMMAND_TRUE, SCENES, SPRING_TRUE, V_NM, merge, scene_of, slider
 
+from cosim.analysis.impedance import full_scale
 from cosim.analysis.stability import border, held, touching, with_computer
 from cosim.analysis.stiffness_map import Axis, border_map, changed, pencil
 from cosim.checkpoint import Points
@@ -233,3 +235,10 @@ def test_a_mass_that_runs_away_ends_its_drop(tmp_path):
     work = dropped(tmp_path, 0.1)
     job = replace(work.job, scene=work.job.scene.model_copy(update={"duration_s": 200.0}))
     assert Falls(job, "k_dp").share(5e4) == 0.0
+
+
+@pytest.mark.parametrize(("dac_v", "share"), [(10.0, 1.0), (5.0, 0.5), (20.0, 1.0)])
+def test_full_scale_is_the_converters_or_the_multipliers_whichever_ends_first(dac_v, share):
+    """At an arm of 0.1 m, 3 N m/rad are 300 N/m; a converter of half the range gives half of it."""
+    board = SimpleNamespace(k_fs=3.0, c_fs=0.07, v_fs=10.0, dac_v=dac_v)
+    assert full_scale(board, np.array([0.1, -0.05])) == pytest.approx((300.0 * share, 7.0 * share), rel=1e-12)
