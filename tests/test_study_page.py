@@ -124,6 +124,11 @@ def test_it_is_self_contained(page: Path) -> None:
     files = [target for target in targets if target.startswith(("figures/", "data/"))]
     assert len(files) == 2 * (3 + 2)  # PNG, SVG and data of a figure, two tables, for each study
     assert all((page.parent / target).is_file() for target in files)
+    tables = [
+        (page.parent / target).read_text("utf-8").splitlines() for target in files if target.endswith("csv")
+    ]
+    assert len(tables) == 2 * (1 + 2)
+    assert all(len(rows) > 1 for rows in tables)  # a link to headings alone is a link to nothing
 
 
 @pytest.mark.browser
