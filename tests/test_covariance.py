@@ -24,6 +24,7 @@ from cosim.analysis.extracted import circuit_of
 from cosim.analysis.linearise import linearise
 from cosim.analysis.noise_covariance import noise_covariance, noise_grid
 from cosim.analysis.period_map import lift
+from cosim.analysis.stability import touching
 from cosim.errors import InputError
 from cosim.loop.computer import COMPUTER, SAMPLE, law, to_volts
 from cosim.loop.noise import potentiometer_noise
@@ -393,3 +394,20 @@ def test_the_shipped_board_has_the_noise_of_its_resistors(tmp_path):
     hand = noise_covariance(scene, CONSTANTS, ideal(1))
     assert ours.rms("penetration") == pytest.approx(hand.rms("penetration"), rel=1e-3)
     assert lift(linearise(scene, constants, circuit, ours.q)).states == 2
+
+
+def test_the_motors_force_turns_with_the_arm():
+    """F = J^-T tau under preload: to angles alone, against differences of J^-T with the torques held.
+
+    Central differences of 1e-6 rad are right to 1e-9; currents that follow the angles come on top, as told.
+    """
+    scene = load_scene(SCENES / "press.toml", ["solver.model=linear"])
+    q = touching(scene, CONSTANTS) - [0.05, 0.02]  # some millimetres deep
+    found = linearise(scene, CONSTANTS, lagging(ideal(2), 2e3, 3e3), q)
+    linkage = mechanism(scene, CONSTANTS.gear)
+    torque = CONSTANTS.torque_per_amp * found.current_a
+    force = lambda at: np.linalg.solve(linkage.jacobian(at).T, torque)  # noqa: E731
+    turned = np.column_stack([(force(q + d) - force(q - d)) / 2e-6 for d in 1e-6 * np.eye(2)])
+    follows = np.linalg.solve(linkage.jacobian(q).T, CONSTANTS.torque_per_amp * found.outputs["currents"].c)
+    assert np.abs(turned).max() > 0.1  # N/rad, of a press of half a newton
+    np.testing.assert_allclose(found.outputs["motor_force"].c[:, :2], turned + follows[:, :2], atol=1e-6)
