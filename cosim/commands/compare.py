@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.commands.command import Command, measure_argument, trust_arguments
+from cosim.commands.distributions import arguments, by_distributions
 
 if TYPE_CHECKING:
     from cosim.comparisons.compare_boards import Row, Side
@@ -43,6 +44,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     )
     measure_argument(parser, "measure to compare, and nothing else: no check, no page")
     parser.add_argument("--most", type=int, default=40, metavar="N", help="figures to show (default: 40)")
+    arguments(parser)
     trust_arguments(parser)
 
 
@@ -56,12 +58,17 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         from cosim.belongings import refuse_foreign
         from cosim.commands.progress import progress
         from cosim.comparisons.measuring import check_measures
+        from cosim.errors import fail
         from cosim.variants import parse_settings, variants
         from reports.page import PAGE_NAME
 
         check_measures(args.measure)
+        if args.spec and args.mc is None:
+            fail("is of devices that vary: give their number with --mc", key="--spec", value=args.spec[0])
         last = _USUAL / Path(args.scene).stem if args.last == "" else Path(args.last) if args.last else None
         values = [variant for variant in variants(parse_settings(args.set)) if variant.values]
+        if args.mc is not None:
+            return _distributions(args, values, last)
         if args.measure:
             return _measures(args, values, last, child)
         out = Path(args.out) if args.out else _USUAL / "compare"
@@ -84,6 +91,20 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         "page": str(page),
     }
     return result, text
+
+
+def _distributions(
+    args: argparse.Namespace, values: "list[Variant]", last: Path | None
+) -> tuple[dict[str, Any], str]:
+    """Compare designs by their distributions."""
+    from cosim.comparisons.compare_boards import sides_of
+    from cosim.errors import fail
+
+    if last is not None:
+        fail("a stored run is one device: give boards or values", key="--last", value=str(last))
+    designs = [(each.label, each.overrides) for each in sides_of(args.boards, values, None)]
+    out = Path(args.out) if args.out else _USUAL / "compare-mc"
+    return by_distributions(args, args.scene, designs, out)
 
 
 def _measures(

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.commands.command import Command, tolerance_argument, trust_arguments
+from cosim.commands.distributions import arguments, by_distributions
 
 if TYPE_CHECKING:
     from cosim.comparisons.sweep import Sweep
@@ -25,6 +26,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         "--set", action="append", default=[], metavar="NAME=VALUE", help="change a value for all; repeatable"
     )
     tolerance_argument(parser, "choose each point's solver settings so that measures are this right")
+    arguments(parser)
     trust_arguments(parser)
     parser.add_argument(
         "-o",
@@ -44,7 +46,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         from cosim.comparisons.sweep import TABLE, parse_range
         from cosim.errors import fail
         from cosim.scene import load_scene
-        from cosim.variants import parse_settings
+        from cosim.variants import parse_settings, variants
         from reports.sweep import FILES, MANIFEST, write_sweep
 
         fixed = parse_settings(args.set)
@@ -55,6 +57,12 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         doubled = {s.name for s in settings if sum(s.name == other.name for other in settings) > 1}
         if doubled:
             fail("is swept twice", key="range", value=", ".join(sorted(doubled)))
+        if args.spec and args.mc is None:
+            fail("is of devices that vary: give their number with --mc", key="--spec", value=args.spec[0])
+        if args.mc is not None:
+            designs = [(each.label, (*overrides, *each.overrides)) for each in variants(settings)]
+            where = Path(args.out) if args.out else Path("out/sweep-mc")
+            return by_distributions(args, args.scene, designs, where)
         out = Path(args.out) if args.out else Path("out/sweep")
         refuse_foreign(out, FILES, MANIFEST)
         measures = list(dict.fromkeys(args.measure)) or ["peak_force", "max_penetration"]
@@ -97,7 +105,7 @@ def _text(found: "Sweep", table: Path, picture: Path | None) -> str:
 
 
 def _exit_code(args: argparse.Namespace, result: dict[str, Any]) -> int:
-    return int(bool(result["failed"]))
+    return int(bool(result.get("failed")))
 
 
 COMMAND = Command(

@@ -15,7 +15,7 @@ from cosim.tolerance.monte_carlo import Study
 from cosim.tolerance.sensitivity import Surface, deviations
 from cosim.tolerance.spec import Spec
 
-__all__ = ["GRADES", "Line", "best_pair", "bill", "bought", "grade_text"]
+__all__ = ["GRADES", "Line", "best_pair", "bill", "bought", "gained", "grade_text"]
 
 Array = NDArray[np.float64]
 #: Tolerances in which components are sold.
@@ -98,7 +98,7 @@ def bill(
         loosest, gain = None, None
         if specs and shape.relative and size > 0.0:
             loosest = max((g for g in GRADES if float(np.mean(at(g / size))) >= target - 1e-12), default=None)
-            gain = _gained(now, at(better / size)) if better is not None else None
+            gain = gained(now, at(better / size)) if better is not None else None
         lines.append(
             Line(
                 name,
@@ -165,7 +165,7 @@ def _passed(specs: Sequence[Spec], values: Mapping[str, Array]) -> NDArray[np.bo
     return np.asarray(np.all(every, axis=0)) if every else np.ones(1, dtype=bool)
 
 
-def _gained(before: NDArray[np.bool_], after: NDArray[np.bool_]) -> Estimate:
+def gained(before: NDArray[np.bool_], after: NDArray[np.bool_]) -> Estimate:
     """Return the change of a yield on the same samples; exact bounds of what is won and what is lost."""
     n = len(before)
     won, lost = int(np.sum(after & ~before)), int(np.sum(before & ~after))

@@ -27,7 +27,7 @@ from cosim.tolerance.spec import Spec
 from cosim.tolerance.varying import Tolerances
 from cosim.units import heading
 
-__all__ = ["Findings", "components_csv", "find"]
+__all__ = ["Findings", "components_csv", "estimate_dict", "find", "summary_dict"]
 
 
 @dataclass(frozen=True)
@@ -100,11 +100,11 @@ class Findings:
             "convention": CONVENTION,
             "components": component_rows(study.tolerances),
             "variables": list(study.tolerances.variables),
-            "measures": {name: _summary(each) for name, each in self.summaries.items()},
+            "measures": {name: summary_dict(each) for name, each in self.summaries.items()},
             "specs": [
                 {"measure": s.measure, "low": _finite(s.low), "high": _finite(s.high)} for s in self.specs
             ],
-            "yields": {text: _estimate(each) for text, each in self.yields.items()},
+            "yields": {text: estimate_dict(each) for text, each in self.yields.items()},
             "failures": {str(k): why for k, why in study.failures.items()},
             "surfaces": {name: _surface(each) for name, each in self.surfaces.items()},
             "bill": [_line(line) for line in self.bill],
@@ -271,20 +271,22 @@ def components_csv(tolerances: Tolerances) -> str:
     return _csv(list(rows[0]) if rows else [], [list(row.values()) for row in rows])
 
 
-def _summary(of: Summary) -> dict[str, Any]:
+def summary_dict(of: Summary) -> dict[str, Any]:
+    """Return a summary, JSON-ready."""
     return {
         "nominal": of.nominal,
         "unit": UNITS.get(of.name, ""),
-        "mean": _estimate(of.mean),
-        "standard_deviation": _estimate(of.spread),
-        "quantiles": {f"{share:g}": _estimate(each) for share, each in of.quantiles.items()},
+        "mean": estimate_dict(of.mean),
+        "standard_deviation": estimate_dict(of.spread),
+        "quantiles": {f"{share:g}": estimate_dict(each) for share, each in of.quantiles.items()},
         "least": of.least,
         "largest": of.largest,
         "lacking": of.lacking,
     }
 
 
-def _estimate(of: Estimate) -> dict[str, Any]:
+def estimate_dict(of: Estimate) -> dict[str, Any]:
+    """Return an estimate, JSON-ready; infinite ends are None."""
     return {"value": _finite(of.value), "low": _finite(of.low), "high": _finite(of.high), "how": of.how}
 
 
@@ -303,11 +305,11 @@ def _line(line: Line) -> dict[str, Any]:
     return {
         "name": line.name,
         "tolerance": line.tolerance,
-        "share": {name: _estimate(each) for name, each in line.share.items()},
+        "share": {name: estimate_dict(each) for name, each in line.share.items()},
         "slope": dict(line.slope),
         "loosest": line.loosest,
         "better": line.better,
-        "gain": None if line.gain is None else _estimate(line.gain),
+        "gain": None if line.gain is None else estimate_dict(line.gain),
     }
 
 

@@ -1,0 +1,146 @@
+"""What `compare` and `sweep` print and write of designs by their distributions (``--mc N``)."""
+
+import argparse
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cosim.scene.load import SceneLike
+    from cosim.tolerance.intervals import Estimate
+    from cosim.tolerance.sides import Side
+
+TABLE = "distributions.csv"
+_SHARES = (0.05, 0.95)
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.add_argument(
+        "--mc", type=int, metavar="N",
+        help="compare distributions: N devices of each by the tolerances, the same draws for all",
+    )  # fmt: skip
+    parser.add_argument(
+        "--spec", action="append", default=[], metavar="TEXT",
+        help='with --mc: what a device must do to pass, "rendered_stiffness in 95..105"; repeatable',
+    )  # fmt: skip
+
+
+def by_distributions(
+    args: argparse.Namespace, scene: "SceneLike", designs: Sequence[tuple[str, tuple[str, ...]]], out: Path
+) -> tuple[dict[str, Any], str]:
+    """Measure designs and return the result as JSON and as text; writes a table."""
+    from cosim.belongings import manifest_of, refuse_foreign, write_files
+    from cosim.commands.progress import progress
+    from cosim.tolerance.sides import sides
+    from cosim.tolerance.spec import parse_specs
+
+    refuse_foreign(out, [TABLE], manifest_of("distributions"))
+    with progress("devices") as show:
+        found = sides(
+            scene, designs, list(dict.fromkeys(args.measure)), parse_specs(args.spec), args.mc, out,
+            trust=args.trust, on_progress=show,
+        )  # fmt: skip
+    write_files(out, {TABLE: _csv(found).encode()}, manifest_of("distributions"))
+    result = {
+        "devices": args.mc,
+        "model": found[0].study.model,
+        "sides": [_as_dict(side) for side in found],
+        "table": str(out / TABLE),
+    }
+    return result, "\n".join([*_text(found), f"wrote {out / TABLE}"])
+
+
+def _as_dict(side: "Side") -> dict[str, Any]:
+    from cosim.tolerance.findings import estimate_dict, summary_dict
+
+    return {
+        "label": side.label,
+        "measures": {
+            name: {**summary_dict(each), "change_of_mean": estimate_dict(side.changes[name])}
+            for name, each in side.summaries.items()
+        },
+        "yields": {
+            text: {**estimate_dict(each), "change": estimate_dict(side.gains[text])}
+            for text, each in side.yields.items()
+        },
+        "failures": len(side.study.failures),
+    }
+
+
+def _text(found: "Sequence[Side]") -> list[str]:
+    from cosim.catalogue import UNITS
+    from cosim.units import quantity
+
+    def told(of: "Estimate", unit: str, digits: int = 5) -> str:
+        low, high = (quantity(end, unit, 4) for end in (of.low, of.high))
+        return f"{quantity(of.value, unit, digits)} ({low} to {high})"
+
+    n, model = found[0].study.sampling.n, found[0].study.model
+    lines = [f"{n} devices of each, the same draws, model {model}; in parentheses what holds with 95 %"]
+    for name in found[0].summaries:
+        unit = UNITS.get(name, "")
+        rows = [[name, "nominal", "mean", "standard deviation", "change of the mean"]]
+        for side in found:
+            each, first = side.summaries[name], side is found[0]
+            change = "-" if first else told(side.changes[name], unit, 4)
+            rows.append(
+                [
+                    side.label, quantity(each.nominal, unit, 5), told(each.mean, unit),
+                    told(each.spread, unit), change,
+                ]
+            )  # fmt: skip
+        lines += ["", *_aligned(rows)]
+    for text in found[0].yields:
+        rows = [[f"yield, {text}", "", "change"]]
+        for side in found:
+            change = "-" if side is found[0] else _percent(side.gains[text])
+            rows.append([side.label, _percent(side.yields[text]), change])
+        lines += ["", *_aligned(rows)]
+    failed = [f"{side.label}: {len(side.study.failures)} devices have no measures" for side in found
+              if side.study.failures]  # fmt: skip
+    return [*lines, *failed]
+
+
+def _percent(of: "Estimate") -> str:
+    return f"{100 * of.value:.4g} % ({100 * of.low:.4g} to {100 * of.high:.4g})"
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+
+
+def _csv(found: "Sequence[Side]") -> str:
+    from cosim.catalogue import UNITS
+    from cosim.units import heading
+
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    parts = (
+        "mean",
+        "mean low",
+        "mean high",
+        "standard deviation",
+        "change of mean",
+        "change low",
+        "change high",
+    )
+    names = list(found[0].summaries)
+    columns = [f"{heading(name, UNITS.get(name, ''))} {part}" for name in names for part in parts]
+    texts = list(found[0].yields)
+    yields = [f"yield {text} {part}" for text in texts for part in ("", "low", "high", "change")]
+    writer.writerow(["design", *columns, *(each.replace("  ", " ").strip() for each in yields)])
+    for side in found:
+        row: list[Any] = [side.label]
+        for name in names:
+            each, change = side.summaries[name], side.changes[name]
+            row += [each.mean.value, each.mean.low, each.mean.high, each.spread.value]
+            row += [change.value, change.low, change.high]
+        for text in texts:
+            share = side.yields[text]
+            row += [share.value, share.low, share.high, side.gains[text].value]
+        writer.writerow(row)
+    return stream.getvalue()
