@@ -65,6 +65,7 @@ def test_values_of_a_resistor_by_their_distributions(
     assert [path.stat().st_mtime_ns for path in files] == times
 
 
+@pytest.mark.slow
 def test_a_sweep_by_distributions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     told = json.loads(
         call(capsys, "sweep", PRESS, "r_sum_fb=9.8k:10.2k:3", "--set", "solver.model=linear", *ASKED,
