@@ -20,6 +20,7 @@ from cosim.tolerance.sensitivity import deviations
 from cosim.types import Array
 from cosim.units import heading, quantity
 from reports.page import PAGE_NAME, picture, render, write_page
+from reports.sliders import SLIDERS, sliders_page
 from reports.style import FAINT, FORCE, INK, JOINTS, LIMIT, Drawn, figure, legend, look
 from reports.tolerance_sections import Section, Table, percent, rare_failures, two_models, value
 
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 #: Figures of a measure; the last two need a fitted surface.
 PARTS = ("distribution", "estimate", "blame", "leading")
 #: What is written besides the figures.
-FILES = (PAGE_NAME, "samples.csv", "components.csv", "bill.csv", RECORD)
+FILES = (PAGE_NAME, "samples.csv", "components.csv", "bill.csv", RECORD, SLIDERS)
 #: Bars of the tornado, points of a scatter, rows of tables.
 _BARS, _POINTS, _ROWS, _WORST = 15, 4000, 40, 5
 
@@ -76,7 +77,9 @@ def write_monte_carlo(
     )  # fmt: skip
     record = json_text({"digest": digest, "replay": replay, "asked": asked, **found.as_dict()}) + "\n"
     tables = (found.samples_csv(), components_csv(found.study.tolerances), found.bill_csv(), record)
-    files = dict(zip(FILES[1:], tables, strict=True))
+    files = dict(zip(FILES[1:], tables, strict=False))
+    if found.surfaces:
+        files[SLIDERS] = sliders_page(found)
     return write_page(out, html, [each for section in sections for each in section.pictures], files)
 
 
@@ -308,4 +311,6 @@ def _bill(found: "Findings") -> Section:
     if len(found.bill) > _ROWS:
         note += f" {len(found.bill)} rows, all of them in the file."
     table = Table("Tolerance bill", head, rows, note, "bill.csv")
-    return Section("bill", "What to buy better", (), [], [table])
+    return Section(
+        "bill", "What to buy better", (), [], [table], link=(SLIDERS, "Sliders over the fitted surfaces")
+    )

@@ -40,6 +40,7 @@ class Section:
     tables: list[Table]
     price: str = ""
     judges: tuple[()] = ()
+    link: tuple[str, str] | None = None
 
 
 def two_models(levels: "Levels") -> Section:

@@ -1,0 +1,86 @@
+"""A page of sliders over the fitted surfaces of a Monte Carlo study: move a component, see measure and yield.
+
+It is a file of its own, works without a server or a network, and computes nothing that the surfaces do not
+say: their R^2 on samples that they were not fitted to, and their error, stand beside what they tell.
+"""
+
+import json
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cosim.catalogue import UNITS
+from cosim.tolerance.sensitivity import deviations
+from reports.page import render
+
+if TYPE_CHECKING:
+    from cosim.tolerance.findings import Findings
+
+__all__ = ["SLIDERS", "sliders_page"]
+
+SLIDERS = "sliders.html"
+
+#: Components that get a slider, and samples that are moved with them.
+_SLIDERS, _SAMPLES = 10, 500
+#: A slider goes to so many times the component's tolerance.
+_REACH = 2.0
+
+
+def sliders_page(found: "Findings") -> str:
+    """Return the page; at most 500 kB, whatever the study's size."""
+    data = json.dumps(_data(found), allow_nan=False, separators=(",", ":"))
+    return render("sliders.html.j2", data=data.replace("<", "\\u003c"))
+
+
+def _data(found: "Findings") -> dict[str, Any]:
+    study, surfaces = found.study, found.surfaces
+    known = np.flatnonzero(np.isfinite(study.results).all(axis=1))[:_SAMPLES]
+    weight = np.zeros(len(study.tolerances.variables))
+    for surface in surfaces.values():
+        weight += (surface.linear / surface.total) ** 2
+    leading = [int(j) for j in np.argsort(-weight, kind="stable")[:_SLIDERS]]
+    place = {j: k for k, j in enumerate(leading)}
+    z = deviations(study.tolerances, study.uniforms()[known])[:, leading]
+    sliders = []
+    for j in leading:
+        shape = study.tolerances.shape(j)
+        size = max(shape.high, -shape.low)
+        sliders.append(
+            {
+                "name": study.tolerances.variables[j], "tolerance": shape.text(), "relative": shape.relative,
+                "reach": _REACH * size, "deviation": shape.moments()[1],
+            }
+        )  # fmt: skip
+    shown = [
+        {
+            "name": name, "title": f"{name.replace('_', ' ')} [{UNITS.get(name) or '1'}]",
+            "linear": [float(f"{s.linear[j]:.7g}") for j in leading],
+            "second": [
+                [place[a], place[b], float(f"{c:.7g}")]
+                for (a, b), c in zip(s.terms, s.second, strict=True)
+                if a in place and b in place
+            ],
+            "samples": [float(f"{v:.9g}") for v in study.column(name)[known]],
+            "r2": s.held_out, "error": s.total * math.sqrt(max(1.0 - s.held_out, 0.0)),
+        }
+        for name, s in surfaces.items()
+    ]  # fmt: skip
+    every = [spec for spec in found.specs if spec.measure in surfaces]
+    passing = [spec.passed(study.column(spec.measure)[known]) for spec in every]
+    specs = [
+        {
+            "measure": spec.measure, "text": spec.text, "designed": float(np.mean(good)),
+            "low": max(spec.low, -1e300), "high": min(spec.high, 1e300),
+        }
+        for spec, good in zip(every, passing, strict=True)
+    ]  # fmt: skip
+    note = (
+        f"{len(known)} devices, model {study.model}. The error is the standard deviation of what a surface "
+        "leaves unexplained; far from the design, where no device was, it says nothing."
+    )
+    return {
+        "sliders": sliders, "surfaces": shown, "specs": specs, "note": note,
+        "designed": float(np.mean(np.all(passing, axis=0))) if passing else 1.0,
+        "z": [[float(f"{v:.5g}") for v in row] for row in z],
+    }  # fmt: skip

@@ -1,0 +1,43 @@
+"""The page of sliders: what a moved component does, in a browser, against the formula."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import Browser
+from formula_studies import LIMIT, SIGMA, SLOPE, formulas, measured
+from scipy import special
+
+from reports.sliders import SLIDERS, sliders_page
+
+
+@pytest.mark.browser
+def test_a_moved_resistor_moves_measure_and_yield(tmp_path: Path) -> None:
+    """A shift of 1 % is one standard deviation of r1, which weighs most: the mean moves by its slope."""
+    found = measured(formulas(400))
+    page = tmp_path / SLIDERS
+    page.write_text(sliders_page(found), encoding="utf-8")
+    assert page.stat().st_size < 500_000
+    cell = "Number(document.querySelector('#measures td:nth-child(2)').textContent)"
+    passing = "document.querySelector('#yields td:nth-child(2)').textContent"
+    with Browser(900, 800) as browser:
+        visit = browser.visit(page)
+        assert not visit.complaints
+        assert len(visit.requests) == 1
+        before = browser.evaluate(cell)
+        assert before == pytest.approx(found.study.results.mean(), rel=1e-3)
+        assert "r1" in browser.evaluate("document.querySelector('label span').textContent")
+        browser.evaluate(
+            f"(() => {{ const i = document.querySelector('input'); i.value = {-SIGMA};"
+            "i.dispatchEvent(new Event('input')); })()"
+        )
+        moved = browser.evaluate(cell) - before
+        # the fitted slope has an error of some per cent of its own
+        assert moved == pytest.approx(-SLOPE[1], rel=0.05)
+        share = float(browser.evaluate(passing).split()[0]) / 100.0
+        exact = special.ndtr(LIMIT + SLOPE[1])
+        assert share == pytest.approx(exact, abs=4.0 * np.sqrt(exact * (1.0 - exact) / 400))
+        browser.screenshot(tmp_path / "sliders.png")
+        browser.evaluate("document.getElementById('reset').click()")
+        assert browser.evaluate(cell) == before
+    assert (tmp_path / "sliders.png").stat().st_size > 0
