@@ -108,7 +108,7 @@ class StudyResult:
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
     digest: str = ""
-    kept_in: str = ""
+    kept_in: str = field(default="", compare=False)
 
     def table(self, name: str) -> Table:
         """Return a table by its name; `KeyError` when there is none."""
