@@ -226,7 +226,9 @@ def test_effects_ledger_knows_what_matters(tmp_path, capsys):
 def test_every_choice_of_the_ledger_runs_on_a_board_of_its_own():
     """What one effect makes of the netlist may not be the board of another."""
     path = scenes_folder() / "press.toml"
-    runner = effects_ledger._Runner(path, ("solver.model=auto", "device.temperature_c=50"), (), None, None)
+    runner = effects_ledger._Runner(
+        path, ("solver.model=auto", "device.temperature_c=50"), (), None, None, None
+    )
     null = {effect.name: effect.null for effect in EFFECTS}
     for effect in CIRCUIT:
         for value in effect.on:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -97,7 +98,9 @@ def interrupted(folder, kill_after_s, whom):
     """Start a slow study in a process of its own and kill it, or one of its workers."""
     env = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
     command = [sys.executable, str(HERE / "engine_jobs.py"), str(folder), str(N), "0.03", "2"]
-    process = subprocess.Popen(command, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    process = subprocess.Popen(
+        command, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    )
     time.sleep(kill_after_s)
     if whom == "worker":
         children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
@@ -107,6 +110,10 @@ def interrupted(folder, kill_after_s, whom):
     else:
         process.send_signal(whom)
         process.wait(60)
+        with suppress(ProcessLookupError):  # workers that outlive their parent end with their chunk
+            for _ in range(600):
+                os.killpg(process.pid, 0)
+                time.sleep(0.1)
 
 
 AT_THE_START = """
@@ -150,7 +157,6 @@ def test_an_interrupted_study_goes_on_and_ends_with_the_same_bytes(tmp_path, who
     folder = tmp_path / "killed"
     for wait_s in (2.0, 4.0):
         interrupted(folder, wait_s, whom)
-    time.sleep(0.3)  # a worker that outlives its parent ends with its chunk
     kept = {path.name for path in (folder / "mc" / "parts").glob("*.parquet")}
     other = run(job(folder, N), folder / "mc", workers=2, chunk=9)
     assert (other.folder / "samples.parquet").read_bytes() == truth
