@@ -280,6 +280,14 @@ def test_commands_refuse_a_forged_result_in_words(
     assert not os.path.exists(out)
 
 
+def test_a_run_of_another_scene_is_not_compared(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    header_with(b"\timot2\t", b"\timotx\t")(copy)
+    reseal(copy)
+    words = ["compare", str(SCENES / "press.toml"), "--last", str(copy), "-o", str(copy.parent / "out")]
+    assert cli.main(words) == 2
+    assert "signals are missing" in capsys.readouterr().err
+
+
 def test_what_a_page_shows_of_a_forged_result_is_text(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What is of the right form is shown: without effect on browser, terminal or disk."""
     odd = "<script>alert(1)</script>\x1b[2J`touch MARK` $(touch MARK) {{7*7}} $\\frac"

@@ -217,6 +217,10 @@ def _file_name(label: str) -> str:
 def _prepared(scene_file: SceneLike, asked: Asked, trust: bool) -> tuple[Plan, Subject, Run | None]:
     if asked.stored is not None:
         result = Run.load(asked.stored)
+        every = range(1, result.scene.joints + 1)
+        lacking = [name for j in every for name in (f"imot{j}", f"v{j}") if name not in result.signals]
+        if lacking:
+            fail("is no run of its scene: signals are missing", file=str(result.signals.path), key=lacking[0])
         board = deck_file.load(asked.stored, trust=trust)
         plan = resolve(result.scene, trust=trust, board=board)
         # its parts at other levels are gone with the netlists, so the share of ideal parts is not told
