@@ -45,6 +45,7 @@ _ALONE = {
     "--shard": ("two_level", "rare", "wanted", "worst_case", "merge"),
     "--merge": ("two_level", "rare", "workers", "chunk"),
     "--until": ("samples",),
+    "--cluster": ("list", "sample", "shard", "merge", "workers"),
 }
 #: Lines of the bill that are printed; the file has all.
 _MOST_LINES = 12
@@ -88,6 +89,10 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--list", action="store_true", help="print what varies, and draw nothing")
     parser.add_argument("--sample", type=int, metavar="I", help="measure sample I of the study alone")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one a processor)")
+    parser.add_argument(
+        "--cluster", metavar="ADDRESS",
+        help="scheduler of `distributed` whose workers measure, tcp://HOST:PORT; they must see the folder",
+    )  # fmt: skip
     parser.add_argument("--chunk", type=int, metavar="N", help="samples measured together")
     parser.add_argument("--shard", metavar="I/N", help="measure the I-th of N shards only, for array jobs")
     parser.add_argument("--merge", nargs="+", default=[], metavar="FOLDER", help="put shards together")
@@ -155,7 +160,7 @@ def _processes(args: argparse.Namespace, out: Path) -> "Processes":
         value = getattr(args, name)
         if value is not None and value < 1:
             fail("must be at least one", key=f"--{name}", value=value, allowed=">= 1")
-    return Processes(out, args.workers, args.chunk, tuple(map(Path, args.merge)))
+    return Processes(out, args.workers, args.chunk, tuple(map(Path, args.merge)), args.cluster)
 
 
 def _shard(text: str) -> tuple[int, int]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from cosim.errors import fail
 from cosim.staging import disk_errors
+from cosim.tolerance.cluster import clustered
 from cosim.tolerance.monte_carlo import Engine
 from cosim.tolerance.sample_store import Samples
 from cosim.tolerance.worker_pool import Chunk, Lost, cores, pooled
@@ -91,6 +92,7 @@ def run(
     workers: int | None = None,
     chunk: int | None = None,
     part: tuple[int, int] = (1, 1),
+    cluster: str | None = None,
     on_progress: Progress | None = None,
 ) -> Samples:
     """Measure all samples of a study, or of a shard of it, that are not there yet.
@@ -106,6 +108,8 @@ def run(
         Samples that are measured together; as many as take some seconds by default.
     part
         (i, n): the i-th of n shards, i from 1.
+    cluster
+        Address of a scheduler whose workers measure instead; they must see the folder.
 
     Raises
     ------
@@ -115,10 +119,13 @@ def run(
     first, last = shard(job.n, part)
     samples = Samples(folder, job.digest, job.names, first, last)
     with _alone(samples):
-        if workers is None or workers == 1:
+        if cluster is None and (workers is None or workers == 1):
             _here(_Maker(job, folder, first, last), samples, _Sizes(chunk), workers is None, on_progress)
         if samples.missing():
-            _pooled(job, samples, workers or cores(), _Sizes(chunk), on_progress)
+            _pooled(job, samples, workers or cores(), _Sizes(chunk), on_progress, cluster)
+        if cluster is not None and samples.missing():
+            fail("the cluster's workers do not write into this folder: it must be one that all of them see",
+                 file=str(folder))  # fmt: skip
         samples.finish()
     return samples
 
@@ -142,12 +149,25 @@ def _here(
             return
 
 
-def _pooled(job: Job, samples: Samples, workers: int, sizes: _Sizes, on_progress: Progress | None) -> None:
+def _pooled(
+    job: Job,
+    samples: Samples,
+    workers: int,
+    sizes: _Sizes,
+    on_progress: Progress | None,
+    cluster: str | None,
+) -> None:
     missing, total = samples.missing(), samples.last - samples.first
     left = sum(behind - begin for begin, behind in missing)
     count, done = min(workers, left), total - left
-    maker = _Maker(job, samples.folder, samples.first, samples.last)
-    for finished, answer in pooled(maker, sizes.chunks(missing, count), count):
+    maker = _Maker(job, samples.folder.resolve(), samples.first, samples.last)
+    chunks = sizes.chunks(missing, count)
+    answers = (
+        clustered(maker, f"{job.digest} {maker.folder}", chunks, cluster)
+        if cluster
+        else pooled(maker, chunks, count)
+    )
+    for finished, answer in answers:
         if isinstance(answer, Lost):
             lacking = np.full((1, len(job.names)), np.nan)
             samples.keep(finished.first, lacking, {0: f"the sample {answer.why}"})
@@ -166,6 +186,7 @@ class Processes:
     workers: int | None = None
     chunk: int | None = None
     shards: tuple[Path, ...] = ()
+    cluster: str | None = None
 
     def beside(self, name: str) -> Processes:
         """Return the same for samples that are kept in a folder within."""
@@ -177,10 +198,17 @@ class Processes:
         def engine(on_progress: Progress | None) -> tuple[Array, dict[int, str]]:
             if self.shards:
                 return merge(job, self.folder, self.shards).read()
-            found = run(job, self.folder, workers=self.workers, chunk=self.chunk, on_progress=on_progress)
-            return found.read()
+            return self.measured(job, on_progress)
 
         return engine
+
+    def measured(self, job: Job, on_progress: Progress | None = None) -> tuple[Array, dict[int, str]]:
+        """Measure what of a job is not there yet; return all of it."""
+        found = run(
+            job, self.folder, workers=self.workers, chunk=self.chunk, cluster=self.cluster,
+            on_progress=on_progress,
+        )  # fmt: skip
+        return found.read()
 
 
 def shard(n: int, part: tuple[int, int]) -> tuple[int, int]:

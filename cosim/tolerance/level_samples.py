@@ -18,7 +18,7 @@ from cosim.catalogue import needing_no_run
 from cosim.errors import fail
 from cosim.staging import disk_errors, whole_file
 from cosim.tolerance.cube_points import REPLICATES, Sampling, sampling
-from cosim.tolerance.engine import LEVELS, Processes, run
+from cosim.tolerance.engine import LEVELS, Processes
 from cosim.tolerance.monte_carlo import Study
 from cosim.tolerance.preparation import Points, Prepared
 from cosim.tolerance.two_level import Pilot, TwoLevel, cheap_samples, corrected, pilot_of
@@ -100,8 +100,7 @@ class LevelSamples:
         job = replace(self.prepared, names=self.names).job(points, n, model)
         if self._processes is None:
             return job.make()(0, n)[0]
-        beside = self._processes.beside(name)
-        return run(job, beside.folder, workers=beside.workers, chunk=beside.chunk, on_progress=show).read()[0]
+        return self._processes.beside(name).measured(job, show)[0]
 
     def seconds(self) -> tuple[float, float]:
         """Return seconds of a dear and of a cheap sample, each measured after one that warms up."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from cosim.tolerance.engine import Processes, run
+from cosim.tolerance.engine import Processes
 from cosim.tolerance.intervals import Estimate
 from cosim.tolerance.monte_carlo import Study
 from cosim.tolerance.preparation import Prepared
@@ -143,10 +143,7 @@ def rare_failures(
     if processes is None:
         table = job.make()(0, len(u))[0]
     else:
-        beside = processes.beside("rare")
-        table = run(
-            job, beside.folder, workers=beside.workers, chunk=beside.chunk, on_progress=on_progress
-        ).read()[0]  # fmt: skip
+        table = processes.beside("rare").measured(job, on_progress)[0]
     good = [spec.passed(table[:, prepared.names.index(spec.measure)]) for spec in specs]
     found = failure_estimate(places, u, ~np.all(good, axis=0))
     how = f"importance sampling, {found.effective:.0f} effective failing samples"

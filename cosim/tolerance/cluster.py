@@ -1,0 +1,98 @@
+"""Chunks of samples on a cluster: the workers write them into the study's folder, which all of them see.
+
+A task is a chunk, and what comes back is a receipt. Few are in flight, and each is let go of at once: the
+scheduler keeps nothing, and no finished chunk is measured again when a worker dies.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from typing import Any
+
+from cosim.errors import CosimError, fail
+from cosim.tolerance.worker_pool import Chunk, Lost
+
+__all__ = ["clustered"]
+
+Maker = Callable[[], Callable[[Chunk], Any]]
+
+#: Chunks in flight: for each worker, and in all.
+_EACH, _MOST = 2, 200
+#: A scheduler that does not answer for so long [s] is not there.
+_PATIENCE_S = 10
+
+#: What measures, in a worker's process, by the study: made once.
+_made: dict[str, Callable[[Chunk], Any]] = {}
+
+
+def _measure(make: Maker, study: str, chunk: Chunk) -> Any:
+    """Measure a chunk in a worker's process."""
+    if study not in _made:
+        _made.clear()
+        _made[study] = make()
+    try:
+        return _made[study](chunk)
+    except CosimError as error:
+        return error
+
+
+def clustered(make: Maker, study: str, chunks: Iterator[Chunk], address: str) -> Iterator[tuple[Chunk, Any]]:
+    """Yield each chunk with what its work returned, as they are finished; see `cosim.tolerance.worker_pool`.
+
+    Parameters
+    ----------
+    make
+        Makes what measures; it is sent to each worker once.
+    study
+        Names what it makes, and where.
+    address
+        Of a `distributed` scheduler: ``tcp://host:8786``.
+
+    Raises
+    ------
+    InputError
+        Without the extra ``cluster``, and where no scheduler answers or no worker is there.
+    CosimError
+        What the work raised.
+    """
+    try:
+        distributed = import_module("distributed")
+    except ImportError:
+        fail("needs the package `distributed`: pip install 'cosim[cluster]'", key="--cluster", value=address)
+    try:
+        client = distributed.Client(address, timeout=_PATIENCE_S)
+    except (OSError, TimeoutError, ValueError) as error:
+        fail(f"no scheduler answers: {error}", key="--cluster", value=address, allowed="tcp://HOST:PORT")
+    with client:
+        workers = len(client.scheduler_info(n_workers=-1)["workers"])
+        if not workers:
+            fail("the scheduler has no workers", key="--cluster", value=address)
+        kept = client.scatter(make, broadcast=True)
+        waiting, flying = deque[Chunk](), dict[Any, Chunk]()
+        while True:
+            while len(flying) < min(_EACH * workers, _MOST):
+                chunk = waiting.popleft() if waiting else next(chunks, None)
+                if chunk is None:
+                    break
+                flying[client.submit(_measure, kept, study, chunk, pure=False)] = chunk
+            if not flying:
+                return
+            done = distributed.wait(list(flying), return_when="FIRST_COMPLETED").done
+            for future in done:
+                chunk, died = flying.pop(future), future.exception()
+                if died is None:
+                    answer = future.result()
+                    future.release()
+                    if isinstance(answer, CosimError):
+                        raise answer
+                    yield chunk, answer
+                elif not isinstance(died, distributed.KilledWorker):
+                    raise died
+                elif chunk.count > 1:
+                    waiting.extend(chunk.halves())
+                elif not chunk.again:
+                    waiting.append(Chunk(chunk.first, 1, again=True))
+                else:
+                    yield chunk, Lost("took its worker with it twice")
