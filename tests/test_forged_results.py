@@ -18,6 +18,7 @@ import pytest
 from engine_jobs import job
 from support import SCENES, simulate
 
+import cosim
 from cosim import cli
 from cosim.accuracy.outcome import First, Second, Summary
 from cosim.checkpoint import Points
@@ -280,12 +281,63 @@ def test_commands_refuse_a_forged_result_in_words(
     assert not os.path.exists(out)
 
 
+@pytest.mark.parametrize("kind", ["law", "operator", "measure"])
+@pytest.mark.parametrize("command", ["report", "compare", "compare measures"])
+def test_python_that_a_stored_scene_names_is_not_run(
+    copy: Path, kind: str, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (copy / "own.py").write_text(f"open({str(copy.parent / 'MARK')!r}, 'w').close()\nclass Own:\n    pass\n")
+    where = f"{copy / 'own.py'}:Own"
+    change = {
+        "law": put("scene.computer.law", where),
+        "operator": put("scene.operator", {"type": "python", "file": where}),
+        "measure": put("scene.measures", {"names": [where]}),
+    }[kind]
+    reseal(copy, change)
+    out = ["-o", str(copy.parent / "out")]
+    if command == "report":
+        assert cli.main(["report", str(copy), *out]) == 0
+    else:
+        more = ["--measure", "k_max"] if command == "compare measures" else []
+        assert cli.main(["compare", str(SCENES / "press.toml"), "--last", str(copy), *more, *out]) == 2
+        assert "--trust" in capsys.readouterr().err
+    assert not (copy.parent / "MARK").exists()
+
+
 def test_a_run_of_another_scene_is_not_compared(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     header_with(b"\timot2\t", b"\timotx\t")(copy)
     reseal(copy)
     words = ["compare", str(SCENES / "press.toml"), "--last", str(copy), "-o", str(copy.parent / "out")]
     assert cli.main(words) == 2
     assert "signals are missing" in capsys.readouterr().err
+
+
+def test_a_result_with_another_number_is_not_verified(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    raw_with(lambda t: t.__setitem__((5, 3), t[5, 3] + 1.0))(copy)
+    reseal(copy)
+    assert cli.main(["verify", str(copy)]) == 1
+    assert "at place 5" in capsys.readouterr().out
+    assert cli.main(["verify", str(copy), "--seed", "-1"]) == 2
+    reseal(copy, put("provenance.versions", ["0.2.0"]))
+    assert cli.main(["verify", str(copy)]) == 2
+
+
+FORGED_SPECS = ["k_max", "a", 1.0], [1.0, 2.0, 3.0], ["k_max"], ["k_max", None, "1"]
+
+
+@pytest.mark.parametrize("limits", FORGED_SPECS, ids=str)
+def test_a_forged_study_is_not_repeated(
+    limits: list[Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = {
+        "cosim": cosim.__version__, "scene": str(SCENES / "press.toml"), "overrides": [], "specs": [limits],
+        "measures": ["k_max"], "n": 2, "method": "plain", "seed": 0, "until": "", "wanted": None,
+        "corners": False, "two_level": False, "rare": False,
+    }  # fmt: skip
+    how = {"method": "plain", "n": 2, "variables": 3, "seed": 0, "replicates": 1}
+    (tmp_path / "mc.json").write_text(json.dumps({"digest": "x", "asked": asked, "sampling": how}))
+    assert cli.main(["verify", str(tmp_path)]) == 2
+    assert "is no record of a study" in capsys.readouterr().err
 
 
 def test_what_a_page_shows_of_a_forged_result_is_text(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:

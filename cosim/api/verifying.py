@@ -68,6 +68,8 @@ def verify(
     place = Path(folder)
     if not 1 <= samples <= _MOST:
         fail("is no number of samples", key="--samples", value=samples, allowed=f"1 to {_MOST}")
+    if seed < 0:
+        fail("is no seed", key="--seed", value=seed, allowed=">= 0")
     if os.path.isfile(place / RECORD):
         return _run_again(place, trust)
     from cosim.tolerance.repeating import repeat_samples
@@ -107,7 +109,8 @@ def _run_again(folder: Path, trust: bool) -> Verified:
                 if name not in old or name not in new:
                     different.append(f"{what} {name}: only in the {'kept' if name in old else 'new'} run")
                     continue
-                a, b = np.asarray(old[name]), np.asarray(new[name])
+                # a column of a memory map is strided: bytes are looked at one behind the other
+                a, b = (np.ascontiguousarray(side[name]) for side in (old, new))
                 if a.shape != b.shape:
                     different.append(f"{what} {name}: {len(b)} values, kept {len(a)}")
                 elif a.tobytes() != b.tobytes():

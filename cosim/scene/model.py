@@ -141,14 +141,21 @@ class Scene(SceneTables):
         canonical = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(canonical.encode()).hexdigest()
 
+    def _code(self) -> tuple[object, ...]:
+        own = (name for name in self.measures.names if ":" in name)
+        return (self.computer.law, getattr(self.operator, "file", None), *own)
+
+    def code(self) -> set[str]:
+        """Return the user's own law, operator and measures, each ``file.py:Class``."""
+        return {str(each) for each in self._code() if each}
+
     def code_digest(self) -> str:
         """Return the SHA-256 of the content of the user's own law and operator files.
 
         What these import from elsewhere is not looked at.
         """
         found = hashlib.sha256()
-        own = (name for name in self.measures.names if ":" in name)
-        for where in (self.computer.law, getattr(self.operator, "file", None), *own):
+        for where in self._code():
             path = Path(str(where).rpartition(":")[0]) if where else None
             found.update(path.read_bytes() if path is not None and os.path.isfile(path) else b"")
             found.update(b"\0")

@@ -81,6 +81,10 @@ def asked_of(stored: Mapping[str, Any], *, trust: bool = False) -> Asked:
     return Asked(str(stored["scene"]), overrides, measures, specs, trust=trust, **plain)
 
 
+def _is_spec(limits: list[str | float | None]) -> bool:
+    return len(limits) == 3 and isinstance(limits[0], str) and not any(isinstance(e, str) for e in limits[1:])
+
+
 def repeat_samples(
     folder: Path, count: int, seed: int, *, trust: bool = False, on_progress: Progress | None = None
 ) -> tuple[list[int], list[str]]:
@@ -115,7 +119,7 @@ def repeat_samples(
             file=str(file),
         )
     formed = fits(stored, _Asked) and fits(record["sampling"], _Points)
-    if not formed or any(len(limits) != 3 for limits in stored["specs"]):
+    if not formed or not all(_is_spec(limits) for limits in stored["specs"]):
         fail("is no record of a study", file=str(file))
     asked, how = asked_of(stored, trust=trust), Sampling.of(record["sampling"])
     prepared = prepare(asked)
