@@ -85,6 +85,8 @@ def _simultaneous(bench: Bench, model: str) -> float:
     """Return how two rotors that strike their stops at the same instants differ, and their exchange."""
     one = bench.run(_two_rotors([0.5, 1.0], [1.0, 2.0]), model).signals
     other = bench.run(_two_rotors([1.0, 0.5], [2.0, 1.0]), model).signals
+    if np.abs(np.asarray(one["q1"])).max() > 0.5 or np.asarray(one["v1"]).min() > -0.79:
+        return math.nan  # it passed its stop
     twins = np.abs(2.0 * np.asarray(one["q1"]) - np.asarray(one["q2"])).max()
     swapped = np.abs(np.asarray(one["q1"]) - np.asarray(other["q2"])).max()
     return float(max(twins, swapped))
@@ -124,7 +126,7 @@ def _dip(what: str) -> Callable[[Bench, str], float]:
         signals = bench.run(tables, model).signals
         t, q, v = (np.asarray(signals[name]) for name in ("time", "q1", "v1"))
         at = crossings(t, q, v, stop)
-        at = np.sort(np.concatenate([at, t[q == stop]]))
+        at = t[q == stop] if model in OWN else at  # our own loop has rows there
         return float(at[0] if what == "enters" else at[-1]) if len(at) > 1 else math.nan
 
     return find
@@ -178,10 +180,12 @@ CASES = (
     HardCase("two stops struck at one instant", 27, "difference from one another and exchanged [rad]", 0.0,
              dict.fromkeys(OWN, 1e-9), "located to 2^-36 of an interval at 2 rad/s", _simultaneous),
     *(HardCase(f"two hits in one step, number {k + 1}", 28, "instant [s]", (0.2 + 0.4 * k) / 10.0,
-               dict.fromkeys(OWN, 1e-10), "located to 2^-36 of an interval", _hits(k)) for k in (0, 1)),
+               dict.fromkeys(OWN, 1e-10), "located to 2^-36 of an interval", _hits(k),
+               broken="no step is cut at a crossing") for k in (0, 1)),
     *(HardCase(f"dip into a stop within a step, {what}", 28, "instant [s]", at,
                {**dict.fromkeys(OWN, 1e-7), "spice": 1e-5},
-               "the angle's tolerance over the speed of 0.17 rad/s there", _dip(what))
+               "the angle's tolerance over the speed of 0.17 rad/s there", _dip(what),
+               broken="no step is cut at a crossing")
       for what, at in (("enters", _TOP - _LATE), ("leaves", _TOP + _LATE))),
     HardCase("delay of 2.5 periods", 30, "commands lost", 0.0, dict.fromkeys(ALL, 0.0),
              "each has its own instant", _lost_samples,
