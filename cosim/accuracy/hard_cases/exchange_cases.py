@@ -106,5 +106,6 @@ CASES = (
     *(HardCase(f"{name} against held values exchanged as often", 55, "our error over theirs", 0.0,
                {"spice": 0.02}, "the list's own; 1e-9 rad a step, amplitude 0.1 rad",
                _against_jacobi(*problem),
-               broken="the angle is held over a step") for name, problem in (("two masses", _TWO), ("quarter car", _CAR))),
+               broken="the angle is held over a step")
+      for name, problem in (("two masses", _TWO), ("quarter car", _CAR))),
 )  # fmt: skip
