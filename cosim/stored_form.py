@@ -7,7 +7,7 @@ what is read back is held against a form, in Python's own types: ``dict[str, flo
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from typing import Any
@@ -16,7 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from cosim.errors import fail
 
-__all__ = ["check", "fits", "made", "misfit", "used"]
+__all__ = ["check", "fits", "made", "misfit", "refuse_code", "used"]
 
 
 def misfit(value: Any, form: Any) -> tuple[str, str] | None:
@@ -34,6 +34,20 @@ def misfit(value: Any, form: Any) -> tuple[str, str] | None:
     except ValidationError as error:
         return _first(error)
     return None
+
+
+def refuse_code(named: Iterable[str], file: str, *, trust: bool) -> None:
+    """Refuse a result whose scene names Python: it may be a stranger's, and nobody has read it here.
+
+    Raises
+    ------
+    InputError
+        Where anything is named and the user does not trust it.
+    """
+    if (strange := sorted(named)) and not trust:
+        fail(
+            "its scene names Python, which would run: read it, then give --trust", file=file, value=strange[0]
+        )
 
 
 def fits(value: Any, form: Any) -> bool:

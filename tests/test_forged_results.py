@@ -282,7 +282,7 @@ def test_commands_refuse_a_forged_result_in_words(
 
 
 @pytest.mark.parametrize("kind", ["law", "operator", "measure"])
-@pytest.mark.parametrize("command", ["report", "compare", "compare measures"])
+@pytest.mark.parametrize("command", ["report", "compare", "compare measures", "verify"])
 def test_python_that_a_stored_scene_names_is_not_run(
     copy: Path, kind: str, command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -297,6 +297,9 @@ def test_python_that_a_stored_scene_names_is_not_run(
     out = ["-o", str(copy.parent / "out")]
     if command == "report":
         assert cli.main(["report", str(copy), *out]) == 0
+    elif command == "verify":
+        assert cli.main(["verify", str(copy)]) == 2
+        assert "--trust" in capsys.readouterr().err
     else:
         more = ["--measure", "k_max"] if command == "compare measures" else []
         assert cli.main(["compare", str(SCENES / "press.toml"), "--last", str(copy), *more, *out]) == 2
@@ -338,6 +341,23 @@ def test_a_forged_study_is_not_repeated(
     (tmp_path / "mc.json").write_text(json.dumps({"digest": "x", "asked": asked, "sampling": how}))
     assert cli.main(["verify", str(tmp_path)]) == 2
     assert "is no record of a study" in capsys.readouterr().err
+
+
+def test_python_that_a_stored_study_s_scene_names_is_not_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "own.py").write_text(f"open({str(tmp_path / 'MARK')!r}, 'w').close()\nclass Own:\n    pass\n")
+    asked = {
+        "cosim": cosim.__version__, "scene": str(SCENES / "press.toml"),
+        "overrides": [f"computer.law={tmp_path / 'own.py'}:Own"], "specs": [], "measures": ["k_max"], "n": 2,
+        "method": "plain", "seed": 0, "until": "", "wanted": None, "corners": False, "two_level": False,
+        "rare": False,
+    }  # fmt: skip
+    how = {"method": "plain", "n": 2, "variables": 3, "seed": 0, "replicates": 1}
+    (tmp_path / "mc.json").write_text(json.dumps({"digest": "x", "asked": asked, "sampling": how}))
+    assert cli.main(["verify", str(tmp_path)]) == 2
+    assert "--trust" in capsys.readouterr().err
+    assert not (tmp_path / "MARK").exists()
 
 
 def test_what_a_page_shows_of_a_forged_result_is_text(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,6 +13,7 @@ import cosim
 from cosim.errors import fail
 from cosim.results import BOARD, RECORD, Run
 from cosim.staging import scratch_folder
+from cosim.stored_form import refuse_code
 
 __all__ = ["Verified", "verify"]
 
@@ -49,7 +50,7 @@ def verify(
     samples, seed
         Of a study: how many samples, and what chooses them.
     trust
-        Whether netlists may hold commands and name files.
+        Whether netlists may hold commands and name files, and the Python that a stored scene names may run.
 
     Raises
     ------
@@ -97,6 +98,7 @@ def _run_again(folder: Path, trust: bool) -> Verified:
         )
     if not (folder / BOARD).is_file():
         fail("keeps no board to be run again", file=str(folder))
+    refuse_code(kept.scene.code(), str(folder), trust=trust)
     plan = resolve(kept.scene, trust=trust, board=deck_file.load(folder, trust=trust))
     with scratch_folder("verify") as scratch:
         again = run(plan, scratch / "run", formats=())

@@ -35,6 +35,7 @@ from cosim.runner import run
 from cosim.scene import load_scene
 from cosim.scene.load import SceneLike
 from cosim.staging import require_ours
+from cosim.stored_form import refuse_code
 from cosim.units import quantity
 from cosim.variants import Variant
 
@@ -221,12 +222,8 @@ def _prepared(scene_file: SceneLike, asked: Asked, trust: bool) -> tuple[Plan, S
         lacking = [name for j in every for name in (f"imot{j}", f"v{j}") if name not in result.signals]
         if lacking:
             fail("is no run of its scene: signals are missing", file=str(result.signals.path), key=lacking[0])
-        strange = sorted(result.scene.code() - load_scene(scene_file).code())
-        if strange and not trust:  # a stranger's result may name a file of the stranger's
-            fail(
-                "its scene names Python that the scene given here does not: read it, then give --trust",
-                file=str(asked.stored), value=strange[0],
-            )  # fmt: skip
+        named = result.scene.code() - load_scene(scene_file).code()  # the user's own scene is read
+        refuse_code(named, str(asked.stored), trust=trust)
         board = deck_file.load(asked.stored, trust=trust)
         plan = resolve(result.scene, trust=trust, board=board)
         # its parts at other levels are gone with the netlists, so the share of ideal parts is not told

@@ -12,8 +12,9 @@ from typing_extensions import TypedDict
 
 import cosim
 from cosim.errors import fail
+from cosim.scene import load_scene
 from cosim.seal import read_object
-from cosim.stored_form import fits
+from cosim.stored_form import fits, refuse_code
 from cosim.tolerance.cube_points import Sampling
 from cosim.tolerance.preparation import Asked, Prepared, prepare
 from cosim.tolerance.sample_store import SAMPLES, Samples
@@ -122,6 +123,7 @@ def repeat_samples(
     if not formed or not all(_is_spec(limits) for limits in stored["specs"]):
         fail("is no record of a study", file=str(file))
     asked, how = asked_of(stored, trust=trust), Sampling.of(record["sampling"])
+    refuse_code(load_scene(asked.scene, asked.overrides).code(), str(file), trust=trust)
     prepared = prepare(asked)
     if prepared.digest() != record.get("digest"):
         fail(
