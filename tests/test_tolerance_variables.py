@@ -92,6 +92,33 @@ def test_match_is_shared_within_an_instance_or_on_the_board(tmp_path: Path) -> N
     assert np.array_equal(deviation(found, "xdiff1.r11"), deviation(found, "xdiff1.r13"))
 
 
+def test_a_network_that_shares_nothing_is_refused(tmp_path: Path) -> None:
+    """Without a size to share, matched parts would be drawn as independent ones."""
+    net = (DIFFAMP, "r_diff_in=10.0k $ tol=1%", "r_diff_in=10.0k $ match=net1 dev=0.1%")
+    with pytest.raises(InputError) as caught:
+        read(tmp_path / "a", net)
+    (told,) = caught.value.problems
+    assert (Path(told.file or "").name, told.line) == ("diffamp.cir", 2)
+    assert "tol=1% match=net1 dev=0.1%" in str(told)
+    scene = tmp_path / "press.toml"
+    text = PRESS.read_text().replace("../netlists", (ROOT / "netlists").as_posix())
+    line = text.count("\n") + 2
+    names = ("xdiff1.r11", "xdiff1.r13")
+
+    def said(tolerance: str) -> Path:
+        rows = "".join(f'"{name}" = "{tolerance}"\n' for name in names)
+        scene.write_text(f"{text}[tolerance.components]\n{rows}")
+        return scene
+
+    with pytest.raises(InputError) as caught:
+        tolerances(load_scene(said("match=net1 dev=0.1%")))
+    assert [(p.file, p.line) for p in caught.value.problems] == [(str(scene), line), (str(scene), line + 1)]
+    found = tolerances(load_scene(said("tol=1% match=net1 dev=0.1%")))
+    a, b = (deviation(found, name) for name in names)
+    assert 0.0 < np.abs(a - b).max() <= 0.002 * (1 + 1e-9)
+    assert np.abs(a).max() > 0.005
+
+
 def test_parts_vary_one_by_one(tmp_path: Path) -> None:
     found = read(tmp_path)
     keys = [key for key in found.keys if key.endswith(":motor_r")]

@@ -121,6 +121,7 @@ class _Reader:
             names = (found.key, found.key.rpartition(".")[2], origin[0].name)
             named = [name for name in names if name in self._named]
             where = self._scene_place(f"components.{named[0]}") if named else where
+            self._sizeless(origin, where)
             unit = _UNITS.get(found.kind, "") or _unit(param.comment)
             signed = kind in _ABOUT_ZERO or found.kind in "viegfh"
             self._take(found.key, recipe, unit, where, not signed, tuple(each.name for each in origin))
@@ -241,6 +242,7 @@ class _Reader:
             param = Param(each.path.partition("[")[0], repr(each.value), {}, Place(), stated)
             terms = self._terms(param, Found(key, param, ":", "", ""), key)
             where = self._scene_place(f"components.{name}" if name else each.kind)
+            self._sizeless([param], where)
             self._take(key, Recipe(each.value, terms=terms), each.unit, where, True, (each.path,))
         return each.kind
 
@@ -264,8 +266,21 @@ class _Reader:
             return "", 0
         return str(file), line_of(self._text, ("tolerance", *name.split("."))) or 0
 
+    def _sizeless(self, origin: list[Param], where: tuple[str, int]) -> None:
+        """Refuse a network that shares nothing: its members would be as independent as without it."""
+        for stated in (each.stated for each in origin):
+            if stated is not None and stated.match and stated.shared is None:
+                form = f"match={stated.match}" + (" dev=0.1%" if stated.own is not None else "")
+                self._problem(
+                    f"match={stated.match} does not say how much its members deviate together: "
+                    f"put tol= before it, as in tol=1% {form}",
+                    where,
+                )
+
     def _problem(self, message: str, where: tuple[str, int]) -> None:
-        self._problems.append(Problem(message, file=where[0] or None, line=where[1] or None))
+        problem = Problem(message, file=where[0] or None, line=where[1] or None)
+        if problem not in self._problems:  # one line may be used by many components
+            self._problems.append(problem)
 
     def _unknown(self, known: list[str]) -> None:
         for name in self._named:
