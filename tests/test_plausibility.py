@@ -10,6 +10,7 @@ import pytest
 from support import BOARD1, K_FS, SCENES, quick, simulate, slider
 
 from cosim import cli
+from cosim.analysis.board_range import of_asked
 from cosim.caution import Caution, caution_of, collected, grouped, warn
 from cosim.errors import SimulationError
 from cosim.measures import wall_frame
@@ -278,7 +279,22 @@ def test_commands_without_a_run_tell_theirs(command: str, capsys: pytest.Capture
 
 def test_plan_tells_a_stiffness_beyond_the_board(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["plan", str(PRESS), "--set", "computer.analog_stiffness_n_per_m=1e6", "--strict"]) == 2
-    assert f"at most {K_FS / 0.1333**2:.4g} N/m" in capsys.readouterr().out
+    # the normal points up: the longest lever is that of joint 1, the tip's distance along x
+    assert f"at most {K_FS / 0.07**2:.4g} N/m" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.999, False), (1.001, True)])
+def test_a_wall_is_too_stiff_beyond_the_range_at_its_own_pose(share: float, told: bool) -> None:
+    """Between 169 N/m, the range at the reach that the board quotes, and that at the wall all is well."""
+    scene = load_scene(PRESS, ["solver.model=linear"])
+    constants = resolve(scene).stated()
+    most = share * constants.k_fs / 0.07**2 * constants.dac_v / constants.v_fs
+    damper = share * constants.c_fs / 0.07**2 * constants.dac_v / constants.v_fs
+    for key, asked in (("stiffness_n_per_m", most), ("damping_n_s_per_m", damper)):
+        found = list(of_asked(scene.with_values({f"computer.analog_{key}": asked}), constants))
+        assert [caution.code for caution in found] == ["gain-beyond-full-scale"] * told
+    far = scene.with_values({"computer.analog_stiffness_n_per_m": 1e6, "wall.point_m": [0.5, 0.155]})
+    assert list(of_asked(far, constants)) == []  # the point, not the wall, is out of reach: no pose
 
 
 def test_a_sweep_tells_and_keeps_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

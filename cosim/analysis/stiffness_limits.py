@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from cosim.analysis.board_range import board_range
 from cosim.analysis.closed_form_limits import gil_hulin
-from cosim.analysis.control_law import law_point
 from cosim.analysis.device_passivity import device_of, law_of
 from cosim.analysis.passivity import Device, least_damping, needed_damping, share_used
 from cosim.analysis.period_map import Lifted
@@ -28,7 +28,6 @@ from cosim.analysis.stability import (
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.scene import Method, Scene
-from cosim.scene.mechanism import mechanism
 from cosim.types import Array
 
 __all__ = ["RANGE", "Limits", "largest_passive", "limits", "locus", "varied"]
@@ -171,6 +170,7 @@ def limits(
     continuous = c.method is Method.CONTINUOUS
     damping = 0.0 if continuous else c.discrete_damping_n_s_per_m
     late = _delay(scene)
+    ranged = key == "analog_stiffness_n_per_m" and not c.joint_stiffness_n_m_per_rad
     return Limits(
         key=key,
         stiffness=float(getattr(c, key)),
@@ -183,7 +183,7 @@ def limits(
         gil_hulin_n_per_m=gil_hulin(viscosity, c.period_s, damping, late)
         if key == "discrete_stiffness_n_per_m"
         else None,
-        board_n_per_m=_board_range(scene, constants, pose) if key == "analog_stiffness_n_per_m" else None,
+        board_n_per_m=board_range(scene, constants, pose)[0] if ranged else None,
     )
 
 
@@ -211,18 +211,6 @@ def largest_passive(scene: Scene, constants: DesignConstants, circuit: LinearCir
     if left(high) > 0.0:
         return math.inf
     return math.exp(brentq(lambda x: left(math.exp(x)), math.log(low), math.log(high), rtol=1e-12))
-
-
-def _board_range(scene: Scene, constants: DesignConstants, q: Array) -> float | None:
-    """Return the analog stiffness [N/m] at which the largest spring gain is at the range of its DAC."""
-    n, dac = scene.joints, scene.computer.dac
-    if scene.computer.joint_stiffness_n_m_per_rad:
-        return None
-    one = law_point(
-        with_computer(scene, analog_stiffness_n_per_m=1.0), constants, mechanism(scene, constants.gear), q
-    )
-    volts = float(np.abs(one.volts[n : n + n * n]).max())
-    return (dac.range_v if dac.range_v is not None else constants.dac_v) / volts
 
 
 def _delay(scene: Scene) -> float:

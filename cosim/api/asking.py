@@ -79,8 +79,9 @@ def contact(scene: ContactLike, *, trust: bool = False, child: Child | None = No
     """
     if isinstance(scene, Contact):
         return scene
+    from cosim.analysis.board_range import of_asked
     from cosim.analysis.extracted import circuit_of
-    from cosim.plausibility import of_asked, of_circuit
+    from cosim.plausibility import of_circuit
 
     planned = scene if isinstance(scene, Plan) else resolve(load_scene(scene), trust=trust)
     circuit, constants = circuit_of(planned, child=child)

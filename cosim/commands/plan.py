@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    from cosim.analysis.board_range import of_asked
     from cosim.commands.choice import open_choice, open_lines
     from cosim.plan import resolve
-    from cosim.plausibility import of_asked
 
     texts, facts = [], []
     every = load_variants(args)

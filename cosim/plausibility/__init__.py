@@ -1,12 +1,12 @@
 """What no designer can have meant: figures of a scene, a board or a run that are possible but absurd.
 
 Each function looks for one kind of slip and yields a `Caution` for it; thresholds stand beside them with
-their reasons. `of_plan` needs no run, `of_run` looks at a finished one; `of_circuit` and `of_asked` compare a
-board's stated constants with its circuit and with what the scene asks for.
+their reasons. `of_plan` needs no run, `of_run` looks at a finished one; `of_circuit` compares a
+board's stated constants with its circuit.
 """
 
 from cosim.plausibility.after import of_run
 from cosim.plausibility.before import of_plan
-from cosim.plausibility.constants import DEVIATION, constant_missed, of_asked, of_circuit
+from cosim.plausibility.constants import DEVIATION, constant_missed, of_circuit
 
-__all__ = ["DEVIATION", "constant_missed", "of_asked", "of_circuit", "of_plan", "of_run"]
+__all__ = ["DEVIATION", "constant_missed", "of_circuit", "of_plan", "of_run"]

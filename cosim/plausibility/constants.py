@@ -1,4 +1,4 @@
-"""A board's stated constants against its circuit, and against what a scene asks of it."""
+"""A board's stated constants against its circuit."""
 
 from __future__ import annotations
 
@@ -11,30 +11,11 @@ from cosim.caution import Caution
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.extraction import certificate
 from cosim.circuits.linear_circuit import LinearCircuit, channel_names
-from cosim.scene import Method, Scene
-from cosim.units import quantity
 
-__all__ = ["DEVIATION", "constant_missed", "of_asked", "of_circuit"]
+__all__ = ["DEVIATION", "constant_missed", "of_circuit"]
 
 #: The circuit's constants and the computer's numbers are equal by design; resistors of 10 % stay below this.
 DEVIATION = 0.2
-
-
-def of_asked(scene: Scene, constants: DesignConstants) -> Iterator[Caution]:
-    """Yield where the wall that is asked for is beyond the board's full scale at its reach `r_tip`."""
-    computer = scene.computer
-    for what, key, asked, unit, full in (
-        ("stiffness", "stiffness_n_per_m", computer.analog_stiffness_n_per_m, "N/m", constants.k_fs),
-        ("damping", "damping_n_s_per_m", computer.analog_damping_n_s_per_m, "N s/m", constants.c_fs),
-    ):
-        shown = full / constants.r_tip**2
-        if computer.method in (Method.CONTINUOUS, Method.COMBINED) and asked > shown:
-            yield Caution(
-                "gain-beyond-full-scale",
-                f"an analog {what} of {asked:.4g} {unit} is asked for, the board shows at most {shown:.4g} "
-                f"{unit} at its reach of {quantity(constants.r_tip, 'm', 4)}",
-                f"lower computer.analog_{key}, or raise the board's gain",
-            )
 
 
 def of_circuit(circuit: LinearCircuit, constants: DesignConstants) -> Iterator[Caution]:
