@@ -88,6 +88,41 @@ def test_rare_failures_are_counted_by_300_samples(case):
     assert len(places.at) == {"hyperplane": 1, "two regions": 2}.get(case, len(places.at))
 
 
+CUT = stats.truncnorm(-3.0, 3.0)
+#: One component makes three quarters of the variance and ends at 2.6 of the standard deviations.
+SHARES = np.array([0.87] + [math.sqrt((1.0 - 0.87**2) / 35.0)] * 35)
+
+
+def rate_of_cut_sum(limit):
+    """The rate at which SHARES @ x exceeds a limit, x cut at three: by its characteristic function."""
+    node, weight = np.polynomial.legendre.leggauss(120)
+    reach = 1.05 * 3.0 * SHARES.sum()
+    x = np.linspace(-reach, reach, 2**14, endpoint=False)
+    k = 2.0 * np.pi * np.fft.fftfreq(len(x), x[1] - x[0])
+
+    def characteristic(share):
+        return np.exp(1j * np.outer(share * k, 3.0 * node)) @ (3.0 * weight * CUT.pdf(3.0 * node))
+
+    density = np.fft.fftshift(np.fft.ifft(characteristic(SHARES[0]) * characteristic(SHARES[1]) ** 35).real)
+    return density[x > limit].sum() / density.sum()
+
+
+@pytest.mark.parametrize("limit", [4.0, 4.6, 5.3])
+def test_rare_failures_where_distributions_end(limit):
+    """From inflated draws no slope leads to the border: the rate came out as 1e-160 for 2e-8."""
+
+    def margin(u):
+        return limit - CUT.ppf(np.clip(special.ndtr(u), 2.0**-53, 1.0 - 2.0**-53)) @ SHARES
+
+    truth = rate_of_cut_sum(limit)
+    drawn = nearest_failures(margin, 36, seed=1, most=8, starts=128)
+    cornered = nearest_failures(margin, 36, begin=6.0 * np.ones((1, 36)))
+    for places in (drawn, cornered):
+        rates = [count_failures(margin, places, samples=300, seed=seed).rate for seed in range(20)]
+        assert np.median(np.abs(np.array(rates) / truth - 1.0)) < 0.25
+        assert np.median(rates) == pytest.approx(truth, rel=0.15)
+
+
 def test_one_place_alone_misses_the_other_region():
     margin, d, truth = CASES["two regions"]
     # the dear model fails a little later than the cheap one

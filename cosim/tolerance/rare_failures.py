@@ -29,6 +29,11 @@ _DEFENSIVE = 0.1
 #: Inflation of the draws from which failures are looked for, and how many.
 _WIDE, _STARTS = (1.0, 2.0, 3.0, 4.0, 6.0), 512
 _STEPS, _STEP = 30, 1e-4
+#: Standard deviations up to which a distribution that is cut at three still changes.
+_SLOPING = 3.0
+#: Shares of a step that are tried at once.
+_LENGTHS = np.array([1.0, 0.7, 0.4, 0.2, 0.1, 0.03])
+_HALVINGS = 30
 #: What is farther from the design than this never happens.
 _FARTHEST = 9.0
 #: Places nearer to each other than this are one.
@@ -105,12 +110,20 @@ class RareEstimate:
 
 
 def nearest_failures(
-    margin: Margin, variables: int, *, seed: int = 0, most: int = _MOST, starts: int = _STARTS
+    margin: Margin,
+    variables: int,
+    *,
+    seed: int = 0,
+    most: int = _MOST,
+    starts: int = _STARTS,
+    begin: Array | None = None,
 ) -> Places:
     """Search the cheap model for the places where it fails first.
 
     From points that fail under inflated draws each search follows the margin's slope to the nearest point at
-    which it is zero.
+    which it is zero: steps of Hasofer, Lind, Rackwitz and Fiessler, each as long as lowers a merit of
+    distance and margin most (Zhang and Der Kiureghian, Reliability and Optimization of Structural Systems,
+    297, 1995), since where distributions end the slopes fade and whole steps go astray.
 
     Parameters
     ----------
@@ -118,11 +131,13 @@ def nearest_failures(
         Searches, each of which takes some slopes of all variables.
     starts
         Draws of each inflation that failures are looked for in.
+    begin
+        [K, variables], points that fail, in place of the draws.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
-    count, failing = 0, np.empty((0, variables))
+    count, failing = 0, np.empty((0, variables)) if begin is None else _at_the_border(margin, begin)
     low = np.empty((0, variables))
-    for wide in _WIDE:
+    for wide in _WIDE if begin is None else ():
         drawn = wide * rng.standard_normal((starts, variables))
         values = margin(drawn)
         found = drawn[values < 0.0]
@@ -133,19 +148,28 @@ def nearest_failures(
             break
     # where few fail, or none, slopes from the design and from what came nearest may still lead there
     u = failing[:most]
-    if len(u) < most:
+    if len(u) < most and begin is None:
         u = np.concatenate([u, np.zeros((1, variables)), low])
+    # farther out a cut distribution is at its end and has no slope
+    u = np.clip(u, -_SLOPING, _SLOPING)
     arrived = np.empty((0, variables))
     for _ in range(_STEPS):
         value, slope = _slope(margin, u)
-        count += len(u) * (variables + 1)
+        count += len(u) * (variables + 1 + len(_LENGTHS))
         size = np.maximum((slope**2).sum(axis=1), 1e-300)
         wanted = ((slope * u).sum(axis=1) - value)[:, None] * slope / size[:, None]
         far = np.linalg.norm(wanted, axis=1, keepdims=True) / _FARTHEST
         step = wanted / np.maximum(far, 1.0) - u
-        moving = np.linalg.norm(step, axis=1) > 1e-3
-        u = u + 0.7 * step
-        arrived, u = np.concatenate([arrived, u[~moving]]), u[moving]
+        # the step lowers this merit for any weight of the margin above |u| / |slope|
+        weight = 2.0 * np.maximum(np.linalg.norm(u, axis=1), 1.0) / np.sqrt(size)
+        tried = u[:, None, :] + _LENGTHS[:, None] * step[:, None, :]
+        margins = margin(tried.reshape(-1, variables)).reshape(len(u), -1)
+        merit = 0.5 * (tried**2).sum(axis=2) + weight[:, None] * np.abs(margins)
+        best = np.argmin(merit, axis=1)
+        lower = merit.min(axis=1) < 0.5 * (u**2).sum(axis=1) + weight * np.abs(value)
+        moving = lower & (np.linalg.norm(step, axis=1) > 1e-3)
+        arrived = np.concatenate([arrived, u[~moving]])
+        u = tried[np.arange(len(u)), best][moving]
         if not len(u):
             break
     u = np.concatenate([arrived, u])
@@ -157,6 +181,16 @@ def nearest_failures(
     if not len(kept):  # no slope leads anywhere: the failing draws themselves, the nearest first
         kept = failing[np.argsort(np.linalg.norm(failing, axis=1))][:most]
     return Places(_apart(kept), count)
+
+
+def _at_the_border(margin: Margin, u: Array) -> Array:
+    """Return where the ways from the design to failing points meet the border."""
+    inside, outside = np.zeros((len(u), 1)), np.ones((len(u), 1))
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (inside + outside)
+        fails = margin(middle * u)[:, None] < 0.0
+        inside, outside = np.where(fails, inside, middle), np.where(fails, middle, outside)
+    return np.asarray(outside * u)
 
 
 def _slope(margin: Margin, u: Array) -> tuple[Array, Array]:

@@ -23,7 +23,7 @@ from cosim.tolerance.rare_failures import (
     nearest_failures,
 )  # fmt: skip
 from cosim.tolerance.varying import Tolerances
-from cosim.tolerance.worst_case import extremes
+from cosim.tolerance.worst_case import Extreme, extremes
 
 __all__ = ["Rare", "rare_failures"]
 
@@ -32,6 +32,8 @@ Progress = Callable[[int, int, str], None]
 
 #: Searches, and draws of each inflation: a slope takes as many devices as there are variables.
 _SEARCHES, _STARTS = 8, 128
+#: Standard deviations at which a cut distribution is at its end but for a billionth.
+_CORNER = 6.0
 #: Nearest that a uniform number comes to 0 and 1.
 _END = 2.0**-53
 #: Components of the most probable failing device that are told.
@@ -132,12 +134,19 @@ def rare_failures(
         return np.asarray(np.nan_to_num(np.min(found, axis=0), nan=-1.0))
 
     tolerances = study.tolerances
-    places = nearest_failures(
-        lambda u: margin(tolerances.values(_uniform(u))), len(tolerances.variables), seed=seed,
-        most=_SEARCHES, starts=_STARTS,
-    )  # fmt: skip
+    count = len(tolerances.variables)
+
+    def standard(u: Array) -> Array:
+        return margin(tolerances.values(_uniform(u)))
+
+    places = nearest_failures(standard, count, seed=seed, most=_SEARCHES, starts=_STARTS)
     if not len(places.at):
-        return _none(tolerances, model, cheap, margin, lambda: looked)
+        worst = _worst(tolerances, margin)
+        if worst is not None and worst.value < 0.0:
+            # no draw fails, but the worst device does: the border is on the way to it
+            places = nearest_failures(standard, count, begin=_CORNER * worst.point[None, :])
+        if not len(places.at):
+            return _none(worst, model, cheap, looked)
     u = importance_points(places, max(study.sampling.n, 2), seed)
     job = prepared.job(_Normals(u), len(u), model)
     if processes is None:
@@ -153,29 +162,32 @@ def rare_failures(
     )  # fmt: skip
 
 
-def _none(
-    tolerances: Tolerances,
-    model: str,
-    cheap: str,
-    margin: Callable[[Array], Array],
-    looked: Callable[[], int],
-) -> Rare:
-    """Say whether a failure is impossible: the worst device within all limits, where there are limits."""
+def _worst(tolerances: Tolerances, margin: Callable[[Array], Array]) -> Extreme | None:
+    """Return the worst device within all limits, where all tolerances have limits."""
     count = len(tolerances.variables)
-    bounded = all(np.isfinite(tolerances.shape(j).support).all() for j in range(count))
-    word = f"no draw of {cheap} fails, not even six times as wide as the tolerances"
-    end = math.inf
-    if bounded:
-        end = extremes(lambda at: margin(tolerances.in_box(at)), count)[0].value
-        if end >= 0.0:
-            word = (
+    if not all(np.isfinite(tolerances.shape(j).support).all() for j in range(count)):
+        return None
+    return extremes(lambda at: margin(tolerances.in_box(at)), count)[0]
+
+
+def _none(worst: Extreme | None, model: str, cheap: str, looked: int) -> Rare:
+    """Say whether a failure is impossible, or what is not known."""
+    word, high = f"no draw of {cheap} fails, not even six times as wide as the tolerances", 1.0
+    if worst is not None and worst.value >= 0.0:
+        word, high = (
+            (
                 f"a failure is impossible within the tolerances, which end: the worst device that was found "
-                f"on {cheap} passes by {end:.3g} standard deviations"
-            )
-        else:
-            word = f"only the corners of the tolerances fail on {cheap}: too rare to be counted"
-    possible = Estimate(0.0, 0.0, 0.0 if bounded and end >= 0.0 else 1.0, "search on the cheap model")
-    return Rare(possible, model, cheap, math.inf, 0.0, 0, looked(), 0, 0.0, {}, word)
+                f"on {cheap} passes by {worst.value:.3g} standard deviations"
+            ),
+            0.0,
+        )
+    elif worst is not None:
+        word = (
+            f"the worst device within the tolerances fails on {cheap}, no draw does, and no way from the "
+            "design to it was found: how rare a failure is stays unknown"
+        )
+    possible = Estimate(0.0, 0.0, high, "search on the cheap model")
+    return Rare(possible, model, cheap, math.inf, 0.0, 0, looked, 0, 0.0, {}, word)
 
 
 def _device(tolerances: Tolerances, places: Places) -> dict[str, float]:
