@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from cosim.tolerance.rare_failures import count_failures, nearest_failures
+from cosim.tolerance.rare_failures import Places, count_failures, nearest_failures
 from cosim.tolerance.two_level import moments, pilot_of
 
 D = 6
@@ -147,3 +147,14 @@ def test_what_cannot_fail_within_its_tolerances_is_said_so():
     found = count_failures(cut, places, samples=300, seed=1)
     assert found.rate == 0.0
     assert "impossible" in found.word
+
+
+@pytest.mark.parametrize("far", [9.0, 30.0, 60.0])
+def test_failures_beyond_all_numbers_have_an_interval(far):
+    """Squares of their weights underflow, and so do the weights at last: no division of nothing by nothing."""
+    found = count_failures(
+        lambda u: 3.0 * far - u.sum(axis=1), Places(np.full((1, 9), far / 3.0), 0), samples=50, seed=1
+    )
+    low, high = found.interval
+    assert 0.0 <= low <= found.rate <= high <= 1.0
+    assert math.isfinite(found.effective)

@@ -350,12 +350,7 @@ class Simulator:
         if not (library.lines or status or library.exited):
             return []
         said = self._said()
-        problem = operating_point_problem(
-            said,
-            lambda node: has_dc_path(self._rows, node),
-            lambda element: in_voltage_loop(self._rows, element),
-            file=self._deck,
-        )
+        problem = self._without_operating_point(said)
         if problem is not None:
             raise problem
         if library.exited or status or any(is_error(line) for line in library.lines):
@@ -369,6 +364,16 @@ class Simulator:
         rows = list(library.lines)
         self.notes.extend(row.partition(" ")[2] for row in rows if row.startswith("stderr"))
         return [row.partition(" ")[2] for row in rows if not row.startswith("stderr")]
+
+    def _without_operating_point(self, said: list[str]) -> CosimError | None:
+        if any(row.endswith("simulation interrupted") for row in said):
+            return None  # an analysis that was stopped may quote what went wrong in one before it
+        return operating_point_problem(
+            said,
+            lambda node: has_dc_path(self._rows, node),
+            lambda element: in_voltage_loop(self._rows, element),
+            file=self._deck,
+        )
 
     def _forget_stops(self) -> None:
         """Remove what `stop` left behind, lest the next analysis stop as well."""

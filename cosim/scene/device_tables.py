@@ -157,7 +157,7 @@ class Device(Table):
     slider: Slider | None = None
     start: Start
     potentiometer: Potentiometer = Potentiometer()
-    component_noise_bandwidth_hz: Annotated[float, Field(gt=0, le=1e5), Unit("Hz")] = 1000.0
+    component_noise_bandwidth_hz: Annotated[float, Field(ge=1e-6, le=1e5), Unit("Hz")] = 1000.0
     temperature_c: Temperature = 27.0
     parts: Mapping[str, Part] = {}
     values: Mapping[str, str] = {}

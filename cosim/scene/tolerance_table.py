@@ -17,7 +17,7 @@ def _kind(value: object) -> str:
 
 
 Tolerated = Annotated[
-    Annotated[float, Field(gt=0, le=1), Tag("<share>")] | Annotated[str, Tag("<text>")],
+    Annotated[float, Field(ge=1e-12, le=1), Tag("<share>")] | Annotated[str, Tag("<text>")],
     Discriminator(_kind),
 ]
 

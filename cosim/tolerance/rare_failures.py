@@ -41,6 +41,8 @@ _SAME = 0.3
 #: Places so much farther than the nearest add less than 1e-3 of its failures.
 _FARTHER = 1.5
 _MOST = 64
+#: Effective failures below which nothing is known of the estimate's spread.
+_FEWEST = 2.0
 
 
 @dataclass(frozen=True)
@@ -100,9 +102,9 @@ class RareEstimate:
     def interval(self) -> tuple[float, float]:
         """Its 95 % interval, of the logarithm, since weights lean to one side.
 
-        Without a failure it is what the samples about the design leave.
+        With less than two effective failures it is what the samples about the design leave.
         """
-        if self.rate == 0.0:
+        if self.effective < _FEWEST:
             return 0.0, min(3.0 / (_DEFENSIVE * self.samples), 1.0) if self.samples else 1.0
         freedom = max(self.effective - 1.0, 0.1)
         reach = float(stats.t.ppf(0.975, freedom)) * self.error / self.rate
@@ -262,12 +264,15 @@ def failure_estimate(places: Places, u: Array, failed: NDArray[np.bool_]) -> Rar
     weights, centres = _mixture(places)
     # log of phi(u) / phi(u - c) = c (c / 2 - u)
     ratio = -(u @ centres.T - 0.5 * (centres**2).sum(axis=1))
-    weight = np.where(failed, 1.0 / (weights * np.exp(-ratio)).sum(axis=1), 0.0)
+    weight = np.where(failed, np.exp(-special.logsumexp(-ratio, b=weights, axis=1)), 0.0)
     rate = float(weight.mean())
     error = float(weight.std(ddof=1) / math.sqrt(samples))
-    effective = float(weight.sum() ** 2 / (weight**2).sum()) if failed.any() else 0.0
+    share = weight / max(weight.max(), np.finfo(float).tiny)  # squares of far failures would underflow
+    effective = float(share.sum() ** 2 / (share**2).sum()) if share.any() else 0.0
     word = ""
-    if not failed.any():
+    if failed.any() and not share.any():
+        word = "all failing samples lie so far out that no double holds their weight"
+    elif not failed.any():
         word = "no sample of the dear model fails where the cheap one does: the two disagree there"
     elif effective < 10.0:
         word = f"only {effective:.1f} effective failing samples: believe no more than the order of magnitude"

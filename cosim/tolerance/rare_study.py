@@ -176,8 +176,8 @@ def _none(worst: Extreme | None, model: str, cheap: str, looked: int) -> Rare:
     if worst is not None and worst.value >= 0.0:
         word, high = (
             (
-                f"a failure is impossible within the tolerances, which end: the worst device that was found "
-                f"on {cheap} passes by {worst.value:.3g} standard deviations"
+                f"no device within the tolerances, which end, was found to fail: the worst on {cheap} passes "
+                f"by {worst.value:.3g} standard deviations"
             ),
             0.0,
         )
