@@ -151,7 +151,7 @@ def test_what_cannot_fail_within_its_tolerances_is_said_so():
 
 @pytest.mark.parametrize("far", [9.0, 30.0, 60.0])
 def test_failures_beyond_all_numbers_have_an_interval(far):
-    """Squares of their weights underflow, and so do the weights at last: no division of nothing by nothing."""
+    """Squares of their weights underflow, and at last the weights: nothing is divided by nothing."""
     found = count_failures(
         lambda u: 3.0 * far - u.sum(axis=1), Places(np.full((1, 9), far / 3.0), 0), samples=50, seed=1
     )
