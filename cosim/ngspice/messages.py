@@ -42,6 +42,7 @@ _CHATTER = re.compile(
 )
 _NUMBERED = re.compile(r"(?:Error on line|Netlist line no\.|parsing stopped at line)\s*(\d+)", re.IGNORECASE)
 _PARAMETER = re.compile(r"Undefined parameter \[(\w+)\]", re.IGNORECASE)
+_EXPRESSION = re.compile(r"Expression err: (\S.*\})")
 _INSTANCE = re.compile(r"\(instance: x(\S+)\)", re.IGNORECASE)
 _SINGULAR = re.compile(r"singular matrix:\s*check nodes?\s+(\S+(?:\s+and\s+\S+)?)", re.IGNORECASE)
 _STEP = re.compile(r"timestep too small; time = (\S+), timestep = \S+: (.*)", re.IGNORECASE)
@@ -129,6 +130,9 @@ def load_problems(said: Sequence[str], rows: Sequence[str], lines: Sequence[Line
     number = next((int(match[1]) for line in said if (match := _NUMBERED.search(line))), None)
     named = any(_PARAMETER.search(word) for word in words)  # surer than 47's number of a line, one of its own
     index = number - 1 if number is not None and 0 < number <= len(rows) and not named else _find(words, rows)
+    quoted = _rows_of_expression(words, rows)
+    if len(quoted) == 1:
+        index = quoted[0]
     message = (
         "ngspice does not accept the netlist: " + "; ".join(words[:6])
         if words
@@ -139,6 +143,13 @@ def load_problems(said: Sequence[str], rows: Sequence[str], lines: Sequence[Line
         return [Problem(message + (f" [{shown}]" if shown and shown not in message else ""))]
     origin = lines[index]
     return [Problem(f"{message} [{origin.text}]", file=origin.file, line=origin.lineno)]
+
+
+def _rows_of_expression(words: Sequence[str], rows: Sequence[str]) -> list[int]:
+    """Return the rows that hold the expression which ngspice could not read, whatever line it names."""
+    found = (match[1].lower() for word in words if (match := _EXPRESSION.search(word)))
+    wrong = next(found, None)
+    return [] if wrong is None else [i for i, row in enumerate(rows) if "{" + wrong in row.lower()]
 
 
 def _find(words: Sequence[str], rows: Sequence[str]) -> int | None:
