@@ -198,7 +198,8 @@ class Tolerance:
 
 
 _AMOUNT = re.compile(r"^([0-9.]+(?:[eE][-+]?[0-9]+)?)\s*(.*)$")
-_PREFIXES = {"u": 1e-6, "µ": 1e-6, "m": 1e-3, "k": 1e3}
+#: Prefixes of a unit that a user may write; behind a number of SPICE, M is milli.
+PREFIXES = {"u": 1e-6, "µ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
 
 
 def tolerances(scene: Scene) -> dict[str, Tolerance]:
@@ -250,8 +251,8 @@ def amount(text: str, unit: str) -> Tolerance | None:
         return Tolerance(size / 100, True)
     if written == unit:
         return Tolerance(size, False)
-    if unit and "^" not in unit and written[1:] == unit and written[0] in _PREFIXES:
-        return Tolerance(size * _PREFIXES[written[0]], False)
+    if unit and "^" not in unit and written[1:] == unit and written[0] in PREFIXES:
+        return Tolerance(size * PREFIXES[written[0]], False)
     return None
 
 

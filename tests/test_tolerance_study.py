@@ -273,7 +273,28 @@ def test_bad_specifications_are_told_together() -> None:
     with pytest.raises(InputError) as caught:
         parse_specs(["k_maxx > 3", "k_max in 5..5", "k_max about 3", "rest_force < 5 mm", "headroom > 9 V"])
     assert len(caught.value.problems) == 5
-    assert parse_specs(["k_max in 0.1k..200 N/m"]) == (Spec("k_max", 100.0, 200.0),)
+    assert not [problem for problem in caught.value.problems if problem.unit]  # none behind the whole text
+
+
+@pytest.mark.parametrize(
+    ("text", "low", "high"),
+    [
+        ("k_max in 0.1k..200 N/m", 100.0, 200.0),
+        ("k_max in 0.1k..0.2kN/m", 100.0, 200.0),
+        ("k_max in 0.1..0.2 kN/m", 100.0, 200.0),
+        ("k_max < 2 MN/m", -math.inf, 2e6),  # mega in front of a unit, milli behind a number of SPICE
+        ("k_max < 2meg N/m", -math.inf, 2e6),
+        ("k_max < 2megN/m", -math.inf, 2e6),
+        ("max_penetration < 20 mm", -math.inf, 0.02),
+        ("max_penetration < 20mm", -math.inf, 0.02),
+        ("max_penetration < 0.02 m", -math.inf, 0.02),
+        ("rest_force > 50 mN", 0.05, math.inf),
+        ("heat < 2 A^2 s", -math.inf, 2.0),
+    ],
+)
+def test_a_limit_may_have_a_unit_with_a_prefix(text: str, low: float, high: float) -> None:
+    (spec,) = parse_specs([text])
+    assert (spec.low, spec.high) == pytest.approx((low, high), rel=1e-12)
 
 
 def test_nothing_varies_is_an_error_and_findings_are_whole() -> None:

@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from cosim.catalogue import NAMES, UNITS
 from cosim.errors import InputError, Problem, nearest
+from cosim.measures import PREFIXES
 from cosim.ngspice.lines import number
 
 __all__ = ["Spec", "parse_specs"]
 
 _FORM = re.compile(r"\s*(\w+)\s*(in|<=|>=|<|>)\s*(.+?)\s*")
-_ALLOWED = '"NAME in 95..105", "NAME > 500", "NAME <= 0.05 N"'
+_NUMBER = re.compile(r"[-+]?[\d.]+(?:e[-+]?\d+)?(meg|[tgkmunpf])?", re.IGNORECASE)
+_ALLOWED = '"NAME in 95..105", "NAME > 500", "NAME <= 0.05 N", "NAME <= 50 mN"'
 
 
 @dataclass(frozen=True)
@@ -78,11 +80,12 @@ def _parsed(text: str) -> Spec | Problem:
         said = "no such measure" + (f"; nearest is {near}" if near else "")
         return Problem(said, key="--spec", value=text, allowed=", ".join(NAMES))
     unit = UNITS[name]
-    if unit and written.endswith(unit):
-        written = written.removesuffix(unit).strip()
-    ends = [_number(part) for part in (written.split("..") if sign == "in" else [written])]
+    written, scale = _without_unit(written, unit)
+    ends = [_number(part, scale) for part in (written.split("..") if sign == "in" else [written])]
     if len(ends) != (2 if sign == "in" else 1) or any(end is None for end in ends):
-        return Problem("is no specification", key="--spec", value=text, unit=unit or None, allowed=_ALLOWED)
+        of = f"in {unit}" if unit else "without a unit"
+        said = f"is no specification of a measure {of}"
+        return Problem(said, key="--spec", value=text, allowed=_ALLOWED)
     low, high = ends[0], ends[-1]
     assert low is not None
     assert high is not None
@@ -91,10 +94,18 @@ def _parsed(text: str) -> Spec | Problem:
     return Spec(name, low=low) if sign.startswith(">") else Spec(name, high=high)
 
 
-def _number(text: str) -> float | None:
-    """Return a number, with SPICE's scale (0.5k) but no unit: 5m is 5 milli, not metres."""
-    return (
-        number(text)
-        if re.fullmatch(r"[-+]?[\d.]+(e[-+]?\d+)?(meg|[tgkmunpf])?", text.strip(), re.I)
-        else None
-    )
+def _without_unit(written: str, unit: str) -> tuple[str, float]:
+    """Return what stands before the unit, and the factor of the unit's prefix: 20 mm is 20 and 1e-3."""
+    if not unit or not written.endswith(unit):
+        return written, 1.0
+    head = written.removesuffix(unit)
+    if head[-1:] in PREFIXES and "^" not in unit and not head.lower().endswith("meg"):
+        return head[:-1].strip(), PREFIXES[head[-1]]
+    return head.strip(), 1.0
+
+
+def _number(text: str, scale: float) -> float | None:
+    """Return a number times `scale`, that of its unit; one with a scale of SPICE's (0.5k) has its own."""
+    match = _NUMBER.fullmatch(text.strip())
+    value = number(text) if match is not None else None
+    return value if match is None or value is None or match[1] else scale * value
