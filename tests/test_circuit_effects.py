@@ -279,7 +279,7 @@ def part(folder: Path, name: str, level: str, flags: tuple[str, ...], circuit: s
     switched = "".join(f".param {flag}=1\n" for flag in flags)
     rails = "Vcc vcc 0 15\nVee vee 0 -15\n"
     deck.write_text(
-        f"a part alone\n.lib '{NETLISTS}/parts/{name}.lib' {level}\n{switched}{rails}{circuit}\n.end\n"
+        f"a part alone\n.lib 'netlists/parts/{name}.lib' {level}\n{switched}{rails}{circuit}\n.end\n"
     )
     return measures(run_program(deck))
 

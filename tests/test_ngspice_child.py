@@ -7,14 +7,18 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from cosim.circuits.extraction.alter import Way
+from cosim.circuits.extraction.swing import SwingFrom
 from cosim.errors import InputError, SimulationError
 from cosim.ngspice.child import Child, call, start_early
+from cosim.ngspice.child_messages import read, written
 
 pytestmark = pytest.mark.own_process
 HERE = Path(__file__).parent
@@ -264,7 +268,7 @@ def test_no_spiceinit_of_the_user_is_read(tmp_path: Path, monkeypatch: pytest.Mo
     marker = tmp_path / "owned"
     for folder in ("here", "home", "init"):
         (tmp_path / folder).mkdir()
-        (tmp_path / folder / ".spiceinit").write_text(f"shell touch {marker}\nset ngbehavior=hsa\n")
+        (tmp_path / folder / ".spiceinit").write_text(f"shell touch '{marker}'\nset ngbehavior=hsa\n")
     monkeypatch.chdir(tmp_path / "here")
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     monkeypatch.setenv("SPICE_USERINIT_DIR", str(tmp_path / "init"))
@@ -278,6 +282,14 @@ def test_no_spiceinit_of_the_user_is_read(tmp_path: Path, monkeypatch: pytest.Mo
         capture_output=True,
     )
     assert marker.exists()
+
+
+def test_members_of_enumerations_travel_by_value(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python 3.11.2, which Debian 12 has, pickles them by `getattr`, and that no child may send."""
+    monkeypatch.setattr(Enum, "__reduce_ex__", lambda self, p: (getattr, (type(self), self.name)))
+    assert read(written({"from": SwingFrom.SUPPLIES, "by": [Way.DECK]})) == {
+        "from": SwingFrom.SUPPLIES, "by": [Way.DECK],
+    }  # fmt: skip
 
 
 def simulator_with(**environment: str) -> "subprocess.CompletedProcess[str]":

@@ -59,7 +59,7 @@ def test_shipped_scenes_carry_no_warning(path: Path, model: str) -> None:
         ("resistor-absurd", "0.001 Ohm", ["device.values.xdiff1.r12=1m"]),
         ("resistor-absurd", "2e+08 Ohm", ["device.values.r31=200meg"]),
         ("resistor-absurd", "2e+08 Ohm", ["device.values.rsp11=200meg"]),
-        ("constant-missed", "its circuit makes 5.999 at ksp11 (+100 %)", ["device.values.r_sum_fb=20k"]),
+        ("constant-missed", "its circuit makes 5.999 at ksp1", ["device.values.r_sum_fb=20k"]),
         ("constant-missed", "v_nm = 15.62, its circuit makes 7.8", ["device.values.r_sum_fb=20k"]),
         ("constant-missed", "c_fs = 0.06969, its circuit makes 0.0348", ["device.values.c_der_in=500n"]),
         ("start-outside-stops", "(which are off", ["device.chain.stops_rad=[[-1.0,0.1],[-2.0,2.0]]"]),

@@ -345,12 +345,13 @@ def test_recorded_nodes_are_signals_and_ngspice_reads_them(project: Project, tmp
     script = tmp_path / "read.cir"
     script.write_text(
         "* reads a result\n.control\n"
-        f"load {project.folder}/out/signals.raw\n"
+        "load signals.raw\n"
         "print length(time) 'xboard.x1'[length(time)-1]\n.endc\n.end\n"
     )
-    said = subprocess.run(
-        [program, "-n", "-b", str(script)], capture_output=True, text=True, check=False, timeout=30
-    ).stdout
+    said = subprocess.run(  # in its folder: `load` takes no path with a blank
+        [program, "-n", "-b", str(script)], cwd=project.folder / "out", capture_output=True, text=True,
+        check=False, timeout=30,
+    ).stdout  # fmt: skip
     assert f"length(time) = {len(result.signals['time']):.6e}" in said
     assert f"{result.signals['xboard.x1'][-1]:.6e}" in said
 

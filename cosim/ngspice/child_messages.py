@@ -5,11 +5,12 @@ A child that something broke into must not get at its parent, which is not in a 
 
 import io
 import pickle
+from enum import Enum
 from typing import Any
 
 from cosim.errors import SimulationError
 
-__all__ = ["read"]
+__all__ = ["read", "written"]
 
 _PACKAGES = ("cosim", "mech")
 _PLAIN = frozenset(
@@ -29,6 +30,21 @@ _PLAIN = frozenset(
         )
     }
 )
+
+
+class _Writer(pickle.Pickler):
+    """Names a member of an enumeration by its value: some releases of Python 3.11 name it by `getattr`."""
+
+    def reducer_override(self, obj: Any) -> Any:
+        """Return how an object is made again."""
+        return (type(obj), (obj.value,)) if isinstance(obj, Enum) else NotImplemented
+
+
+def written(message: Any) -> bytes:
+    """Return the bytes of a message."""
+    body = io.BytesIO()
+    _Writer(body, protocol=5).dump(message)
+    return body.getvalue()
 
 
 class _Reader(pickle.Unpickler):

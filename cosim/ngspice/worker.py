@@ -20,6 +20,7 @@ from typing import Any, NoReturn
 from cosim.caution import collected
 from cosim.errors import CosimError
 from cosim.ngspice import sandbox
+from cosim.ngspice.child_messages import written
 from cosim.quick_start import collect_seldom, defer
 
 __all__ = ["HEAD", "main"]
@@ -37,7 +38,7 @@ _sending = threading.Lock()
 
 
 def _send(descriptor: int, message: tuple[str, Any]) -> None:
-    body = pickle.dumps(message, protocol=5)
+    body = written(message)
     view = memoryview(HEAD.pack(len(body)) + body)
     with _sending:
         while view:
