@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterator
@@ -263,12 +264,20 @@ def test_the_child_goes_with_its_parent(tmp_path: Path, how: signal.Signals) -> 
         assert not list(folder.iterdir())
 
 
-def test_no_spiceinit_of_the_user_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def marker() -> Iterator[Path]:
+    """A file that must not appear, in a path without a blank: ngspice's `shell` takes no other."""
+    with tempfile.TemporaryDirectory(dir="/var/tmp") as folder:
+        yield Path(folder) / "owned"
+
+
+def test_no_spiceinit_of_the_user_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, marker: Path
+) -> None:
     """Neither one in the working folder nor one in HOME, nor one that the environment points to."""
-    marker = tmp_path / "owned"
     for folder in ("here", "home", "init"):
         (tmp_path / folder).mkdir()
-        (tmp_path / folder / ".spiceinit").write_text(f"shell touch '{marker}'\nset ngbehavior=hsa\n")
+        (tmp_path / folder / ".spiceinit").write_text(f"shell touch {marker}\nset ngbehavior=hsa\n")
     monkeypatch.chdir(tmp_path / "here")
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     monkeypatch.setenv("SPICE_USERINIT_DIR", str(tmp_path / "init"))
