@@ -41,9 +41,18 @@ class _Writer(pickle.Pickler):
 
 
 def written(message: Any) -> bytes:
-    """Return the bytes of a message."""
+    """Return the bytes of a message.
+
+    Raises
+    ------
+    pickle.PicklingError
+        For what is no data, such as a function.
+    """
     body = io.BytesIO()
-    _Writer(body, protocol=5).dump(message)
+    try:
+        _Writer(body, protocol=5).dump(message)
+    except (AttributeError, TypeError) as error:  # which of them differs between releases of Python
+        raise pickle.PicklingError(f"it does not pickle: {error}") from error
     return body.getvalue()
 
 
