@@ -29,8 +29,6 @@ _DEFENSIVE = 0.1
 #: Inflation of the draws from which failures are looked for, and how many.
 _WIDE, _STARTS = (1.0, 2.0, 3.0, 4.0, 6.0), 512
 _STEPS, _STEP = 30, 1e-4
-#: Standard deviations up to which a distribution that is cut at three still changes.
-_SLOPING = 3.0
 #: Shares of a step that are tried at once.
 _LENGTHS = np.array([1.0, 0.7, 0.4, 0.2, 0.1, 0.03])
 _HALVINGS = 30
@@ -152,8 +150,6 @@ def nearest_failures(
     u = failing[:most]
     if len(u) < most and begin is None:
         u = np.concatenate([u, np.zeros((1, variables)), low])
-    # farther out a cut distribution is at its end and has no slope
-    u = np.clip(u, -_SLOPING, _SLOPING)
     arrived = np.empty((0, variables))
     for _ in range(_STEPS):
         value, slope = _slope(margin, u)
