@@ -19,8 +19,7 @@ from cosim.errors import SimulationError, fail
 from cosim.seal import plain_json
 from cosim.staging import disk_errors
 from cosim.stored_form import fits
-
-Progress = Callable[[int, int, str], None]
+from cosim.types import Progress
 
 #: How the first line of a file of points begins.
 _HEAD = '{"digest": "'

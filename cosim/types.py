@@ -6,7 +6,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Array", "Complex", "Measures", "Record", "Report"]
+__all__ = ["Array", "Complex", "Measures", "Progress", "Record", "Report"]
 
 Array: TypeAlias = NDArray[np.float64]
 Complex: TypeAlias = NDArray[np.complex128]
@@ -16,3 +16,5 @@ Record: TypeAlias = Any
 Measures: TypeAlias = Mapping[str, Mapping[str, Any]]
 #: What a function in the child process calls to tell how far it is.
 Report: TypeAlias = Callable[[dict[str, Any]], None]
+#: What long work calls to tell how far it is: what is done, of how many, and what comes next.
+Progress: TypeAlias = Callable[[int, int, str], None]

@@ -8,18 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from typing_extensions import TypedDict
 
 from cosim.ngspice.child import Child, call
 from cosim.plan import Plan
 from cosim.results import Run
+from cosim.types import Array
 
 __all__ = [
     "AXES", "Failed", "First", "Second", "Summary", "instants", "motion", "peers", "summary", "trace_errors",
 ]  # fmt: skip
 
-Array = NDArray[np.float64]
 #: Signals that errors are measured on: position of the tip [m], force of the operator on the device [N].
 AXES = ("x", "y", "fx", "fy")
 #: Most instants at which two runs are compared.

@@ -21,7 +21,7 @@ from cosim.accuracy.pareto import Row, cheapest, clipped, finest, marked
 from cosim.accuracy.solver_settings import MODELS, Setting, carries, grid, reference, second_reference
 from cosim.catalogue import OF_A_RUN, UNITS
 from cosim.caution import collected
-from cosim.checkpoint import Points, Progress
+from cosim.checkpoint import Points
 from cosim.circuits.decks import Tolerances
 from cosim.errors import CosimError, InputError, StorageError, fail
 from cosim.export.scene_deck import deck_lines
@@ -31,6 +31,7 @@ from cosim.runner import run
 from cosim.scene import Scene, load_scene
 from cosim.staging import disk_errors, scratch_folder
 from cosim.stored_form import used
+from cosim.types import Progress
 
 __all__ = ["POINTS", "Accuracy", "Row", "accuracy"]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,10 +13,10 @@ from cosim.errors import fail
 from cosim.results import BOARD, RECORD, Run
 from cosim.staging import scratch_folder
 from cosim.stored_form import refuse_code
+from cosim.types import Progress
 
 __all__ = ["Verified", "verify"]
 
-Progress = Callable[[int, int, str], None]
 _MOST = 100_000
 
 

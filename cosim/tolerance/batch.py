@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.catalogue import MEASURES, Need
 from cosim.caution import collected
@@ -31,10 +30,10 @@ from cosim.runner import run
 from cosim.staging import scratch_folder
 from cosim.tolerance.calibration import calibrated
 from cosim.tolerance.drawn_plan import MOTOR_CONSTANT, motor_constant, nominal, of_board, with_numbers
+from cosim.types import Array
 
 __all__ = ["Batch"]
 
-Array = NDArray[np.float64]
 Report = Callable[[dict[str, Any]], None]
 
 #: Samples that one call of ngspice's process answers: its time limit is that of so many runs.

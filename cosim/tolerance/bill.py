@@ -14,10 +14,10 @@ from cosim.tolerance.intervals import Estimate, clopper_pearson, share
 from cosim.tolerance.monte_carlo import Study
 from cosim.tolerance.sensitivity import Surface, deviations
 from cosim.tolerance.spec import Spec
+from cosim.types import Array
 
 __all__ = ["GRADES", "Line", "best_pair", "bill", "bought", "gained", "grade_text"]
 
-Array = NDArray[np.float64]
 #: Tolerances in which components are sold.
 GRADES = (0.0005, 0.001, 0.0025, 0.005, 0.01, 0.02, 0.05, 0.10, 0.20)
 #: Leading resistors of which pairs are tried.

@@ -19,10 +19,10 @@ from scipy import stats
 
 from cosim.tolerance.intervals import CONFIDENCE, Estimate, clopper_pearson
 from cosim.tolerance.spec import Spec
+from cosim.types import Array
 
 __all__ = ["BORDER", "STRATA", "Border", "allocation", "failure_rate", "learned", "replicate_weights"]
 
-Array = NDArray[np.float64]
 #: Names of the strata, by what the cheap model says.
 STRATA = ("fails", "border", "passes")
 FAILS, BORDER, PASSES = range(3)

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from cosim.tolerance.monte_carlo import Measurer, Study, worst
 from cosim.tolerance.worst_case import extremes
+from cosim.types import Array
 
 __all__ = ["Corner", "corner"]
 
-Array = NDArray[np.float64]
 #: Worst samples from which the search begins, too.
 _STARTS = 3
 

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from cosim.types import Array
+
 __all__ = ["REPLICATES", "Method", "Sampling", "sampling"]
 
-Array = NDArray[np.float64]
 Method = Literal["plain", "lhs", "sobol"]
 
 #: Independent randomisations of a Latin hypercube or a Sobol sequence, from whose scatter its error is told.

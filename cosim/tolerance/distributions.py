@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
+
+from cosim.types import Array
 
 __all__ = ["SIGMAS", "Histogram", "Kind", "Shape"]
 
-Array = NDArray[np.float64]
 #: Standard deviations within a tolerance, where nothing else is said.
 SIGMAS = 3.0
 

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.errors import fail
 from cosim.staging import disk_errors
@@ -22,11 +21,10 @@ from cosim.tolerance.cluster import clustered
 from cosim.tolerance.monte_carlo import Engine
 from cosim.tolerance.sample_store import Samples
 from cosim.tolerance.worker_pool import Chunk, Lost, cores, pooled
+from cosim.types import Array, Progress
 
 __all__ = ["LEVELS", "Job", "Processes", "Work", "merge", "run", "shard"]
 
-Array = NDArray[np.float64]
-Progress = Callable[[int, int, str], None]
 
 #: Folder within a study's own for what was measured beside its samples: other models, other points.
 LEVELS = "levels"

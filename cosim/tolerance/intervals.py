@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from cosim.tolerance.cube_points import Sampling
+from cosim.types import Array
 
 __all__ = ["CONFIDENCE", "Estimate", "clopper_pearson", "mean", "quantile", "share", "spread"]
 
-Array = NDArray[np.float64]
 CONFIDENCE = 0.95
 
 

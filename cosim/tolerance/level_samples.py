@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.catalogue import needing_no_run
 from cosim.errors import fail
@@ -22,11 +21,10 @@ from cosim.tolerance.engine import LEVELS, Processes
 from cosim.tolerance.monte_carlo import Study
 from cosim.tolerance.preparation import Points, Prepared
 from cosim.tolerance.two_level import Pilot, TwoLevel, cheap_samples, corrected, pilot_of
+from cosim.types import Array, Progress
 
 __all__ = ["CHEAPER", "Chosen", "LevelSamples", "cheaper"]
 
-Array = NDArray[np.float64]
-Progress = Callable[[int, int, str], None]
 
 #: Model -> the next cheaper one.
 CHEAPER = {"spice": "linear", "linear": "ideal"}

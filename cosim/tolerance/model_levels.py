@@ -9,12 +9,11 @@ interrupted study goes on with the same samples.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.errors import InputError, Problem
 from cosim.tolerance.border_strata import STRATA, learned
@@ -24,11 +23,10 @@ from cosim.tolerance.monte_carlo import Study
 from cosim.tolerance.preparation import Prepared
 from cosim.tolerance.strata_yields import Stratified, yields_by_strata
 from cosim.tolerance.two_level import TwoLevel
+from cosim.types import Progress
 
 __all__ = ["LEAST_DEAR", "Levels", "check", "two_levels"]
 
-Array = NDArray[np.float64]
-Progress = Callable[[int, int, str], None]
 
 #: Dear samples that a study of two models needs.
 LEAST_DEAR = 32

@@ -18,10 +18,10 @@ from cosim.tolerance.cube_points import Sampling
 from cosim.tolerance.intervals import Estimate
 from cosim.tolerance.spec import Spec
 from cosim.tolerance.varying import Tolerances
+from cosim.types import Array
 
 __all__ = ["QUANTILES", "Engine", "Measurer", "Study", "Summary", "draw", "summary", "yields"]
 
-Array = NDArray[np.float64]
 #: Shares of devices below the quantiles that are told.
 QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
 #: What a chunk should take [s]: long enough to cost nothing, short enough to see it move.

@@ -8,9 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 import cosim
 from cosim.caution import Caution, warn
 from cosim.comparisons.measuring import check_measures, needs_a_run
@@ -27,10 +24,10 @@ from cosim.tolerance.spec import Spec
 from cosim.tolerance.trim import Trimmed, trims
 from cosim.tolerance.variables import tolerances
 from cosim.tolerance.varying import Tolerances
+from cosim.types import Array
 
 __all__ = ["MOST", "Asked", "Points", "Prepared", "prepare"]
 
-Array = NDArray[np.float64]
 #: Samples of a study, at most.
 MOST = 10_000_000
 

@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special, stats
 
+from cosim.types import Array
+
 __all__ = [
     "Places", "RareEstimate", "count_failures", "failure_estimate", "importance_points", "nearest_failures",
 ]  # fmt: skip
 
-Array = NDArray[np.float64]
 #: Standard normals (n, variables) -> margin (n,): a device fails where it is negative.
 Margin = Callable[[Array], Array]
 

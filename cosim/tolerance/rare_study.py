@@ -9,7 +9,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from cosim.tolerance.engine import Processes
@@ -24,11 +23,10 @@ from cosim.tolerance.rare_failures import (
 )  # fmt: skip
 from cosim.tolerance.varying import Tolerances
 from cosim.tolerance.worst_case import Extreme, extremes
+from cosim.types import Array, Progress
 
 __all__ = ["Rare", "rare_failures"]
 
-Array = NDArray[np.float64]
-Progress = Callable[[int, int, str], None]
 
 #: Searches, and draws of each inflation: a slope takes as many devices as there are variables.
 _SEARCHES, _STARTS = 8, 128

@@ -6,14 +6,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.ngspice.expression import reduce
 from cosim.tolerance.distributions import Shape
+from cosim.types import Array
 
 __all__ = ["Recipe", "Term"]
 
-Array = NDArray[np.float64]
 #: A value that must be positive may be none with this probability, which no batch will ever meet.
 MOST_NEGATIVE = 1e-12
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,10 +20,9 @@ from cosim.tolerance.preparation import Asked, Prepared, prepare
 from cosim.tolerance.sample_store import SAMPLES, Samples
 from cosim.tolerance.scene_study import RECORD
 from cosim.tolerance.spec import Spec
+from cosim.types import Progress
 
 __all__ = ["asked_of", "record_of", "repeat_samples"]
-
-Progress = Callable[[int, int, str], None]
 
 
 def record_of(prepared: Prepared) -> dict[str, Any]:

@@ -16,17 +16,16 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 from typing_extensions import TypedDict
 
 from cosim.errors import fail
 from cosim.seal import plain_json
 from cosim.staging import disk_errors, whole_file
 from cosim.stored_form import fits
+from cosim.types import Array
 
 __all__ = ["SAMPLES", "Samples"]
 
-Array = NDArray[np.float64]
 
 SAMPLES, STUDY, PARTS = "samples.parquet", "study.json", "parts"
 _PART = re.compile(r"(\d{12})-(\d+)\.parquet")

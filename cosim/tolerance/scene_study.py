@@ -6,11 +6,7 @@ import hashlib
 import math
 import os
 import re
-from collections.abc import Callable
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
 
 from cosim.catalogue import UNITS
 from cosim.errors import InputError, fail
@@ -23,6 +19,7 @@ from cosim.tolerance.model_levels import check, two_levels
 from cosim.tolerance.monte_carlo import Measurer, Study, draw, pilot_size
 from cosim.tolerance.preparation import MOST, Asked, Prepared, prepare
 from cosim.tolerance.rare_study import rare_failures
+from cosim.types import Array, Progress
 
 __all__ = [
     "RECORD", "Asked", "Prepared", "Processes", "check_folder", "measure_shard", "monte_carlo", "one_sample",
@@ -30,8 +27,6 @@ __all__ = [
 ]  # fmt: skip
 
 RECORD = "mc.json"
-Array = NDArray[np.float64]
-Progress = Callable[[int, int, str], None]
 
 #: Samples of a pilot, which is discarded.
 _PILOT = 64

@@ -11,15 +11,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.tolerance.intervals import CONFIDENCE, Estimate
 from cosim.tolerance.monte_carlo import Study
 from cosim.tolerance.varying import Tolerances
+from cosim.types import Array
 
 __all__ = ["GOOD", "Surface", "deviations", "fit_surface"]
 
-Array = NDArray[np.float64]
 #: Share of the variance of held-out samples that a surface must explain to be relied upon.
 GOOD = 0.99
 _FOLDS = 10

@@ -7,13 +7,12 @@ the same in both, whatever else they have (common random numbers). What differs 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.errors import InputError, Problem, fail
 from cosim.scene.load import SceneLike
@@ -25,11 +24,10 @@ from cosim.tolerance.intervals import Estimate
 from cosim.tolerance.monte_carlo import Study, Summary, passed, summary, yields
 from cosim.tolerance.preparation import MOST, Asked, Prepared, prepare
 from cosim.tolerance.spec import Spec
+from cosim.types import Array, Progress
 
 __all__ = ["Named", "Side", "sides"]
 
-Array = NDArray[np.float64]
-Progress = Callable[[int, int, str], None]
 
 #: Half the distance of the numbers that a generator gives: keeps them away from 0.
 _HALF = 2.0**-54

@@ -23,10 +23,10 @@ from cosim.tolerance.intervals import Estimate
 from cosim.tolerance.level_samples import Chosen, LevelSamples
 from cosim.tolerance.monte_carlo import passed
 from cosim.tolerance.spec import Spec
+from cosim.types import Array
 
 __all__ = ["Stratified", "yields_by_strata"]
 
-Array = NDArray[np.float64]
 #: Samples of the cheap model that are looked through for the border, at most.
 _LOOKED_THROUGH = 1 << 18
 

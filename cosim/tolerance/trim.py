@@ -7,17 +7,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.catalogue import NAMES, UNITS
 from cosim.errors import InputError, Problem, nearest
 from cosim.ngspice.lines import number
 from cosim.scene import Scene
 from cosim.tolerance.monte_carlo import Measurer
+from cosim.types import Array
 
 __all__ = ["Trim", "Trimmed", "trims"]
 
-Array = NDArray[np.float64]
 _FORM = re.compile(r"(\w+)\s+to\s+(\S+)\s*(.*)")
 #: Settings are looked for within this ratio of the nominal value.
 _RANGE = 3.0

@@ -12,14 +12,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from cosim.tolerance.cube_points import REPLICATES, sampling
+from cosim.types import Array
 
 __all__ = ["Pilot", "TwoLevel", "cheap_samples", "corrected", "moments", "pilot_of"]
 
-Array = NDArray[np.float64]
 #: Points of the unit cube (n, variables) -> measure (n,).
 Model = Callable[[Array], Array]
 

@@ -6,14 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.tolerance.distributions import Shape
 from cosim.tolerance.recipe import Recipe, Term
+from cosim.types import Array
 
 __all__ = ["Component", "Tolerances"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from cosim.types import Array
+
 __all__ = ["Extreme", "extremes"]
 
-Array = NDArray[np.float64]
 Measure = Callable[[Array], Array]
 #: Share of a variable's range by which a gradient is taken.
 _STEP = 1e-3
