@@ -14,34 +14,14 @@ if TYPE_CHECKING:
     from cosim.tolerance.varying import Tolerances
 
 _USUAL_SAMPLES = 200
+#: Options of a whole study.
+_OF_A_STUDY = (
+    "two_level", "rare", "until", "wanted", "worst_case", "workers", "chunk", "shard", "merge", "out",
+)  # fmt: skip
 #: What `--list` and the like are asked for alone, and the options that have no meaning beside each.
 _ALONE = {
-    "--list": (
-        "two_level",
-        "rare",
-        "samples",
-        "sample",
-        "until",
-        "wanted",
-        "worst_case",
-        "workers",
-        "chunk",
-        "shard",
-        "merge",
-        "out",
-    ),
-    "--sample": (
-        "two_level",
-        "rare",
-        "until",
-        "wanted",
-        "worst_case",
-        "workers",
-        "chunk",
-        "shard",
-        "merge",
-        "out",
-    ),
+    "--list": (*_OF_A_STUDY, "samples", "sample"),
+    "--sample": _OF_A_STUDY,
     "--shard": ("two_level", "rare", "wanted", "worst_case", "merge"),
     "--merge": ("two_level", "rare", "workers", "chunk"),
     "--until": ("samples",),
