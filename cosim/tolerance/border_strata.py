@@ -68,7 +68,16 @@ class Border:
 
 
 def learned(specs: Sequence[Spec], cheap: Mapping[str, Array], dear: Mapping[str, Array]) -> Border:
-    """Return the border as a pilot shows it: samples of both models whose outcome is not counted again."""
+    """Return the border as a pilot shows it: samples of both models whose outcome is not counted again.
+
+    Parameters
+    ----------
+    specs
+        Limits, each in its measure's unit.
+    cheap, dear
+        Measure -> [pilot], the same devices on both models, in the measure's unit. What is not finite in
+        either is left out; of fewer than three every device lies at the border.
+    """
     lines = {}
     for name in dict.fromkeys(spec.measure for spec in specs):
         x, y = cheap[name], dear[name]

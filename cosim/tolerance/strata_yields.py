@@ -65,7 +65,19 @@ class Stratified:
 def yields_by_strata(
     work: LevelSamples, border: Border, same: Array, values: Array, cube: Sampling, first: int
 ) -> tuple[int, dict[str, Stratified]]:
-    """Return dear samples besides the study's own, and the yield of each specification by strata."""
+    """Return the dear samples besides the study's own, and the yield of each specification by strata.
+
+    Parameters
+    ----------
+    same
+        [n, measures], the study's own devices on the cheap model.
+    values
+        [cheap, measures], the cheap model's further devices, which tell the strata's weights.
+    cube
+        How these were drawn: its randomisations give the weights' error.
+    first
+        Own devices that the border was learned from; they are not counted.
+    """
     study, specs = work.study, work.prepared.asked.specs
     n = study.sampling.n
     weights = replicate_weights(border.strata(work.named(values)), cube.replicates)
