@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
+from cosim.circuits.extraction.swing import SwingFrom, swings
 from cosim.errors import InputError
+from cosim.ngspice.dialect import Dialect
+from cosim.ngspice.foreign_functions import in_own_words
 from cosim.ngspice.lax_forms import put_right
 from cosim.ngspice.lines import Line
 from cosim.ngspice.netlist import element_nodes, parse
@@ -102,3 +105,95 @@ def test_a_file_with_all_of_these_forms_makes_a_board(tmp_path):
     deck = shipped(1, "gbw", parts={"opamp": PartSwap(file, "forms", "1 2 3 4 5", "pspice")})
     assert "tc1=1m tc2=1u" in deck.text
     assert any("parentheses" in note for note in deck.notes)
+
+
+def _value(formula, volts, dialect):
+    """What ngspice makes of a B source with this formula in a file of this dialect."""
+    text = in_own_words(f"B1 out 0 V={formula}", dialect, ())
+    simulator = Simulator()
+    mode = Dialect.behaviour([dialect])
+    simulator.load(
+        f"*\n*@ ngbehavior={mode}\nVin in 0 {volts}\nVl low 0 -2\nVh high 0 3\n{text}\nR1 out 0 1k\n.end\n"
+    )
+    simulator.command("op")
+    return float(np.real(simulator.vector("out")[0]))
+
+
+@pytest.mark.parametrize("dialect", [Dialect.PSPICE, Dialect.LTSPICE])
+@pytest.mark.parametrize("volts", [-5.0, -1.0, 0.0, 0.5, 2.0, 7.0])
+def test_a_table_is_linear_between_its_points_and_constant_outside(volts, dialect):
+    points = [-1.0, -2.0, 0.0, 0.5, 2.0, 1.0]
+    formula = f"1+table(v(in),{','.join(map(str, points))})*2"
+    expected = 1.0 + 2.0 * np.interp(volts, points[::2], points[1::2])
+    assert _value(formula, volts, dialect) == pytest.approx(expected, rel=1e-9)
+    # points that are voltages: a multiplier's output between its supplies
+    formula = "Table ( v(in), v(low),v(low), v(high),v(high) )"
+    assert _value(formula, volts, dialect) == pytest.approx(min(max(volts, -2.0), 3.0), rel=1e-9)
+
+
+@pytest.mark.parametrize("volts", [-1.5, 0.4, 0.6, 2.5])
+def test_functions_of_ltspice_have_the_values_of_its_manual(volts):
+    x = volts
+    for formula, expected in {
+        "hypot(v(in),2)": np.hypot(x, 2.0), "arctan(v(in))": np.arctan(x), "square(v(in)-1)": (x - 1.0) ** 2,
+        "buf(v(in))": float(x > 0.5), "inv(v(in))": float(x <= 0.5), "int(v(in))": np.trunc(x),
+        "round(v(in)+0.2)": np.floor(x + 0.7), "pwr(v(in),3)": abs(x) ** 3,
+        "pwrs(v(in),3)": np.sign(x) * abs(x) ** 3, "pwrs(hypot(v(in),0),3)": abs(x) ** 3,
+    }.items():  # fmt: skip
+        assert _value(formula, volts, Dialect.LTSPICE) == pytest.approx(expected, rel=1e-6, abs=1e-9), formula
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "B1 out 0 V=table(v(in),1)",  # no pairs
+        "B1 out 0 V=hypot(v(in))",  # one argument is missing
+        "B1 out 0 V=table(v(in),1,2",  # not closed
+        "X1 a b table(1)",  # no formula
+        "B1 out 0 V=v(table)",  # a node
+        "E1 out 0 TABLE {v(in)} = (0,0) (1,1)",  # the other form of a table, which ngspice knows
+        "B1 out 0 V=" + "hypot(1," * 2000 + "v(in)" + ")" * 2000,
+        # five tables in each other, of thirty points each: 60**5 copies of the innermost
+        "B1 out 0 V=" + "table(" * 5 + "v(in)" + ("," + ",".join(map(str, range(60))) + ")") * 5,
+    ],
+)
+def test_other_calls_stay_for_ngspice_to_name(text):
+    left = in_own_words(text, Dialect.LTSPICE, ())
+    assert "table" in left or "hypot" in left
+    assert len(left) < 60_000
+
+
+def test_a_function_that_the_file_defines_is_its_own():
+    text = "B1 out 0 V=square(v(in))"
+    assert in_own_words(text, Dialect.LTSPICE, {"square"}) == text
+    assert in_own_words(text, Dialect.PSPICE, ()) == text
+
+
+#: A multiplier as enthusiasts write them for LTspice: a product between the supplies.
+MULTIPLIER = """\
+.subckt product 1 2 3 4 5 6 7 8
+R1 1 2 100k
+R3 3 4 100k
+B1 9 0 V=(V(1)-V(2))*(V(3)-V(4))/10+V(6)
+R5 9 10 10
+C5 10 0 63.7p
+B2 77 0 V=table(V(10),V(5),V(5),V(8),V(8))
+R7 77 7 0.1
+Rz 6 0 1g
+.ends product
+"""
+
+
+def test_a_multiplier_between_its_supplies_makes_a_board_and_is_watched(tmp_path):
+    from extraction_boards import shipped
+
+    file = tmp_path / "product.lib"
+    file.write_text(MULTIPLIER)
+    swap = PartSwap(file, "product", "x1 x2 y1 y2 vee z w vcc", "ltspice")
+    deck = shipped(1, "gbw", parts={"vca": swap})
+    limits = swings(Simulator(), deck)
+    vcas = [a for a in deck.amplifiers if a.role == "vca"]
+    assert vcas
+    for a in vcas:  # 10 V at X, 20 V at the control: 20 V wanted, 15 V of supply less 0.1 Ohm of 10 kOhm
+        assert limits[a.path].limit_v == pytest.approx(15.0, rel=2e-5)
+        assert limits[a.path].source == SwingFrom.MEASURED

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from cosim.errors import InputError, Problem, fail, nearest
 from cosim.ngspice.dialect import Dialect
+from cosim.ngspice.foreign_functions import in_own_words
 from cosim.ngspice.lax_forms import put_right
 from cosim.ngspice.lines import Line, read_lines
 from cosim.ngspice.values import as_meant
@@ -99,7 +100,10 @@ class Reader:
             functions = {line.text.split(None, 1)[-1].partition("(")[0].strip().lower()
                          for line in rows if line.keyword == ".func"}  # fmt: skip
             if self.dialect is not Dialect.NGSPICE:
-                rows = [put_right(line) for line in rows]
+                rows = [
+                    replace(line, text=in_own_words(line.text, self.dialect, functions))
+                    for line in map(put_right, rows)
+                ]
             self._read[place] = [as_meant(line, self.dialect, functions) for line in rows]
         return self._read[place]
 
