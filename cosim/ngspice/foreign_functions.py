@@ -71,9 +71,11 @@ def _rewritten(text: str, known: dict[str, Callable[..., str]], depth: int = 0) 
     out, place = "", 0
     for match in _CALL.finditer(text):
         name = match[1].lower()
-        end = _closing(text, match.end())
-        if match.start() < place or name not in known or end is None:
+        if match.start() < place or name not in known:
             continue
+        end = _closing(text, match.end())
+        if end is None:
+            break  # what follows is inside
         given = [_rewritten(each, known, depth + 1) for each in arguments(text[match.end() : end])]
         out += text[place : match.start()] + _called(known[name], given, text[match.start() : end + 1])
         place = end + 1
