@@ -21,6 +21,8 @@ from cosim.ngspice.simulator import Simulator
          "G1 a 0 TABLE {V(a,b)} (-1,-1n) (0,0) (16,1n) (16.1,1)"),
         ("E1 a 0 table {v(a)} = (0,0)((1,2)", "E1 a 0 table {v(a)} = (0,0) (1,2)"),
         ("X1 a b,c part k=1", "X1 a b c part k=1"),
+        ("E1 a 0 poly(2),(b,0),(c,0) 0 .5 .5", "E1 a 0 poly(2) (b,0) (c,0) 0 .5 .5"),
+        ("G1 a 0 POLY(1) , (b,c) 1 2", "G1 a 0 POLY(1) (b,c) 1 2"),
         ("R1 a b 100 TC 3.11M 4.51U", "R1 a b 100 tc1=3.11M tc2=4.51U"),
         ("R1 a b 100 tc 1m,2u", "R1 a b 100 tc1=1m tc2=2u"),
         ("R1 a b 100 tc 1m", "R1 a b 100 tc1=1m"),
@@ -38,6 +40,8 @@ def test_what_pspice_reads_is_put_right(written, read):
         "G1 a 0 TABLE {V(a,b)} (0,0)(1,1,1))",  # no pairs
         "X1 a b part k={limit(a,b,c)}",
         "R1 tc b 100",
+        "E1 a 0 poly(2) (b,0) (c,0) (0,1,1)",
+        "E1 a 0 poly(2) (b,0) (c,0),(0,1,1)",
         "R1 a b tc 100",  # no value before it: TC would be the name of a model
         "R1 a b 100 tc=1m,2u",
     ],

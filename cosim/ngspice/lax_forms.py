@@ -15,6 +15,7 @@ __all__ = ["put_right"]
 
 _TABLE = re.compile(r"([eg]\S* \S+ \S+ table ?(?:\{[^{}]*\}|'[^']*') ?=?)(.*)", re.IGNORECASE)
 _COMMA = re.compile(r",(?![^(){}']*[)}'])")
+_POLY = re.compile(r"([efgh]\S* .*?poly ?\( ?\d+ ?\))((?: ?, ?\([^()]*\))+)(?= |$)", re.IGNORECASE)
 _APART = re.compile(r"[\s(),]+")
 _COEFFICIENTS = re.compile(r"([rcl]\S* \S+ \S+ .*?)\btc ([^\s=,]+)(?:[\s,]+([^\s=,]+))?", re.IGNORECASE)
 
@@ -23,12 +24,15 @@ def put_right(line: Line) -> Line:
     """Return a statement of a PSpice or LTspice file as that program reads it, with a note on a table.
 
     A table whose parentheses do not match becomes its pairs of numbers, ``x1 a,b part`` becomes
-    ``x1 a b part``, ``tc 1m 2u`` becomes ``tc1=1m tc2=2u``. Where other things than numbers stand, nothing is
-    changed.
+    ``x1 a b part``, ``poly(2),(a,0),(b,0)`` loses its outer commas, ``tc 1m 2u`` becomes ``tc1=1m tc2=2u``.
+    Where other things than numbers stand, nothing is changed.
     """
     text, note = line.text, ""
     if text[:1] in "xX" and "," in text:
         text = _COMMA.sub(" ", text)
+    match = _POLY.match(text)
+    if match is not None:
+        text = match[1] + re.sub(r" ?, ?\(", " (", match[2]) + text[match.end() :]
     match = _TABLE.fullmatch(text)
     if match is not None and balanced(match[1]) and not balanced(match[2]):
         values = [word for word in _APART.split(match[2]) if word]
