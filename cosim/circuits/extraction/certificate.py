@@ -17,11 +17,25 @@ from cosim.circuits.linear_circuit import LinearCircuit, channel_names
 from cosim.types import Array
 from cosim.units import quantity
 
-__all__ = ["WORST_NONLINEARITY", "cautions", "delays", "footnote", "linear_certificate", "statics"]
+__all__ = [
+    "BENT",
+    "WORST_LARGE_SIGNAL",
+    "WORST_NONLINEARITY",
+    "cautions",
+    "delays",
+    "footnote",
+    "linear_certificate",
+    "statics",
+]
 
 
 #: Deviation of a gain from proportionality, as a share of full scale, at which `linear` is refused.
 WORST_NONLINEARITY = 0.02
+#: Difference between currents and their slope at rest, as a share of rated current, that is told:
+#: five times what the shipped board's multipliers bend (0.43 %).
+BENT = 0.02
+#: The same beyond which `linear` is refused: what it says of the working range is wrong.
+WORST_LARGE_SIGNAL = 0.2
 
 
 def footnote(
@@ -115,6 +129,18 @@ def cautions(told: Mapping[str, Any]) -> list[Caution]:
                 "dead-gain",
                 f"nothing comes through to a motor at any gain of {', '.join(told['dead'])}",
                 "look for an open connection, a resistor without an end or a value of zero in that path",
+            )
+        )
+    bent = float(told.get("large_signal_error", 0.0))
+    if bent > BENT:
+        found.append(
+            Caution(
+                "not-linear",
+                f"on its way to rated current the board leaves the slope that it has at rest: with "
+                f"{told['large_signal_worst']} at full scale the current is off by up to "
+                f"{100.0 * bent:.3g} % of rated current, which the models ideal and linear do not know",
+                "run the model spice; look for an output stage without bias at rest, or an amplifier that "
+                "saturates below rated torque",
             )
         )
     error, tolerance = float(told.get("fit_error", 0.0)), float(told.get("tolerance", 0.0))

@@ -10,12 +10,13 @@ import numpy as np
 from cosim.circuits import cache
 from cosim.circuits.extraction import certificate
 from cosim.circuits.extraction.ideal import DC_SWEEP, ideal
+from cosim.circuits.extraction.large_signal import large_signal_error
 from cosim.circuits.extraction.limits_and_offsets import ControlPath, control_path, current_limits, offsets
 from cosim.circuits.extraction.path_measurement import Paths, Session
 from cosim.circuits.fitting.networks import ROUNDING, Block, fit_block
 from cosim.circuits.fitting.rational_fit import WORST, Modes
 from cosim.circuits.linear_circuit import LinearCircuit, channel_names
-from cosim.errors import CosimError, InputError, Problem
+from cosim.errors import CosimError, InputError, Problem, fail
 from cosim.ngspice.deck import Deck
 from cosim.types import Array, Report
 
@@ -126,6 +127,11 @@ def _finished(
     if asked.model == "linear":
         _check_control(control, str(session.board.path))
     limit = current_limits(session)
+    bent = large_signal_error(session)
+    if bent is not None:
+        if asked.model == "linear":
+            _check_large_signals(*bent, str(session.board.path))
+        promise = promise | {"large_signal_error": bent[0], "large_signal_worst": bent[1]}
     circuit = replace(circuit, limit=limit, certificate=promise | certificate.statics(paths, control, limit))
     return with_offsets(session, circuit)
 
@@ -160,6 +166,19 @@ def _check_control(control: ControlPath, file: str) -> None:
     ]
     if problems:
         raise InputError(problems)
+
+
+def _check_large_signals(error: float, pin: str, file: str) -> None:
+    if error > certificate.WORST_LARGE_SIGNAL:
+        fail(
+            "no `linear` model: on its way to rated current the board leaves the slope that it has at rest "
+            f"by {100.0 * error:.3g} % of rated current, more than "
+            f"{100.0 * certificate.WORST_LARGE_SIGNAL:g} %: "
+            "an output stage without bias at rest, or an amplifier that saturates below rated torque; "
+            "a run can take the model `spice`",
+            file=file,
+            key=pin,
+        )
 
 
 def networks(paths: Paths, file: str, worst: float = WORST) -> tuple[Block, Block]:

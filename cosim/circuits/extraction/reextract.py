@@ -37,6 +37,8 @@ _NOMINAL = (
     "control_delay_s",
     "control_error",
     "current_limited",
+    "large_signal_error",
+    "large_signal_worst",
     "probes",
 )
 

@@ -1,0 +1,101 @@
+"""Boards whose gain at rated current is another than at rest: told, or refused, by their `.dc` sweep."""
+
+import numpy as np
+import pytest
+from extraction_boards import board, extract, shipped
+
+from cosim.circuits.design_constants import DesignConstants
+from cosim.circuits.extraction.certificate import cautions
+from cosim.circuits.extraction.large_signal import large_signal_error
+from cosim.circuits.extraction.path_measurement import Session
+from cosim.errors import InputError
+from cosim.ngspice.deck import PartSwap
+from cosim.plausibility import of_circuit
+
+RATED = 0.5
+
+
+def bent_board(folder, cubic):
+    """Board of one joint with i = s + cubic s^3 of the sum s of what its multipliers give."""
+    total = "(v(ws)+v(wd)+v(cmd1)-0.01*v(vel1))"
+    return board(
+        folder,
+        top=f".param i_rated={RATED}\n.csparam i_rated={{i_rated}}",
+        output=f"Bs s 0 V={total}\nBi imot1 0 V=v(s)+{cubic!r}*v(s)*v(s)*v(s)",
+    )
+
+
+@pytest.mark.parametrize("cubic", [0.0, 0.1, -0.2, 1.0])
+def test_the_error_is_that_of_the_cubic_at_rated_current(tmp_path, cubic):
+    # at full scale u goes to the sum with gain 1, so that the sweep ends at s = i_rated
+    error, pin = large_signal_error(Session(bent_board(tmp_path, cubic)))
+    assert error == pytest.approx(abs(cubic) * RATED**3 / RATED, rel=1e-6, abs=1e-12)
+    assert pin == ("ksp11" if cubic else pin)
+
+
+def test_a_board_that_states_no_rated_current_is_not_judged(tmp_path):
+    assert large_signal_error(Session(board(tmp_path))) is None
+    assert "large_signal_error" not in extract(board(tmp_path)).certificate
+
+
+def test_a_bent_board_is_told_of_and_one_that_is_far_off_refused(tmp_path):
+    for cubic in (0.04, 0.06, 0.12):  # 1, 1.5 and 3 %
+        told = cautions(extract(bent_board(tmp_path, cubic)).certificate)
+        bent = [each for each in told if each.code == "not-linear"]
+        assert len(bent) == (cubic * RATED**2 > 0.02)
+        for each in bent:
+            assert "3 % of rated current" in each.text
+            assert "spice" in each.advice
+    with pytest.raises(InputError, match=r"25 % of rated current.*`spice`"):
+        extract(bent_board(tmp_path, 1.0))
+
+
+#: An op-amp with a class B output stage without bias: 0.6 V of each diode are crossed by the loop alone, and
+#: the loop has little gain to do so.
+CLASS_B = """\
+.subckt crossed 1 2 3 4 5
+G1 0 x 1 2 1m
+Rx x 0 20k
+Cx x 0 53p
+Dp x y DX
+Dn y x DX
+Ry y 0 1k
+Rq y x 1meg
+E5 z 0 y 0 1
+Rz z 5 50
+Rs 3 4 100k
+.model DX D(is=1e-12)
+.ends crossed
+"""
+
+
+@pytest.mark.parametrize("joints", [1, 2])
+def test_a_board_of_op_amps_without_bias_is_refused_with_the_reason(tmp_path, joints):
+    file = tmp_path / "crossed.lib"
+    file.write_text(CLASS_B)
+    deck = shipped(joints, "gbw", parts={"opamp": PartSwap(file, "crossed", "1 2 3 4 5")})
+    with pytest.raises(InputError, match="at rest") as caught:
+        extract(deck)
+    assert caught.value.problems[0].key.startswith("ksp")
+    # the model `ideal` has gains of its own and is told of, without the advice to correct constants
+    circuit = extract(deck, "ideal")
+    constants = DesignConstants.read(Session(deck).simulator.constants(), "")
+    assert [each.code for each in of_circuit(circuit, constants)] == ["not-linear"]
+
+
+@pytest.mark.parametrize("joints", [1, 2])
+@pytest.mark.parametrize("driver", ["voltage", "current"])
+def test_the_shipped_boards_bend_as_little_as_their_multipliers(joints, driver):
+    at_gbw, _ = large_signal_error(Session(shipped(joints, "gbw", driver)))
+    assert at_gbw < 1e-7  # of solved formulas
+    # level full: 0.4 % of full scale of X and 0.1 % of Y at most, and offsets of 5 mV at 10 V
+    at_full, _ = large_signal_error(Session(shipped(joints, "full", driver)))
+    assert 1e-4 < at_full < 0.004 + 0.001 + 0.0005
+
+
+def test_sweeps_leave_every_pin_as_it_was():
+    session = Session(shipped(1, "gbw"))
+    session.hold({"u1": 0.3})  # shows in the current if a gain stays
+    rest = session.operating_point(["imot1"])
+    large_signal_error(session)
+    np.testing.assert_array_equal(session.operating_point(["imot1"]), rest)
