@@ -30,7 +30,7 @@ from cosim.plan import resolve
 from cosim.results import Run
 from cosim.runner import run
 from cosim.scene import load_scene
-from cosim.staging import scratch_folder
+from cosim.storage.staging import scratch_folder
 
 #: Name -> scene and changes.
 CASES: dict[str, tuple[str, tuple[str, ...]]] = {

@@ -15,14 +15,14 @@ from typing import Any
 
 from benchmarks.rig import ROOT
 from cosim.accuracy.solver_settings import reference
-from cosim.accuracy.within import Wanted, run_within
+from cosim.accuracy.tolerance_control import Wanted, run_within
 from cosim.accuracy.work_precision import accuracy
 from cosim.caution import collected
 from cosim.ngspice.child import Child, start_early
 from cosim.plan import resolve
 from cosim.runner import run
 from cosim.scene import load_scene
-from cosim.staging import scratch_folder
+from cosim.storage.staging import scratch_folder
 
 SCENES = ("press", "drop", "slope", "slope_combined", "slope_discrete", "slope_joint_pd")
 TOLERANCES = (1e-2, 1e-3, 1e-4)

@@ -24,7 +24,7 @@ from cosim.ngspice.placed_values import Placed, board_netlist, walk
 from cosim.plan import resolve
 from cosim.scene import load_scene
 from cosim.tolerance.batch import Batch
-from cosim.tolerance.variables import tolerances
+from cosim.tolerance.scene_variables import tolerances
 
 Report = Callable[[dict[str, Any]], None]
 _DRAWS = 40

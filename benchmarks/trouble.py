@@ -27,7 +27,7 @@ from cosim.ngspice.child import Child, start_early
 from cosim.plan import resolve
 from cosim.runner import run
 from cosim.scene import load_scene
-from cosim.staging import scratch_folder
+from cosim.storage.staging import scratch_folder
 
 #: Measures that are compared, and from which share of the larger one two models count as apart.
 MEASURES, APART = ("peak_force", "max_penetration", "peak_current", "heat"), 0.02

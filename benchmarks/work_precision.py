@@ -25,7 +25,7 @@ from benchmarks.stiff import DURATION_S, OUR_TOLERANCES, Solver, lsoda, radau, s
 from cosim.accuracy.work_precision import accuracy
 from cosim.loop.linear.run_linear import prepare
 from cosim.ngspice.child import Child, start_early
-from cosim.staging import scratch_folder
+from cosim.storage.staging import scratch_folder
 
 SCENES = ("press", "drop", "slope")
 #: Accuracies of the range, and the peers' tolerances, the loosest first.

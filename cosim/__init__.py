@@ -27,9 +27,9 @@ os.environ.setdefault("NUMBA_CACHE_LOCATOR_CLASSES", LOCATORS)
 
 #: Public names, and the module that each comes from; types stand in `__init__.pyi`.
 _PUBLIC = {
-    **dict.fromkeys(("run", "sweep", "compare"), "cosim.api.simulating"),
-    **dict.fromkeys(("monte_carlo", "study"), "cosim.api.many_devices"),
-    **dict.fromkeys(("stability", "noise", "device", "check"), "cosim.api.asking"),
+    **dict.fromkeys(("run", "sweep", "compare"), "cosim.api.simulation"),
+    **dict.fromkeys(("monte_carlo", "study"), "cosim.api.batches"),
+    **dict.fromkeys(("stability", "noise", "device", "check"), "cosim.api.queries"),
     **dict.fromkeys(("Plan", "resolve"), "cosim.plan"),
     **dict.fromkeys(("Scene", "load_scene"), "cosim.scene"),
     **dict.fromkeys(("Command", "Sample"), "cosim.loop.userlaw"),

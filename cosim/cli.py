@@ -26,7 +26,6 @@ from cosim.commands import (
     export,
     hard_cases,
     keys,
-    manner,
     mc,
     new,
     nodes,
@@ -36,12 +35,13 @@ from cosim.commands import (
     run,
     stability,
     sweep,
+    verbosity,
     verify,
     warm,
 )
 from cosim.commands.command import caution_lines
 from cosim.errors import CosimError, fail
-from cosim.staging import writable_folder
+from cosim.storage.staging import writable_folder
 from cosim.terminal import printable
 
 EXIT_FAILURE = 1
@@ -120,7 +120,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         return _printed(0, shtab.complete(build_parser(), shell=words[1]), sys.stdout)
     args = build_parser().parse_args(words)
-    manner.choose(quiet=args.quiet, verbose=args.verbose)
+    verbosity.choose(quiet=args.quiet, verbose=args.verbose)
     if callable(signal.getsignal(signal.SIGINT)) and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.default_int_handler)  # from here on there is something to tidy up
     return _printed(*_outcome(args))
@@ -139,7 +139,7 @@ def _printed(code: int, text: str, stream: TextIO) -> int:
 
 def _about() -> int:
     """Print versions, and what of the sandbox this system gives; return the exit code."""
-    from cosim.commands.about import about
+    from cosim.commands.version_info import about
 
     try:
         print(about())

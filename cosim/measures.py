@@ -17,7 +17,7 @@ from cosim.errors import InputError, Problem, nearest
 from cosim.loop.dac_channels import channels
 from cosim.scene import PotNoise, Scene
 from cosim.scene.tolerance_table import CLASSES
-from cosim.traces import Trace, changes, together
+from cosim.signal_statistics import Trace, changes, together
 from cosim.units import quantity
 
 Signals = Mapping[str, NDArray[np.float64]]

@@ -11,7 +11,7 @@ from typing import Any
 from cosim.assets import netlists_folder, scenes_folder
 from cosim.circuits.boardgen import board_text
 from cosim.errors import fail
-from cosim.staging import Staging, disk_errors
+from cosim.storage.staging import Staging, disk_errors
 
 _MAX_JOINTS = 6
 #: What the studies of a folder are to judge, see `cosim.studies.claims`.

@@ -20,8 +20,8 @@ from cosim.loop.dac_channels import drive
 from cosim.measures import check_names, tolerances
 from cosim.ngspice.child import Child, call
 from cosim.ngspice.deck import Deck, load_deck
+from cosim.ngspice.expression_names import is_name
 from cosim.ngspice.parts import PartSwap
-from cosim.ngspice.spoken import is_name
 from cosim.scene import Method, PartFile, Scene
 
 

@@ -25,14 +25,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim import stored_form
 from cosim.caution import Caution, caution_of
 from cosim.errors import CosimError, InputError, fail
-from cosim.rawfile import Signals, read_raw
-from cosim.record_form import Record
 from cosim.scene import Scene, scene_from_dict
-from cosim.seal import check_files, file_sums, intact, listed, read_sealed, sealed
-from cosim.staging import Staging, disk_errors
+from cosim.storage import field_types
+from cosim.storage.checksums import check_files, file_sums, intact, listed, read_sealed, sealed
+from cosim.storage.rawfile import Signals, read_raw
+from cosim.storage.run_record import Record
+from cosim.storage.staging import Staging, disk_errors
 from cosim.units import heading, name_of, sample_unit, signal_unit
 
 RAW, SAMPLES, RECORD, SCENE = "signals.raw", "samples.csv", "run.json", "scene.toml"
@@ -223,7 +223,7 @@ class Run:
         if not os.path.isfile(place / RECORD):
             fail("is not a result folder: it holds no run.json", file=str(place))
         record = read_sealed(place / RECORD, _FORMAT_VERSION)
-        stored_form.check(record, Record, str(place / RECORD))
+        field_types.check(record, Record, str(place / RECORD))
         check_files(place, {**dict.fromkeys((RAW, SAMPLES, SCENE), ""), **record["files"]})
         try:
             scene = scene_from_dict(record["scene"])

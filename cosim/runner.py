@@ -18,17 +18,17 @@ from cosim import plausibility
 from cosim.caution import Caution, collected, warn
 from cosim.circuits.design_constants import DesignConstants
 from cosim.errors import fail
-from cosim.judgement import coupled, latched, left, question, reached, verdict
 from cosim.loop.run_messages import RunAnswer, RunRequest
 from cosim.measures import chosen, headroom, own_measures, standard
 from cosim.ngspice import deck_file
 from cosim.ngspice.child import OUTBOX, Child, call
 from cosim.plan import Plan, resolve
 from cosim.provenance import provenance, run_date
-from cosim.rawfile import Signals, read_raw, stamp
 from cosim.results import RAW, Run, written_files
 from cosim.scene import PythonOperator, Scene
-from cosim.staging import Staging, disk_errors, require_ours, scratch_folder
+from cosim.stability_gate import coupled, latched, left, question, reached, verdict
+from cosim.storage.rawfile import Signals, read_raw, stamp
+from cosim.storage.staging import Staging, disk_errors, require_ours, scratch_folder
 from cosim.types import Measures
 from cosim.units import quantity
 
@@ -77,7 +77,7 @@ def run(
     command
         Command line for the provenance.
     more
-        Measures that no run is needed for, to be kept with its own (`cosim.comparisons.measuring`).
+        Measures that no run is needed for, to be kept with its own (`cosim.comparisons.measure_values`).
     errors
         Called with the run's own measures, the `LinearCircuit` that was simulated, if any, and the samples at
         which contact is made or lost; returns the measures with their errors (`cosim.accuracy.estimate`).

@@ -6,7 +6,7 @@ from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
-from cosim.belongings import manifest_of, write_files
+from cosim.storage.owned_files import manifest_of, write_files
 from cosim.units import heading
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ def write_effects(ledger: "EffectsLedger", measure: str, folder: Path, title: st
     Raises
     ------
     InputError
-        As `cosim.belongings.write_files`.
+        As `cosim.storage.owned_files.write_files`.
     """
     from reports.style import look, pictures
 

@@ -12,11 +12,11 @@ from cosim.catalogue import UNITS
 from cosim.caution import Caution, grouped
 from cosim.results import json_text
 from cosim.tolerance.bill import grade_text
-from cosim.tolerance.findings import components_csv
 from cosim.tolerance.listing import CONVENTION
 from cosim.tolerance.monte_carlo import worst
 from cosim.tolerance.scene_study import RECORD
 from cosim.tolerance.sensitivity import deviations
+from cosim.tolerance.study_results import components_csv
 from cosim.types import Array
 from cosim.units import heading, quantity
 from reports.page import PAGE_NAME, picture, render, write_page
@@ -25,7 +25,7 @@ from reports.style import FAINT, FORCE, INK, JOINTS, LIMIT, Drawn, figure, legen
 from reports.tolerance_sections import Section, Table, percent, rare_failures, two_models, value
 
 if TYPE_CHECKING:
-    from cosim.tolerance.findings import Findings
+    from cosim.tolerance.study_results import Findings
 
 #: Figures of a measure; the last two need a fitted surface.
 PARTS = ("distribution", "estimate", "blame", "leading")
@@ -58,7 +58,7 @@ def write_monte_carlo(
     cautions
         For the head of the page.
     asked
-        What the study was asked, from `cosim.tolerance.repeating.record_of`: it can be repeated then.
+        What the study was asked, from `cosim.tolerance.replay.record_of`: it can be repeated then.
 
     Raises
     ------

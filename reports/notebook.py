@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from cosim.comparisons.sweep import Sweep
     from cosim.studies.study import StudyResult
-    from cosim.tolerance.findings import Findings
+    from cosim.tolerance.study_results import Findings
 
 __all__ = ["figure", "findings_figure", "findings_html", "html", "study_figure", "study_html", "sweep_figure",
            "sweep_html"]  # fmt: skip

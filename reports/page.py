@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.belongings import write_files
 from cosim.caution import Caution, grouped
+from cosim.storage.owned_files import write_files
 from reports.summary import summary, tiles
 from reports.tables import Table, Trial, all_tables, command_line, compare_table
 from reports.view import RunLike, View
@@ -235,7 +235,7 @@ def write_page(
     Raises
     ------
     InputError
-        As `cosim.belongings.write_files`.
+        As `cosim.storage.owned_files.write_files`.
     """
     content: dict[str, bytes] = {path: text.encode() for path, text in (tables or {}).items()}
     for each in pictures:

@@ -15,7 +15,7 @@ from cosim.tolerance.sensitivity import deviations
 from reports.page import render
 
 if TYPE_CHECKING:
-    from cosim.tolerance.findings import Findings
+    from cosim.tolerance.study_results import Findings
 
 __all__ = ["SLIDERS", "sliders_page"]
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from cosim.analysis.stability import with_computer
 from cosim.analysis.stiffness_limits import Limits, limits, locus
-from cosim.belongings import manifest_of, write_files
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.scene import Scene
+from cosim.storage.owned_files import manifest_of, write_files
 from cosim.studies.grid import decimal
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def write_stability(
     Raises
     ------
     InputError
-        As `cosim.belongings.write_files`.
+        As `cosim.storage.owned_files.write_files`.
     """
     from reports.style import look, pictures
 

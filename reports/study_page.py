@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.caution import Caution, grouped
-from cosim.stored_form import used
+from cosim.storage.field_types import used
 from cosim.studies.claims import Claim
 from cosim.studies.study import StudyResult, Verdict, table_text
 from cosim.studies.study import Table as StudyTable

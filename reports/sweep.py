@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cosim.belongings import manifest_of, write_files
 from cosim.catalogue import UNITS
 from cosim.comparisons.sweep import unit_of
 from cosim.ngspice.lines import number
+from cosim.storage.owned_files import manifest_of, write_files
 from cosim.units import heading, scale
 from reports.style import JOINTS, Drawn, figure, legend, look, pictures
 
@@ -26,7 +26,7 @@ def write_sweep(sweep: "Sweep", folder: Path) -> Path | None:
     Raises
     ------
     InputError
-        As `cosim.belongings.write_files`.
+        As `cosim.storage.owned_files.write_files`.
     """
     with look():
         drawn = draw(sweep)

@@ -10,10 +10,10 @@ import numpy as np
 from cosim.tolerance.distributions import Shape
 from cosim.tolerance.engine import Processes
 from cosim.tolerance.preparation import Asked, Prepared
-from cosim.tolerance.recipe import Recipe, Term
+from cosim.tolerance.random_variables import Component, Tolerances
 from cosim.tolerance.scene_study import monte_carlo
 from cosim.tolerance.spec import Spec
-from cosim.tolerance.varying import Component, Tolerances
+from cosim.tolerance.value_expression import Recipe, Term
 
 D = 6
 SLOPE = np.array([1.0, -2.0, 0.5, 0.25, 1.5, -0.75])

@@ -5,7 +5,7 @@ import subprocess
 
 import pytest
 
-from cosim.rawfile import read_raw
+from cosim.storage.rawfile import read_raw
 
 
 def ngspice(deck, *, raw=True):

@@ -6,7 +6,7 @@ from typing import Any
 
 from support import SCENES
 
-from cosim.checkpoint import Points
+from cosim.storage.checkpoint import Points
 from cosim.studies.study import StudyResult, load_study
 
 PAPER = SCENES / "paper"

@@ -5,8 +5,8 @@ import pytest
 from support import K_FS, SCENES, SPRING_TRUE
 
 from cosim.analysis.extracted import circuit_of
-from cosim.checkpoint import Points
 from cosim.plan import resolve
+from cosim.storage.checkpoint import Points
 from cosim.studies import equations, paper_passivity
 from cosim.studies.study import load_study
 from mech import Chain

@@ -137,7 +137,7 @@ def test_bad_words_are_one_clear_error(tmp_path, words_, key, capsys):
 
 
 def test_errors_are_shares_of_the_largest_value():
-    from cosim.accuracy.outcome import trace_errors
+    from cosim.accuracy.run_outcome import trace_errors
 
     truth = {"x": [1.0, 2.0, 1.0], "y": [0.0, 0.0, 0.0], "fx": [0.0, 0.0, 3.0], "fy": [0.0, 4.0, 4.0]}
     found = {**truth, "x": [1.0, 2.25, 1.0], "fy": [0.0, 4.0, 4.5]}

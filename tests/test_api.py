@@ -119,7 +119,7 @@ def test_a_bad_value_is_one_clear_error(value):
 
 
 def test_doubts_are_warnings_where_nobody_collects(monkeypatch):
-    from cosim.api.doubts import doubts
+    from cosim.api.python_warnings import doubts
 
     with pytest.warns(Doubt, match="looks odd: look again"), doubts():
         warn(Caution("odd", "looks odd", "look again"))

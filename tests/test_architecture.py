@@ -78,7 +78,7 @@ def test_circuits_know_no_mechanics():
 )
 def test_a_library_has_one_home(library, home):
     for name, path in FOUND:
-        if name == "cosim.stored_form":  # pydantic's second one: forms of what comes from disk
+        if name == "cosim.storage.field_types":  # pydantic's second one: forms of what comes from disk
             continue
         if any(target.split(".")[0] == library for target in imports(name, path)):
             assert name == home or name.startswith(home + "."), f"{name} imports {library}"

@@ -9,7 +9,7 @@ import pytest
 from benchmarks.choice import SCENES, compared
 from cosim.assets import netlists_folder, scenes_folder
 from cosim.cli import main
-from cosim.comparisons import choose_effects, measuring
+from cosim.comparisons import choose_effects, measure_values
 from cosim.comparisons.choose_effects import choose
 from cosim.comparisons.effect_candidates import Candidates, ladder
 from cosim.effects import EFFECTS
@@ -160,7 +160,7 @@ def device(monkeypatch):
             warnings=(),
         )
 
-    monkeypatch.setattr(measuring, "run", pretend)
+    monkeypatch.setattr(measure_values, "run", pretend)
     return share, seen
 
 

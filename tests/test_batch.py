@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.comparisons.measuring import measure
+from cosim.comparisons.measure_values import measure
 from cosim.errors import InputError
 from cosim.plan import resolve
 from cosim.scene import load_scene

@@ -26,7 +26,7 @@ from cosim.analysis.device_passivity import law_of
 from cosim.catalogue import MEASURES, NAMES, OF_A_RUN, needing_no_run
 from cosim.circuits.extraction.block_delays import spring_delays
 from cosim.cli import main
-from cosim.comparisons import measuring
+from cosim.comparisons import measure_values
 from cosim.comparisons.board_measures import board_measures
 from cosim.plan import resolve
 from cosim.results import Run
@@ -173,7 +173,7 @@ def no_run(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: Any, **__: Any) -> None:
         raise AssertionError("a simulation for a measure that needs none")
 
-    monkeypatch.setattr(measuring, "run", refuse)
+    monkeypatch.setattr(measure_values, "run", refuse)
 
 
 def told(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
@@ -214,7 +214,7 @@ def test_a_scene_names_them_and_a_result_keeps_them(tmp_path: Path) -> None:
     tables = slider(duration_s=0.05, effects={"motor": "full"}, measures={"names": ["eta", "peak_force"]},
                     solver={"model": "linear"})  # fmt: skip
     plan = resolve(scene_of(tmp_path, tables))
-    measuring.run_with_measures(plan, tmp_path / "run", formats=(), child=shared_child())
+    measure_values.run_with_measures(plan, tmp_path / "run", formats=(), child=shared_child())
     kept = Run.load(tmp_path / "run").measures
     assert list(kept) == ["eta", "peak_force"]
     assert kept["eta"]["value"] == measured(plan, "eta")["eta"]

@@ -13,10 +13,10 @@ from support import BOARD1, BOARD2, SCENES, scene_of, slider
 from cosim.checking import measured_constants
 from cosim.checking.bench import Bench
 from cosim.checking.check import check
+from cosim.checking.check_target import load_subject
 from cosim.checking.loops import encirclements, gain_margins, measure_loops, phase_margins
 from cosim.checking.printout import describe
-from cosim.checking.subject import load_subject
-from cosim.checking.verdict import Severity
+from cosim.checking.requirements import Severity
 from cosim.circuits.extraction.swing import swings
 from cosim.cli import main
 from cosim.errors import InputError, NoOperatingPoint

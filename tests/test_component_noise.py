@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from support import BOARD1, GEAR, K_FS, KT, SIEMENS, TORQUE, V_FS, merge, scene_of, simulate, slider
 
 from cosim.checking.check import check
+from cosim.checking.check_target import load_subject
 from cosim.checking.printout import describe
-from cosim.checking.subject import load_subject
 from cosim.circuits.decks import lockstep_deck
 from cosim.circuits.extraction.noise_contributions import ComponentNoise
 from cosim.circuits.linear_circuit import channel_names

@@ -10,7 +10,7 @@ from support import SCENES, quick, simulate, slider
 
 from cosim.caution import Caution, collected
 from cosim.circuits.decks import Tolerances
-from cosim.circuits.rest import STEPPING, AtRest
+from cosim.circuits.operating_point import STEPPING, AtRest
 from cosim.errors import Crawl, InputError, NoOperatingPoint, Problem, SimulationError, StepTooSmall
 from cosim.loop.spice.convergence import ITERATIONS, Aid, aided
 from cosim.loop.state import PATIENCE

@@ -37,9 +37,9 @@ from support import (
 from cosim.errors import SimulationError
 from cosim.ngspice.child import call
 from cosim.plan import resolve
-from cosim.rawfile import read_raw
 from cosim.results import Run
 from cosim.runner import request_of
+from cosim.storage.rawfile import read_raw
 
 RADIUS = 0.1333
 #: A tolerance so loose that the longest step decides.

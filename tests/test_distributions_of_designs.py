@@ -11,7 +11,7 @@ from scipy import stats
 from support import SCENES
 
 from cosim import cli
-from cosim.tolerance.sides import Named
+from cosim.tolerance.common_draws import Named
 
 PRESS = str(SCENES / "press.toml")
 ASKED = ["--measure", "least_stiffness", "--json"]

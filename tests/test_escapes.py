@@ -19,7 +19,7 @@ from cosim.export import command as to_run
 from cosim.export.scene_deck import _deck as exported
 from cosim.ngspice import deck_file
 from cosim.ngspice.aliases import Aliases
-from cosim.ngspice.command import spelled
+from cosim.ngspice.allowed_commands import spelled
 from cosim.ngspice.deck import load_deck
 from cosim.ngspice.gate import admit
 from cosim.ngspice.lines import Line

@@ -10,7 +10,7 @@ import pytest
 from support import SCENES, ExactSlider, scene_of, shared_child, slider
 
 from cosim.accuracy.estimate import doubt, estimator, twin_of
-from cosim.accuracy.within import Wanted, parse_tolerances, run_within
+from cosim.accuracy.tolerance_control import Wanted, parse_tolerances, run_within
 from cosim.caution import collected
 from cosim.cli import main
 from cosim.errors import InputError

@@ -11,12 +11,12 @@ from cosim.analysis.stability import with_computer
 from cosim.analysis.stiffness_limits import limits
 from cosim.analysis.tip import Wanted, reached, tip_of
 from cosim.analysis.tip_noise import component_form, flat, position_density, pot_density, pot_form
-from cosim.checkpoint import Points
 from cosim.circuits.extraction.block_delays import spring_delays
 from cosim.errors import InputError
 from cosim.ngspice.child import call
 from cosim.plan import resolve
 from cosim.scene import Method, PotNoise, load_scene
+from cosim.storage.checkpoint import Points
 from cosim.studies.budget import loaded
 from cosim.studies.delay_damping import active_from, block_delays, unstable_from
 from cosim.studies.differentiator_corner import CornerParameters, passive

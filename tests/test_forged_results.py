@@ -20,17 +20,17 @@ from support import SCENES, simulate
 
 import cosim
 from cosim import cli
-from cosim.accuracy.outcome import First, Second, Summary
-from cosim.checkpoint import Points
+from cosim.accuracy.run_outcome import First, Second, Summary
 from cosim.errors import InputError
 from cosim.export import export
 from cosim.ngspice import deck_file
 from cosim.plan import resolve
 from cosim.results import Run, written_files
 from cosim.scene import load_scene
-from cosim.seal import file_sums, listed, sealed
-from cosim.staging import Staging
-from cosim.stored_form import fits
+from cosim.storage.checkpoint import Points
+from cosim.storage.checksums import file_sums, listed, sealed
+from cosim.storage.field_types import fits
+from cosim.storage.staging import Staging
 from cosim.studies.study import Table, Verdict, load_study, run_study
 from cosim.tolerance.engine import merge
 from cosim.tolerance.engine import run as measure

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from cosim.assets import scenes_folder
-from cosim.checkpoint import Points
 from cosim.cli import main
 from cosim.errors import InputError, SimulationError, StorageError
-from cosim.staging import Staging, make_scratch, scratch_folder, whole_file
+from cosim.storage.checkpoint import Points
+from cosim.storage.staging import Staging, make_scratch, scratch_folder, whole_file
 
 DROP = str(scenes_folder() / "drop.toml")
 FAST = ["--set", "duration_s=0.02", "--set", "solver.model=linear"]
@@ -185,7 +185,7 @@ def test_what_is_no_file_is_not_replaced(tmp_path, make):
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from cosim.staging import Staging, make_scratch, whole_file
+from cosim.storage.staging import Staging, make_scratch, whole_file
 here = Path(sys.argv[1])
 print(make_scratch("ngspice"), flush=True)
 stage = Staging(here / "result")

@@ -12,9 +12,9 @@ from support import COMMAND_TRUE, SCENES, SPRING_TRUE, V_NM, merge, scene_of, sl
 from cosim.analysis.impedance import full_scale
 from cosim.analysis.stability import border, held, touching, with_computer
 from cosim.analysis.stiffness_map import Axis, border_map, changed, pencil
-from cosim.checkpoint import Points
 from cosim.loop.columns import sample_columns
 from cosim.scene import load_scene
+from cosim.storage.checkpoint import Points
 from cosim.studies.analog_limit import delay
 from cosim.studies.drop_test import Falls, Job, Rest
 from cosim.studies.onset import Fall, _Work, first_contact, sweep

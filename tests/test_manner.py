@@ -8,7 +8,7 @@ import pytest
 
 from cosim import cli
 from cosim.caution import MOST_ALIKE, Caution
-from cosim.commands import manner
+from cosim.commands import verbosity
 from cosim.commands.command import caution_lines
 from cosim.commands.progress import progress
 
@@ -18,19 +18,19 @@ MANY = [Caution("odd", f"value {number} looks odd", "look again") for number in 
 @pytest.fixture(autouse=True)
 def usual():
     yield
-    manner.choose(quiet=False, verbose=False)
+    verbosity.choose(quiet=False, verbose=False)
 
 
 def test_quiet_says_nothing_beside_the_result(capsys):
-    manner.choose(quiet=True, verbose=False)
-    manner.remark("a remark")
+    verbosity.choose(quiet=True, verbose=False)
+    verbosity.remark("a remark")
     with progress("work") as show:
         assert show is None
     assert capsys.readouterr().err == ""
 
 
 def test_verbose_says_each_step_and_every_warning(capsys):
-    manner.choose(quiet=False, verbose=True)
+    verbosity.choose(quiet=False, verbose=True)
     with progress("work") as show:
         show(1, 3, "a point")
     assert "work: a point (1 of 3)" in capsys.readouterr().err

@@ -13,7 +13,7 @@ from scipy import stats
 from support import SCENES
 
 from cosim import cli
-from cosim.tolerance.calls import extracted_calls
+from cosim.tolerance.distribution_functions import extracted_calls
 
 PRESS = str(SCENES / "press.toml")
 ASKED = ["mc", PRESS, "--model", "linear", "--measure", "curl", "--spec", "least_stiffness > -0.0001"]

@@ -9,12 +9,12 @@ import pytest
 from support import BOARD1, ROOT, SCENES, scene_of, simulate, slider
 
 from cosim import cli
-from cosim.belongings import own_file, write_file, write_files
 from cosim.comparisons.effects_ledger import EffectsLedger, Row
 from cosim.errors import CosimError, InputError
 from cosim.results import FORMATS, Run
 from cosim.scene import load_scene
-from cosim.staging import writable_folder
+from cosim.storage.owned_files import own_file, write_file, write_files
+from cosim.storage.staging import writable_folder
 from cosim.terminal import printable
 from reports import write_report
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim import pose
+from cosim import pose_matrices
 from cosim.circuits.cache import folder
 from cosim.scene import load_scene
 
@@ -20,9 +20,9 @@ def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_start_is_computed_once(empty_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = load_scene(SCENES / "press.toml")
-    first = pose.at_start(scene, 8.0)
-    monkeypatch.setattr(pose, "_about", lambda *_: pytest.fail("computed again"))
-    again = pose.at_start(scene, 8.0)
+    first = pose_matrices.at_start(scene, 8.0)
+    monkeypatch.setattr(pose_matrices, "_about", lambda *_: pytest.fail("computed again"))
+    again = pose_matrices.at_start(scene, 8.0)
     for key, value in vars(first).items():
         np.testing.assert_array_equal(getattr(again, key), value)
 
@@ -37,15 +37,15 @@ def test_a_change_of_the_scene_is_another_start(empty_cache: Path, change: str) 
     plain = load_scene(SCENES / "press.toml")
     if key == "device.start.elbow" and plain.device.start.q_rad is not None:
         pytest.skip("the scene starts at angles")
-    pose.at_start(plain, 8.0)
-    pose.at_start(load_scene(SCENES / "press.toml", [change]), 8.0)
+    pose_matrices.at_start(plain, 8.0)
+    pose_matrices.at_start(load_scene(SCENES / "press.toml", [change]), 8.0)
     assert len(list(empty_cache.glob("start-*"))) == 2
 
 
 @pytest.mark.parametrize("damage", [b"", b"PK not an archive"])
 def test_a_damaged_file_is_computed_anew(empty_cache: Path, damage: bytes) -> None:
     scene = load_scene(SCENES / "press.toml")
-    first = pose.at_start(scene, 8.0)
+    first = pose_matrices.at_start(scene, 8.0)
     (kept,) = empty_cache.glob("start-*")
     kept.write_bytes(damage)
-    np.testing.assert_array_equal(pose.at_start(scene, 8.0).mass, first.mass)
+    np.testing.assert_array_equal(pose_matrices.at_start(scene, 8.0).mass, first.mass)

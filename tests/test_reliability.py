@@ -106,7 +106,7 @@ def test_a_force_beyond_all_measure_ends(project: Project, capsys: pytest.Captur
 
 def applied_here() -> bool:
     """Whether this machine keeps a simulation from starting programs."""
-    said: str = call("cosim.commands.about:seen_inside", None)[1]
+    said: str = call("cosim.commands.version_info:seen_inside", None)[1]
     return "(seccomp)" in said
 
 

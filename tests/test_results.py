@@ -22,11 +22,11 @@ from spicelib import RawRead
 from cosim.assets import scenes_folder
 from cosim.errors import CosimError, InputError, SimulationError
 from cosim.provenance import provenance
-from cosim.rawfile import RawWriter, Signals, read_raw, stamp
 from cosim.results import FORMATS, Run, json_text, read_csv, write_csv, written_files
 from cosim.scene import load_scene
-from cosim.seal import sealed
-from cosim.staging import Staging
+from cosim.storage.checksums import sealed
+from cosim.storage.rawfile import RawWriter, Signals, read_raw, stamp
+from cosim.storage.staging import Staging
 
 NAMES = ("time", "q1", "imot1", "ksp11", "xboard.xsum1.out")
 
@@ -449,7 +449,7 @@ def test_interrupt_while_staging_leaves_nothing(tmp_path: Path) -> None:
 def test_what_a_killed_process_left_is_removed_and_nothing_else(tmp_path: Path) -> None:
     """SIGKILL leaves a staging folder; the next one for that target removes it once its owner is gone."""
     code = (
-        "import sys, time; from cosim.staging import Staging; stage = Staging(sys.argv[1]);"
+        "import sys, time; from cosim.storage.staging import Staging; stage = Staging(sys.argv[1]);"
         "(stage.path / 'half').write_text('x'); print(stage.path, flush=True); time.sleep(60)"
     )
     with subprocess.Popen(

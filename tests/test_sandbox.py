@@ -39,7 +39,7 @@ if {inside!r}:
 from cosim.ngspice.child import call
 payload = {{"secret": {secret!r}, "place": {place!r}, "home": {home!r}}}
 print(json.dumps(call("sandbox_targets:attempts", payload, time_limit_s=100.0)))
-print(json.dumps(call("cosim.commands.about:seen_inside", None)))
+print(json.dumps(call("cosim.commands.version_info:seen_inside", None)))
 if {inside!r}:
     from cosim.cli import main
     print(json.dumps(call("sandbox_targets:divider", None)))

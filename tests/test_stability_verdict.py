@@ -14,10 +14,10 @@ from cosim.circuits.boardgen import board_text
 from cosim.circuits.instability.stability_verdict import Instability, Latched, Question, Verdict
 from cosim.cli import main
 from cosim.errors import InputError
-from cosim.judgement import FINITE, latched, question, verdict
 from cosim.ngspice.deck import PartSwap, load_deck
 from cosim.plan import resolve
 from cosim.runner import run
+from cosim.stability_gate import FINITE, latched, question, verdict
 
 #: Joints, one after the other, whose boards the suite judges; the slow test takes all six.
 QUICK_JOINTS = (1, 2)
@@ -235,7 +235,7 @@ def test_a_verdict_is_kept_by_content(tmp_path, monkeypatch):
     scene = scene_of(tmp_path, slider(effects=DYNAMIC))
     asked = question(resolve(scene))
     first = verdict(asked, BOARD1, shared_child())
-    monkeypatch.setattr("cosim.judgement.call", lambda *a, **k: pytest.fail("asked again"))
+    monkeypatch.setattr("cosim.stability_gate.call", lambda *a, **k: pytest.fail("asked again"))
     assert verdict(asked, BOARD1) == first
     # no loop of this board passes a multiplier: other gains, the same verdict
     stiff = scene_of(tmp_path, slider(effects=DYNAMIC, computer={"analog_stiffness_n_per_m": 30.0}))

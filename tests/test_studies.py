@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from support import SCENES
 
-from cosim.checkpoint import Points
 from cosim.errors import InputError
+from cosim.storage.checkpoint import Points
 from cosim.studies.poses import drag, gains, unevenness
 from cosim.studies.preload import apparent, felt, pressed
 from cosim.studies.study import STUDIES, is_study, load_study, run_study, study_named

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cosim.tolerance.calls import extracted_calls
+from cosim.tolerance.distribution_functions import extracted_calls
 from cosim.tolerance.distributions import Shape
 from cosim.tolerance.eseries import SERIES, preferred
 from cosim.tolerance.grammar import Wrong, begins, parse

@@ -11,15 +11,15 @@ from cosim.errors import InputError
 from cosim.tolerance import intervals
 from cosim.tolerance.bill import best_pair, bill, bought
 from cosim.tolerance.corner_search import corner
-from cosim.tolerance.cube_points import Method, sampling
 from cosim.tolerance.distributions import Shape
-from cosim.tolerance.findings import find
 from cosim.tolerance.monte_carlo import Study, draw, pilot_size, yields
-from cosim.tolerance.recipe import Recipe, Term
+from cosim.tolerance.random_variables import Component, Tolerances
 from cosim.tolerance.sensitivity import fit_surface
 from cosim.tolerance.spec import Spec, parse_specs
+from cosim.tolerance.study_results import find
 from cosim.tolerance.trim import Trim, Trimmed
-from cosim.tolerance.varying import Component, Tolerances
+from cosim.tolerance.unit_cube import Method, sampling
+from cosim.tolerance.value_expression import Recipe, Term
 from cosim.tolerance.worst_case import extremes
 
 Array = np.ndarray

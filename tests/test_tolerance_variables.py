@@ -13,9 +13,9 @@ from cosim import cli
 from cosim.errors import InputError
 from cosim.ngspice.deck import load_deck
 from cosim.scene import load_scene
-from cosim.tolerance.cube_points import sampling
-from cosim.tolerance.variables import tolerances
-from cosim.tolerance.varying import Tolerances
+from cosim.tolerance.random_variables import Tolerances
+from cosim.tolerance.scene_variables import tolerances
+from cosim.tolerance.unit_cube import sampling
 
 PRESS = SCENES / "press.toml"
 DIFFAMP, SUMMER = "blocks/diffamp.cir", "blocks/summer.cir"

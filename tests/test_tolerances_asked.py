@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from support import SCENES, ExactSlider, scene_of, shared_child, slider
 
-from cosim.accuracy.within import Wanted, measurer_within
+from cosim.accuracy.tolerance_control import Wanted, measurer_within
 from cosim.cli import main
 from cosim.comparisons.effects_ledger import effects_ledger
-from cosim.comparisons.measuring import Measured
+from cosim.comparisons.measure_values import Measured
 from cosim.measures import Tolerance
 from cosim.plan import resolve
 

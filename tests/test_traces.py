@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from cosim.traces import Spans, Trace, changes, together
+from cosim.signal_statistics import Spans, Trace, changes, together
 
 
 def grid(h: float, end: float, seed: int = 0) -> np.ndarray:

@@ -10,8 +10,8 @@ from support import SCENES
 
 from cosim import cli
 from cosim.tolerance.border_strata import allocation, failure_rate, learned, replicate_weights
-from cosim.tolerance.cube_points import sampling
 from cosim.tolerance.spec import Spec
+from cosim.tolerance.unit_cube import sampling
 from reports.monte_carlo import write_monte_carlo
 
 WORDS = ["mc", str(SCENES / "drop.toml"), "--model", "linear", "--measure", "max_penetration"]

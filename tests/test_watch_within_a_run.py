@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from support import ROOT, SCENES, Arm, scene_of, shared_child, simulate, slider
 
-from cosim import judgement
+from cosim import stability_gate
 from cosim.plan import resolve
-from cosim.pose import at_start
+from cosim.pose_matrices import at_start
 from cosim.results import Run
 from cosim.scene import load_scene
 
@@ -46,7 +46,7 @@ def test_an_output_that_latches_within_a_run_is_said(tmp_path: Path) -> None:
     The kick is at 50 ms. The carriage is so heavy that it stands still for a while, and moves at the end.
     """
     found = run(tmp_path, 1.4e-3, mass_kg=200.0, duration_s=0.5)
-    assert abs(found.signals["v1"][-1]) > judgement.REST_RAD_PER_S  # the end tells nothing
+    assert abs(found.signals["v1"][-1]) > stability_gate.REST_RAD_PER_S  # the end tells nothing
     (said,) = [c.text for c in found.warnings if c.code == "output-latched" and "xsum1.xop" in c.text]
     since, unit = said.split()[1:3]
     assert unit == "ms"
@@ -70,11 +70,13 @@ def test_the_poses_that_a_run_reached_are_judged_too(monkeypatch: pytest.MonkeyP
     plan = resolve(load_scene(SCENES / "press.toml", ["effects.rotor_inertia=false"]))
     start = at_start(plan.scene, 8.0).q
     q = start + np.array([[0.0, 0.0], [0.05, 0.0], [0.5, 0.3], [0.2, -0.4]])
-    poses = judgement.reached(plan, q)
+    poses = stability_gate.reached(plan, q)
     assert {tuple(pose) for pose in poses} == {tuple(q[2]), tuple(q[3])}
     masses: list[Any] = []
-    monkeypatch.setattr(judgement, "growing", lambda response, volts, mass, *_: masses.append(mass) or [])
-    assert judgement.coupled(plan, shared_child(), poses) == []
+    monkeypatch.setattr(
+        stability_gate, "growing", lambda response, volts, mass, *_: masses.append(mass) or []
+    )
+    assert stability_gate.coupled(plan, shared_child(), poses) == []
     hand = plan.scene.operator.mass_kg  # type: ignore[union-attr]
     arm = Arm(0.1, 0.1, 0.1, 0.1, 0.05, 0.05, 8.333e-5, 8.333e-5, 0.0)
     expected = [arm.mass_and_bias(pose, np.zeros(2), hand)[0] for pose in poses for _ in range(2)]

@@ -16,12 +16,11 @@ from typing import Any
 import numpy as np
 
 import cosim
-from cosim.accuracy.outcome import Failed, First, Second, Summary, instants, peers, summary, trace_errors
 from cosim.accuracy.pareto import Row, cheapest, clipped, finest, marked
+from cosim.accuracy.run_outcome import Failed, First, Second, Summary, instants, peers, summary, trace_errors
 from cosim.accuracy.solver_settings import MODELS, Setting, carries, grid, reference, second_reference
 from cosim.catalogue import OF_A_RUN, UNITS
 from cosim.caution import collected
-from cosim.checkpoint import Points
 from cosim.circuits.decks import Tolerances
 from cosim.errors import CosimError, InputError, StorageError, fail
 from cosim.export.scene_deck import deck_lines
@@ -29,8 +28,9 @@ from cosim.ngspice.child import Child, start_early
 from cosim.plan import Plan, resolve
 from cosim.runner import run
 from cosim.scene import Scene, load_scene
-from cosim.staging import disk_errors, scratch_folder
-from cosim.stored_form import used
+from cosim.storage.checkpoint import Points
+from cosim.storage.field_types import used
+from cosim.storage.staging import disk_errors, scratch_folder
 from cosim.types import Progress
 
 __all__ = ["POINTS", "Accuracy", "Row", "accuracy"]

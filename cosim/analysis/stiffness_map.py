@@ -20,12 +20,12 @@ from cosim.analysis.control_law import law_point
 from cosim.analysis.linearise import linearise
 from cosim.analysis.period_map import lift
 from cosim.analysis.stability import FREE, SCAN, touching, with_computer
-from cosim.checkpoint import Points
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.scene import Scene
 from cosim.scene.mechanism import mechanism
 from cosim.scene.table import Table
+from cosim.storage.checkpoint import Points
 from cosim.types import Array
 
 __all__ = ["Axis", "Pencil", "border_map", "changed", "pencil"]

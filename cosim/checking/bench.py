@@ -13,7 +13,7 @@ from cosim.checking.loop_probes import Probe, insert_probes
 from cosim.circuits.decks import Drive, testbench
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.extraction.noise_analysis import by_element, silence
-from cosim.circuits.rest import AtRest
+from cosim.circuits.operating_point import AtRest
 from cosim.errors import InputError
 from cosim.ngspice.deck import Deck, board_pins
 from cosim.ngspice.simulator import Simulator

@@ -6,13 +6,13 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from cosim.caution import warn
+from cosim.checking.check_target import Subject
 from cosim.checking.coupling_step import Coupling, step_bound
 from cosim.checking.measured import Measured
-from cosim.checking.subject import Subject
-from cosim.checking.verdict import Finding, Severity, findings, missed, of_stability
+from cosim.checking.requirements import Finding, Severity, findings, missed, of_stability
 from cosim.circuits.instability.stability_verdict import Verdict
-from cosim.judgement import verdict
 from cosim.ngspice.child import Child, call
+from cosim.stability_gate import verdict
 
 TIME_LIMIT_S = 300.0
 """A board of six joints takes a few seconds; a board that does not converge must not hold the designer."""

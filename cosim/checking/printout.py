@@ -9,8 +9,8 @@ from cosim.checking.check import Check
 from cosim.checking.components import BAND_HZ as MECHANICAL_HZ
 from cosim.checking.headroom import SOFT_N_PER_M
 from cosim.checking.noise_budget import BAND_HZ, Noise, PotNoise
+from cosim.checking.requirements import Severity
 from cosim.checking.signal_paths import NAMES, Brake
-from cosim.checking.verdict import Severity
 from cosim.circuits.extraction.swing import SwingFrom
 from cosim.units import quantity
 

@@ -53,10 +53,10 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
     with start_early("cosim.loop.early_imports", reads=[Path(args.scene).parent]) as child:
         from cosim.accuracy.work_precision import accuracy
-        from cosim.belongings import refuse_foreign
         from cosim.commands.progress import progress
-        from cosim.comparisons.measuring import check_measures
+        from cosim.comparisons.measure_values import check_measures
         from cosim.errors import fail
+        from cosim.storage.owned_files import refuse_foreign
         from cosim.variants import parse_settings
         from reports.accuracy import FILES, words, write_accuracy
 

@@ -7,7 +7,7 @@ from cosim.caution import collected
 from cosim.commands.command import Command, trust_arguments
 
 if TYPE_CHECKING:
-    from cosim.checking.subject import Subject
+    from cosim.checking.check_target import Subject
 
 _LEVELS = ("ideal", "gbw", "full")
 _DRIVERS = ("voltage", "current")
@@ -37,9 +37,9 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
     with start_early("cosim.checking.measured") as child:  # it imports while the netlists are read
-        from cosim.api.asking import check
+        from cosim.api.queries import check
+        from cosim.checking.check_target import load_subject
         from cosim.checking.printout import describe
-        from cosim.checking.subject import load_subject
         from cosim.variants import parse_settings, variants
 
         subjects = [
@@ -65,7 +65,7 @@ def _varies(subject: "Subject") -> tuple[dict[str, Any], str]:
     """Return what varies of a built device, or what is wrong with its tolerances."""
     from cosim.errors import InputError
     from cosim.tolerance.listing import CONVENTION, component_rows, table
-    from cosim.tolerance.variables import tolerances
+    from cosim.tolerance.scene_variables import tolerances
 
     try:
         found = tolerances(subject.scene, board=subject.board)

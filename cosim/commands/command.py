@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from cosim.caution import MOST_ALIKE, Caution, grouped
-from cosim.commands.manner import verbose
+from cosim.commands.verbosity import verbose
 
 if TYPE_CHECKING:
     from cosim.scene import Scene

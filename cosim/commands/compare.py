@@ -54,11 +54,11 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     with start_early(
         "cosim.loop.early_imports", "cosim.checking.measured", reads=[Path(args.scene).parent]
     ) as child:
-        from cosim.api.simulating import compare
-        from cosim.belongings import refuse_foreign
+        from cosim.api.simulation import compare
         from cosim.commands.progress import progress
-        from cosim.comparisons.measuring import check_measures
+        from cosim.comparisons.measure_values import check_measures
         from cosim.errors import fail
+        from cosim.storage.owned_files import refuse_foreign
         from cosim.variants import parse_settings, variants
         from reports.page import PAGE_NAME
 

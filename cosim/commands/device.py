@@ -18,8 +18,8 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import on_demand
 
     with on_demand() as child:
-        from cosim.api.asking import device
-        from cosim.belongings import own_file
+        from cosim.api.queries import device
+        from cosim.storage.owned_files import own_file
         from cosim.studies.device import PRESETS, flat
 
         if args.file:
@@ -62,7 +62,7 @@ def _write(file: Path, columns: dict[str, dict[str, Any]]) -> None:
     import csv
     import io
 
-    from cosim.belongings import write_file
+    from cosim.storage.owned_files import write_file
 
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")

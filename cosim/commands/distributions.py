@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from cosim.scene.load import SceneLike
+    from cosim.tolerance.common_draws import Side
     from cosim.tolerance.intervals import Estimate
-    from cosim.tolerance.sides import Side
 
 TABLE = "distributions.csv"
 _SHARES = (0.05, 0.95)
@@ -32,9 +32,9 @@ def by_distributions(
     args: argparse.Namespace, scene: "SceneLike", designs: Sequence[tuple[str, tuple[str, ...]]], out: Path
 ) -> tuple[dict[str, Any], str]:
     """Measure designs and return the result as JSON and as text; writes a table."""
-    from cosim.belongings import manifest_of, refuse_foreign, write_files
     from cosim.commands.progress import progress
-    from cosim.tolerance.sides import sides
+    from cosim.storage.owned_files import manifest_of, refuse_foreign, write_files
+    from cosim.tolerance.common_draws import sides
     from cosim.tolerance.spec import parse_specs
 
     refuse_foreign(out, [TABLE], manifest_of("distributions"))
@@ -54,7 +54,7 @@ def by_distributions(
 
 
 def _as_dict(side: "Side") -> dict[str, Any]:
-    from cosim.tolerance.findings import estimate_dict, summary_dict
+    from cosim.tolerance.study_results import estimate_dict, summary_dict
 
     return {
         "label": side.label,

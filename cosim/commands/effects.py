@@ -39,12 +39,12 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     with start_early("cosim.loop.early_imports", reads=[Path(args.scene).parent]) as child:
         from cosim.catalogue import OF_A_RUN
         from cosim.comparisons.effects_ledger import effects_ledger
-        from cosim.comparisons.measuring import check_measures
+        from cosim.comparisons.measure_values import check_measures
         from cosim.errors import fail
         from cosim.variants import parse_settings
 
         if args.out:
-            from cosim.belongings import refuse_foreign
+            from cosim.storage.owned_files import refuse_foreign
             from reports.effects import FILES, MANIFEST
 
             refuse_foreign(Path(args.out), FILES, MANIFEST)
@@ -61,7 +61,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
             overrides = (*overrides, f"measures.names={json.dumps([args.measure])}")
         how: dict[str, Any] = {"measures": wanted, "child": child}
         if args.tol:
-            from cosim.accuracy.within import measurer_within, parse_tolerances
+            from cosim.accuracy.tolerance_control import measurer_within, parse_tolerances
 
             free = all(setting.name != "solver.model" for setting in settings)
             how["measurer"] = measurer_within(replace(parse_tolerances(args.tol), of={name}), free=free)

@@ -28,12 +28,12 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
-    from cosim.belongings import own_file
     from cosim.errors import fail
     from cosim.export import command, export
     from cosim.plan import resolve
     from cosim.runner import run
-    from cosim.staging import scratch_folder
+    from cosim.storage.owned_files import own_file
+    from cosim.storage.staging import scratch_folder
 
     found = load_variants(args)
     if len(found) > 1:

@@ -24,7 +24,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
     cases = chosen(args.names, slow=args.slow)
     if args.out:
-        from cosim.belongings import refuse_foreign
+        from cosim.storage.owned_files import refuse_foreign
         from reports.hard_cases import FILES, write_hard_cases
 
         refuse_foreign(Path(args.out), FILES)  # told before the first case

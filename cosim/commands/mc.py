@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 from cosim.commands.command import Command, trust_arguments
 
 if TYPE_CHECKING:
-    from cosim.tolerance.findings import Findings
     from cosim.tolerance.intervals import Estimate
+    from cosim.tolerance.random_variables import Tolerances
     from cosim.tolerance.scene_study import Asked, Prepared, Processes
-    from cosim.tolerance.varying import Tolerances
+    from cosim.tolerance.study_results import Findings
 
 _USUAL_SAMPLES = 200
 #: Options of a whole study.
@@ -85,7 +85,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.caution import collected
     from cosim.commands.progress import progress
-    from cosim.tolerance.repeating import record_of
+    from cosim.tolerance.replay import record_of
     from cosim.tolerance.scene_study import check_folder, measure_shard, monte_carlo, prepare
     from cosim.tolerance.spec import parse_specs
 
@@ -103,7 +103,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         with progress("mc") as show:
             said = measure_shard(prepared, processes, _shard(args.shard), show)
         return {"folder": str(out), "done": said}, f"wrote {out}: {said}"
-    from cosim.belongings import refuse_foreign
+    from cosim.storage.owned_files import refuse_foreign
     from reports.monte_carlo import FILES, write_monte_carlo
 
     refuse_foreign(out, FILES)  # told before the first sample

@@ -12,7 +12,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import on_demand
 
     with on_demand() as child:
-        from cosim.api.asking import contact, noise
+        from cosim.api.queries import contact, noise
 
         cases, texts = [], []
         every = load_variants(args)

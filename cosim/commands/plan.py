@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.analysis.board_range import of_asked
-    from cosim.commands.choice import open_choice, open_lines
+    from cosim.commands.chosen_effects import open_choice, open_lines
     from cosim.plan import resolve
 
     texts, facts = [], []

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from cosim.commands.manner import bars, remark, verbose
+from cosim.commands.verbosity import bars, remark, verbose
 from cosim.terminal import printable
 
 COMPILING = "compiling, once, about 60 s"

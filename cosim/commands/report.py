@@ -45,7 +45,7 @@ def _report_runs(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.comparisons.input_differences import differing
     from cosim.errors import fail
     from cosim.results import PAGE_FOLDER, Run
-    from cosim.staging import writable_folder
+    from cosim.storage.staging import writable_folder
     from reports.page import write_report
     from reports.tables import Trial, inputs_table
 
@@ -79,7 +79,7 @@ def _judged(run: "Run", texts: list[str]) -> "Run":
     """Return the result with a caution about each measure that may be wrong by more."""
     if not texts:
         return run
-    from cosim.accuracy.within import parse_tolerances, shortfalls
+    from cosim.accuracy.tolerance_control import parse_tolerances, shortfalls
 
     missed = parse_tolerances(texts).missed(run.measures)
     again = f"simulate it with cosim run SCENE {' '.join(f'--tol {text!r}' for text in texts)}"
@@ -123,9 +123,9 @@ def study_files(given: list[Path]) -> list[Path]:
 
 
 def _report_studies(args: argparse.Namespace, files: list[Path]) -> tuple[dict[str, Any], str]:
-    from cosim.belongings import refuse_foreign
     from cosim.commands.progress import progress
     from cosim.errors import fail
+    from cosim.storage.owned_files import refuse_foreign
     from cosim.studies.claims import Claims, load_claims
     from cosim.studies.study import load_study, run_study
     from cosim.variants import overrides

@@ -17,8 +17,8 @@ from cosim.commands.command import (
     scene_arguments,
     tolerance_argument,
 )
-from cosim.commands.manner import bars, remark
 from cosim.commands.progress import COMPILING, announce_compilation
+from cosim.commands.verbosity import bars, remark
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -52,11 +52,11 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     with start_early(
         "cosim.loop.early_imports", reads=[Path(args.scene).parent]
     ) as child:  # it imports while the scene is read
-        from cosim.api.simulating import run
-        from cosim.commands.choice import plan_of
-        from cosim.comparisons.measuring import check_measures, needs_a_run
+        from cosim.api.simulation import run
+        from cosim.commands.chosen_effects import plan_of
+        from cosim.comparisons.measure_values import check_measures, needs_a_run
         from cosim.results import written_files
-        from cosim.staging import require_ours
+        from cosim.storage.staging import require_ours
 
         check_measures(args.measure)
         _check_tolerances(args)
@@ -90,7 +90,7 @@ def _check_tolerances(args: argparse.Namespace) -> None:
     """Refuse what no run can do, before anything long is done."""
     if not args.tol:
         return
-    from cosim.accuracy.within import parse_tolerances
+    from cosim.accuracy.tolerance_control import parse_tolerances
     from cosim.errors import fail
 
     parse_tolerances(args.tol)
@@ -202,7 +202,7 @@ def _json(finished: "list[tuple[Variant, Path, Run]]") -> dict[str, Any]:
 
 
 def _text(finished: "list[tuple[Variant, Path, Run]]") -> str:
-    from cosim.commands.choice import choice_lines
+    from cosim.commands.chosen_effects import choice_lines
     from cosim.units import quantity
 
     lines = []

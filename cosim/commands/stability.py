@@ -22,7 +22,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import on_demand
 
     with on_demand() as child:
-        from cosim.api.asking import contact, stability
+        from cosim.api.queries import contact, stability
 
         cases, texts = [], []
         every = load_variants(args)
@@ -46,8 +46,8 @@ def _folders(args: argparse.Namespace, labels: list[str]) -> list[Path | None]:
     """Return where each case is written, if anywhere; what is in the way is told before the first."""
     if not args.out:
         return [None] * len(labels)
-    from cosim.belongings import refuse_foreign
     from cosim.commands.run import folder_names
+    from cosim.storage.owned_files import refuse_foreign
     from reports.stability import FILES, MANIFEST
 
     names = folder_names(labels) if any(labels) else [""]

@@ -40,12 +40,12 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
     with start_early("cosim.loop.early_imports", reads=[Path(args.scene).parent]) as child:
-        from cosim.api.simulating import sweep
-        from cosim.belongings import refuse_foreign
+        from cosim.api.simulation import sweep
         from cosim.commands.progress import progress
         from cosim.comparisons.sweep import TABLE, parse_range
         from cosim.errors import fail
         from cosim.scene import load_scene
+        from cosim.storage.owned_files import refuse_foreign
         from cosim.variants import parse_settings, variants
         from reports.sweep import FILES, MANIFEST, write_sweep
 

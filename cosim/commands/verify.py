@@ -19,7 +19,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
-    from cosim.api.verifying import verify
+    from cosim.api.verification import verify
     from cosim.commands.progress import progress
     from cosim.errors import fail
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from cosim.caution import collected
 from cosim.commands.command import Command
-from cosim.commands.manner import remark
+from cosim.commands.verbosity import remark
 
 #: What is compiled, and the settings of a short run that needs it.
 _STEPS = {

@@ -20,7 +20,7 @@ from cosim.analysis.stiffness_limits import RANGE, largest_passive, varied
 from cosim.analysis.stiffness_map import pencil
 from cosim.analysis.tip import Tip, joint_area
 from cosim.catalogue import MEASURES, needing_no_run
-from cosim.checking.standing import Standing, standing
+from cosim.checking.board_margins import Standing, standing
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.extraction.block_delays import slowest_s, spring_delays
 from cosim.circuits.linear_circuit import LinearCircuit

@@ -19,7 +19,7 @@ from typing import Any
 
 from cosim.catalogue import OF_A_RUN
 from cosim.comparisons.effect_candidates import Candidates, Rung, Settings
-from cosim.comparisons.measuring import measure
+from cosim.comparisons.measure_values import measure
 from cosim.effects import EFFECTS
 from cosim.errors import InputError, Problem
 from cosim.measures import Tolerance, tolerances

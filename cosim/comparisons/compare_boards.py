@@ -10,7 +10,7 @@ from pathlib import Path
 from cosim.catalogue import MEASURES, Need
 from cosim.caution import collected, warn
 from cosim.checking.check import Check, check
-from cosim.checking.subject import Subject, load_subject
+from cosim.checking.check_target import Subject, load_subject
 from cosim.circuits.instability.stability_verdict import Question
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.comparisons.board_figures import (
@@ -24,7 +24,7 @@ from cosim.comparisons.board_figures import (
 )
 from cosim.comparisons.board_measures import board_measures
 from cosim.comparisons.dissipation import dissipation
-from cosim.comparisons.measuring import Measured, measure
+from cosim.comparisons.measure_values import Measured, measure
 from cosim.errors import InputError, fail
 from cosim.measures import Tolerance, tolerances
 from cosim.ngspice import deck_file
@@ -34,8 +34,8 @@ from cosim.results import Run, written_files
 from cosim.runner import run
 from cosim.scene import load_scene
 from cosim.scene.load import SceneLike
-from cosim.staging import require_ours
-from cosim.stored_form import refuse_code
+from cosim.storage.field_types import refuse_code
+from cosim.storage.staging import require_ours
 from cosim.units import quantity
 from cosim.variants import Variant
 

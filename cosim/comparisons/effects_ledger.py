@@ -16,7 +16,7 @@ from typing import Any
 
 from cosim.catalogue import OF_A_RUN
 from cosim.caution import collected, warn
-from cosim.comparisons.measuring import Measurer, measure, needs_a_run
+from cosim.comparisons.measure_values import Measurer, measure, needs_a_run
 from cosim.effects import EFFECTS, Effect, features, levels, temperature_c
 from cosim.errors import InputError, SimulationError
 from cosim.ngspice.child import Child, start_early

@@ -18,11 +18,9 @@ from typing import Any, NotRequired
 from typing_extensions import TypedDict
 
 import cosim
-from cosim.belongings import manifest_of, refuse_foreign, write_files
 from cosim.catalogue import OF_A_RUN, UNITS, needing_no_run
 from cosim.caution import CautionFields, caution_of, collected, warn
-from cosim.checkpoint import Points
-from cosim.comparisons.measuring import Measurer, check_measures, measure, needs_a_run
+from cosim.comparisons.measure_values import Measurer, check_measures, measure, needs_a_run
 from cosim.errors import InputError, SimulationError, StorageError, fail
 from cosim.ngspice.child import Child
 from cosim.ngspice.lines import number
@@ -30,7 +28,9 @@ from cosim.plan import Plan, resolve
 from cosim.scene import load_scene
 from cosim.scene.keys import keys
 from cosim.scene.load import SceneLike
-from cosim.staging import disk_errors
+from cosim.storage.checkpoint import Points
+from cosim.storage.owned_files import manifest_of, refuse_foreign, write_files
+from cosim.storage.staging import disk_errors
 from cosim.types import Progress
 from cosim.units import heading
 from cosim.variants import Setting, Variant, split_values, variants

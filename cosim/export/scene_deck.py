@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from cosim.belongings import own_file, write_file
 from cosim.circuits.decks import testbench
 from cosim.effects import EFFECTS
 from cosim.errors import InputError, Problem, fail
@@ -22,6 +21,7 @@ from cosim.plan import Plan
 from cosim.results import Run
 from cosim.scene import PotNoise, PythonOperator, Scene
 from cosim.scene.mechanism import mechanism, operator, start
+from cosim.storage.owned_files import own_file, write_file
 
 KINDS = ("monolithic", "replay")
 

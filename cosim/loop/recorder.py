@@ -14,7 +14,7 @@ from cosim.errors import Crawl, InputError, SimulationError, StepTooSmall
 from cosim.loop.setup import Memory
 from cosim.loop.state import NO_VOLTAGE, PATIENCE, Fault
 from cosim.loop.userclass import in_users_words
-from cosim.staging import disk_errors
+from cosim.storage.staging import disk_errors
 from cosim.types import Report
 
 _FAULTS = {

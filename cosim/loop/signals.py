@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cosim.circuits.decks import Drive
 from cosim.circuits.design_constants import DesignConstants
 from cosim.loop.energy_ledger import summary, torques_and_energy, works
-from cosim.rawfile import RawWriter
+from cosim.storage.rawfile import RawWriter
 from mech import NoOperator
 
 #: Rows handled at once: memory stays constant however long the run.

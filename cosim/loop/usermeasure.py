@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from cosim.circuits.design_constants import DesignConstants
 from cosim.errors import SimulationError
 from cosim.loop.userclass import Said, in_users_words, load_class
-from cosim.rawfile import read_raw
 from cosim.scene import Scene
+from cosim.storage.rawfile import read_raw
 
 __all__ = ["Recorded", "measured"]
 

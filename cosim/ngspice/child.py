@@ -30,7 +30,7 @@ from cosim.ngspice.time_limits import Watch
 from cosim.ngspice.worker import HEAD
 from cosim.numba_cache import PARENTS, cache_folder, children_folder
 from cosim.quick_start import defer
-from cosim.staging import disk_errors, make_scratch
+from cosim.storage.staging import disk_errors, make_scratch
 
 __all__ = ["Child", "call", "on_demand", "start_early"]
 

@@ -12,19 +12,19 @@ from pathlib import Path
 
 from cosim.caution import Caution, warn
 from cosim.errors import InputError, Problem, fail, nearest
-from cosim.ngspice import conditions, gate
+from cosim.ngspice import conditionals, gate
+from cosim.ngspice.deck_checks import check_size, judged, judged_bench, judged_block
 from cosim.ngspice.dialect import Dialect
 from cosim.ngspice.flatten import Reader
 from cosim.ngspice.floating_nodes import unfed_nodes
 from cosim.ngspice.inventory import Amplifier, amplifiers, declared, global_nodes, reactances
 from cosim.ngspice.lines import Line, tokens
-from cosim.ngspice.needed import check_size, judged, judged_bench, judged_block
 from cosim.ngspice.netlist import Block, Netlist, parse
-from cosim.ngspice.notes import notes
 from cosim.ngspice.overrides import apply_overrides, set_param, shorts
 from cosim.ngspice.parts import Feature, Part, PartSwap, Shelf, described
+from cosim.ngspice.reader_notes import notes
 from cosim.ngspice.safety import refusal
-from cosim.ngspice.unused import unused
+from cosim.ngspice.unused_values import unused
 
 __all__ = ["NOMINAL_C", "Amplifier", "Deck", "Feature", "PartSwap", "board_pins", "load_deck"]
 
@@ -151,7 +151,7 @@ def load_deck(
     _check_overrides(overrides or {}, features, temperature_c)
     said = apply_overrides(net, board, overrides or {}) + _switch(net, shelf, features)
     warm = _heat(net, temperature_c)
-    conditions.settle(net)
+    conditionals.settle(net)
     joints = _joints(board)
     blocks = _reachable(net, board)
     idle = unused(
@@ -224,7 +224,7 @@ def _switch(net: Netlist, shelf: Shelf, features: Iterable[Feature]) -> list[str
             if part.level is None:
                 said[f"{part.name} is a vendor's model: it carries what its file holds, the effects of "
                      f"{part.role} (level, offset, slew and the like) do not switch it"] = None  # fmt: skip
-            elif feature.on and not (found and conditions.mentions(net.blocks[part.name], feature.name)):
+            elif feature.on and not (found and conditionals.mentions(net.blocks[part.name], feature.name)):
                 problems.append(
                     Problem(
                         f"the part {part.name} does not carry this effect at its level {part.level}: its "

@@ -9,14 +9,14 @@ from pathlib import Path
 
 from typing_extensions import TypedDict
 
-from cosim import stored_form
 from cosim.errors import InputError, Problem, fail
 from cosim.ngspice import gate
 from cosim.ngspice.deck import MOST_JOINTS, Amplifier, Deck, board_pins
 from cosim.ngspice.lines import Line
 from cosim.ngspice.parts import Part
 from cosim.ngspice.safety import KEPT, refusal
-from cosim.seal import read_object
+from cosim.storage import field_types
+from cosim.storage.checksums import read_object
 
 __all__ = ["FILE", "load", "save"]
 
@@ -59,7 +59,7 @@ def load(folder: Path, *, trust: bool = False) -> Deck:
             "the result keeps no board: it was written by an earlier version; run the scene again",
             file=str(file),
         )
-    record = stored_form.made(read_object(file), _Record, str(file))
+    record = field_types.made(read_object(file), _Record, str(file))
     digest = record.pop("digest")
     lines = tuple(replace(line, trusted=trust and line.trusted) for line in record.pop("lines"))
     board = Deck(lines=lines, **record)

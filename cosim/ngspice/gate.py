@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 from cosim.errors import InputError, Problem
 from cosim.ngspice.aliases import Aliases
+from cosim.ngspice.expression_names import Name, Refused, arguments, checked, parts
 from cosim.ngspice.lines import Line, number, tokens
 from cosim.ngspice.safety import KEPT, refusal
-from cosim.ngspice.spoken import Name, Refused, arguments, checked, parts
 
 __all__ = ["TITLE", "Admitted", "admit", "check"]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cosim.errors import fail
 from cosim.ngspice.dialect import Dialect
-from cosim.regularfile import read_regular
+from cosim.storage.bounded_read import read_regular
 
 __all__ = ["Line", "assignments", "join", "number", "read_lines", "strange_character", "tokens"]
 

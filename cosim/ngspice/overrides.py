@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from cosim.errors import InputError, Problem, nearest
-from cosim.ngspice.conditions import flags
+from cosim.ngspice.conditionals import flags
 from cosim.ngspice.dialect import Dialect
 from cosim.ngspice.expression import evaluate
 from cosim.ngspice.lines import Line, join, number, tokens

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cosim.errors import CosimError, InputError, SimulationError, StepTooSmall, fail, nearest
 from cosim.ngspice.aliases import Aliases
-from cosim.ngspice.command import spelled
+from cosim.ngspice.allowed_commands import spelled
 from cosim.ngspice.dcpath import has_dc_path, in_voltage_loop
 from cosim.ngspice.gate import admit
 from cosim.ngspice.library import OLDEST_VERSION, STOP_COMMAND, Init, Source, Sync, opened
@@ -122,7 +122,7 @@ class Simulator:
         return said
 
     def command(self, command: str) -> list[str]:
-        """Run one ngspice command of those that `cosim.ngspice.command` lists, with the deck's own names.
+        """Run one ngspice command of those that `cosim.ngspice.allowed_commands` lists, with the deck's own names.
 
         Returns
         -------

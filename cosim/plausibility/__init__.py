@@ -5,8 +5,8 @@ their reasons. `of_plan` needs no run, `of_run` looks at a finished one; `of_cir
 board's stated constants with its circuit.
 """
 
-from cosim.plausibility.after import of_run
-from cosim.plausibility.before import of_plan
 from cosim.plausibility.constants import DEVIATION, constant_missed, of_circuit
+from cosim.plausibility.input_checks import of_plan
+from cosim.plausibility.result_checks import of_run
 
 __all__ = ["DEVIATION", "constant_missed", "of_circuit", "of_plan", "of_run"]

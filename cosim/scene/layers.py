@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from cosim.errors import InputError, Problem, fail
-from cosim.regularfile import read_regular
 from cosim.scene.schema import CHOICES
+from cosim.storage.bounded_read import read_regular
 
 Key = tuple[str | int, ...]
 

@@ -22,7 +22,6 @@ from cosim.analysis.linearise import linearise
 from cosim.analysis.noise_covariance import noise_covariance
 from cosim.analysis.passivity import least_damping
 from cosim.analysis.stability import border, held, touching, with_computer
-from cosim.checkpoint import Points
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import InputError, fail
@@ -30,6 +29,7 @@ from cosim.plan import resolve
 from cosim.scene import Method, PotNoise, Scene
 from cosim.scene.mechanism import mechanism, operator
 from cosim.scene.parameters import Field, Parameters, Unit
+from cosim.storage.checkpoint import Points
 from cosim.studies.grid import geometric
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 

@@ -11,7 +11,6 @@ import numpy as np
 from cosim.analysis.noise_covariance import noise_covariance
 from cosim.analysis.tip import Case, Tip, Wanted, row, tip_of
 from cosim.analysis.tip_noise import pot_density, pot_form
-from cosim.checkpoint import Points
 from cosim.circuits.design_constants import Stated
 from cosim.circuits.extraction.alter import nominal_value
 from cosim.circuits.extraction.noise_contributions import ComponentNoise
@@ -20,6 +19,7 @@ from cosim.ngspice.child import Child, call, on_demand
 from cosim.plan import resolve
 from cosim.scene import Method, PotNoise
 from cosim.scene.parameters import Field, Parameters, Unit
+from cosim.storage.checkpoint import Points
 from cosim.studies.case_effects import holds_table
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 

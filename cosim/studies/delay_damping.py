@@ -16,13 +16,13 @@ from cosim.analysis.device_passivity import device_of
 from cosim.analysis.passivity import least_damping
 from cosim.analysis.stability import border, held, with_computer
 from cosim.analysis.tip import Case, Tip, reached, row, tip_of
-from cosim.checkpoint import Points
 from cosim.circuits.extraction.block_delays import SpringDelay, slowest_s, spring_delays
 from cosim.ngspice.child import Child, on_demand
 from cosim.plan import resolve
 from cosim.scene import Method, Scene
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.quantities import Stiffness
+from cosim.storage.checkpoint import Points
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 
 __all__ = ["STUDY", "EtaParameters", "active_from", "block_delays", "unstable_from"]

@@ -15,7 +15,6 @@ import numpy as np
 from cosim.analysis.extracted import circuit_of
 from cosim.analysis.impedance import Displayed, full_scale, largest
 from cosim.analysis.stability import touching, with_computer
-from cosim.checkpoint import Points
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import fail
@@ -23,6 +22,7 @@ from cosim.plan import resolve
 from cosim.scene import Method, Scene
 from cosim.scene.mechanism import mechanism
 from cosim.scene.parameters import Field, Parameters
+from cosim.storage.checkpoint import Points
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 from cosim.types import Array
 from mech import Chain

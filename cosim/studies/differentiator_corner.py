@@ -20,7 +20,6 @@ from cosim.analysis.period_map import lift
 from cosim.analysis.stability import border, held, with_computer
 from cosim.analysis.tip import Case, Tip, row, tip_of
 from cosim.analysis.tip_noise import position_density, pot_density, pot_form
-from cosim.checkpoint import Points
 from cosim.circuits.extraction.alter import nominal_value
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import CosimError, InputError, fail
@@ -29,6 +28,7 @@ from cosim.plan import resolve
 from cosim.scene import Method, PotNoise, Scene
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.quantities import Damping, Frequency, Stiffness
+from cosim.storage.checkpoint import Points
 from cosim.studies.case_effects import holds_table
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 

@@ -22,7 +22,6 @@ from cosim.analysis.impedance import impedance
 from cosim.analysis.stability import touching, with_computer
 from cosim.analysis.stiffness_limits import limits as limits_of
 from cosim.analysis.stiffness_map import pencil
-from cosim.checkpoint import Points
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.effects import without_dynamics
@@ -35,6 +34,7 @@ from cosim.scene import Scene
 from cosim.scene.mechanism import mechanism, start
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.quantities import Period
+from cosim.storage.checkpoint import Points
 from cosim.studies.drop_curves import REFINED, Family, Found, compared, curve, verdicts
 from cosim.studies.grid import milli
 from cosim.studies.study import Study, StudyFile, StudyResult, Table

@@ -16,7 +16,6 @@ import numpy as np
 
 from cosim.analysis.control_law import law_point, rests
 from cosim.analysis.extracted import circuit_of
-from cosim.checkpoint import Points
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import fail
@@ -27,7 +26,8 @@ from cosim.runner import run
 from cosim.scene import Scene
 from cosim.scene.mechanism import mechanism
 from cosim.scene.parameters import Field, Parameters, Unit
-from cosim.staging import scratch_folder
+from cosim.storage.checkpoint import Points
+from cosim.storage.staging import scratch_folder
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 from cosim.types import Array
 from mech import Chain

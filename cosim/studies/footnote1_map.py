@@ -15,7 +15,6 @@ import numpy as np
 
 from cosim.analysis.tip import Case, Tip, Wanted, row, tip_of
 from cosim.analysis.tip_noise import NoiseForm, component_form, pot_density, pot_form
-from cosim.checkpoint import Points
 from cosim.circuits.extraction.alter import altered, nominal_value
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import CosimError, fail
@@ -25,6 +24,7 @@ from cosim.plan import resolve
 from cosim.scene import PotNoise
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.quantities import Damping, Frequency, Stiffness
+from cosim.storage.checkpoint import Points
 from cosim.studies.case_effects import holds_table
 from cosim.studies.grid import geometric
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict

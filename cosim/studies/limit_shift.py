@@ -17,13 +17,13 @@ from cosim.analysis.noise_covariance import covariance, noise_grid
 from cosim.analysis.period_map import lift
 from cosim.analysis.stability import border, held, with_computer
 from cosim.analysis.tip import Case, Tip, row, tip_of
-from cosim.checkpoint import Points
 from cosim.errors import fail
 from cosim.ngspice.child import Child, on_demand
 from cosim.scene import Method, PotNoise, Scene
 from cosim.scene.mechanism import mechanism
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.quantities import Damping, Period, Stiffness
+from cosim.storage.checkpoint import Points
 from cosim.studies.case_effects import holds_table
 from cosim.studies.grid import milli
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict

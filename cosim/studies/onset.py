@@ -21,7 +21,6 @@ from cosim.analysis.control_law import external_force
 from cosim.analysis.device_passivity import device_of
 from cosim.analysis.extracted import circuit_of
 from cosim.analysis.stability import touching, with_computer
-from cosim.checkpoint import Points
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import fail
@@ -31,6 +30,7 @@ from cosim.scene import Method, Scene
 from cosim.scene.mechanism import mechanism, operator, start
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.quantities import Period
+from cosim.storage.checkpoint import Points
 from cosim.studies.drop_curves import Family
 from cosim.studies.drop_test import Falls, Job, Rest
 from cosim.studies.grid import milli

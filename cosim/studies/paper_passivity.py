@@ -19,7 +19,6 @@ from cosim.analysis.device_passivity import delivered, device_of
 from cosim.analysis.extracted import circuit_of
 from cosim.analysis.passivity import least_damping, needed_damping, share_used, wall
 from cosim.analysis.stability import touching
-from cosim.checkpoint import Points
 from cosim.errors import fail
 from cosim.measures import wall_frame
 from cosim.ngspice.child import start_early
@@ -27,7 +26,8 @@ from cosim.plan import resolve
 from cosim.runner import run
 from cosim.scene import Scene
 from cosim.scene.parameters import Field, Parameters, Unit
-from cosim.staging import scratch_folder
+from cosim.storage.checkpoint import Points
+from cosim.storage.staging import scratch_folder
 from cosim.studies.grid import even, steps
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 

@@ -15,13 +15,13 @@ import numpy as np
 
 from cosim.analysis.extracted import circuit_of
 from cosim.analysis.tip import joint_area
-from cosim.checkpoint import Points
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import fail
 from cosim.plan import resolve
 from cosim.scene.mechanism import mechanism
 from cosim.scene.parameters import Field, Parameters, Unit
+from cosim.storage.checkpoint import Points
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 from cosim.types import Array
 from mech import Chain

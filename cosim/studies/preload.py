@@ -14,7 +14,6 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from cosim.checkpoint import Points
 from cosim.errors import fail
 from cosim.ngspice.child import start_early
 from cosim.plan import resolve
@@ -23,7 +22,8 @@ from cosim.scene import Scene
 from cosim.scene.mechanism import mechanism
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.quantities import Stiffness
-from cosim.staging import scratch_folder
+from cosim.storage.checkpoint import Points
+from cosim.storage.staging import scratch_folder
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 from cosim.types import Array
 from mech import Chain

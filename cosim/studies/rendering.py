@@ -13,11 +13,11 @@ import numpy as np
 
 from cosim.analysis.extracted import circuit_of
 from cosim.analysis.tip import Case, Tip, Wanted, row, tip_of
-from cosim.checkpoint import Points
 from cosim.ngspice.child import Child, on_demand
 from cosim.plan import resolve
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.quantities import Damping, Frequency, Stiffness
+from cosim.storage.checkpoint import Points
 from cosim.studies.grid import geometric, percent
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 from cosim.types import Array

@@ -19,13 +19,13 @@ from cosim.analysis.extracted import circuit_of
 from cosim.analysis.impedance import displayed, impedance
 from cosim.analysis.stability import with_computer
 from cosim.analysis.stiffness_limits import limits
-from cosim.checkpoint import Points
 from cosim.errors import fail
 from cosim.plan import resolve
 from cosim.scene import Scene
 from cosim.scene.mechanism import encoder_step, mechanism, operator
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.quantities import Damping, Frequency, Period, Stiffness
+from cosim.storage.checkpoint import Points
 from cosim.studies.drop_test import Falls, Job, Rest
 from cosim.studies.grid import geometric, milli
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict

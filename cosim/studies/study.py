@@ -20,16 +20,16 @@ from pathlib import Path, PurePath
 from typing import Any
 
 import cosim
-from cosim import stored_form
-from cosim.checkpoint import Points
 from cosim.errors import InputError, Problem, fail, nearest
 from cosim.plan import resolve
 from cosim.results import json_text
 from cosim.scene import Scene, load_scene
 from cosim.scene.layers import line_of, read_layer
 from cosim.scene.parameters import Parameters, read_parameters
-from cosim.seal import listed, read_sealed, sealed, write_manifest
-from cosim.staging import Staging, disk_errors, require_ours
+from cosim.storage import field_types
+from cosim.storage.checkpoint import Points
+from cosim.storage.checksums import listed, read_sealed, sealed, write_manifest
+from cosim.storage.staging import Staging, disk_errors, require_ours
 
 __all__ = ["STUDIES", "Parameters", "Study", "StudyFile", "StudyResult", "Table", "Verdict", "is_study",
            "load_study", "run_study"]  # fmt: skip
@@ -295,7 +295,7 @@ def run_study(
         folder.parent.mkdir(parents=True, exist_ok=True)
     with Points(kept, digest, on_progress) as points:
         begun = time.perf_counter()
-        with stored_form.used(str(kept), points.restored > 0):
+        with field_types.used(str(kept), points.restored > 0):
             result = spec.study.analyse(spec, points)
         seconds = points.seconds_before + time.perf_counter() - begun
     result = StudyResult(**{**vars(result), "seconds": seconds, "digest": digest})
@@ -325,7 +325,7 @@ def _load(folder: Path) -> StudyResult | None:
     if not os.path.isfile(file):
         return None
     data = read_sealed(file, _FORMAT_VERSION)
-    result: StudyResult = stored_form.made(data, StudyResult, str(file))
+    result: StudyResult = field_types.made(data, StudyResult, str(file))
     for table in result.tables:
         if (
             len({len(values) for values in table.columns.values()}) > 1

@@ -13,7 +13,6 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from cosim.checkpoint import Points
 from cosim.errors import fail
 from cosim.measures import wall_frame
 from cosim.ngspice.child import Child, start_early
@@ -22,7 +21,8 @@ from cosim.results import Run
 from cosim.runner import run
 from cosim.scene.mechanism import mechanism
 from cosim.scene.parameters import Field, Parameters, Unit
-from cosim.staging import scratch_folder
+from cosim.storage.checkpoint import Points
+from cosim.storage.staging import scratch_folder
 from cosim.studies.case_effects import in_words
 from cosim.studies.grid import steps
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict

@@ -20,16 +20,16 @@ from cosim.circuits.draws.models import Draws
 from cosim.circuits.extraction.alter import altered
 from cosim.circuits.fitting.rational_fit import FitError
 from cosim.comparisons.board_measures import BoardMeasures, Lacking
-from cosim.comparisons.measuring import all_measures, check_measures
+from cosim.comparisons.measure_values import all_measures, check_measures
 from cosim.errors import CosimError, InputError, SimulationError, fail
 from cosim.loop.linear.held_run import held_run, is_compiled
 from cosim.ngspice.child import Child
 from cosim.ngspice.placed_values import Placed
 from cosim.plan import Plan
 from cosim.runner import run
-from cosim.staging import scratch_folder
+from cosim.storage.staging import scratch_folder
+from cosim.tolerance.applied_draw import MOTOR_CONSTANT, motor_constant, nominal, of_board, with_numbers
 from cosim.tolerance.calibration import calibrated
-from cosim.tolerance.drawn_plan import MOTOR_CONSTANT, motor_constant, nominal, of_board, with_numbers
 from cosim.types import Array
 
 __all__ = ["Batch"]

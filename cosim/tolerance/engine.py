@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.errors import fail
-from cosim.staging import disk_errors
+from cosim.storage.staging import disk_errors
 from cosim.tolerance.cluster import clustered
 from cosim.tolerance.monte_carlo import Engine
 from cosim.tolerance.sample_store import Samples

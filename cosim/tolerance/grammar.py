@@ -11,7 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from cosim.ngspice.lines import number
-from cosim.regularfile import read_regular
+from cosim.storage.bounded_read import read_regular
 from cosim.tolerance.distributions import SIGMAS, Histogram, Kind, Shape
 
 __all__ = ["Stated", "Wrong", "begins", "parse"]

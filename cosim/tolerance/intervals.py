@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from cosim.tolerance.cube_points import Sampling
+from cosim.tolerance.unit_cube import Sampling
 from cosim.types import Array
 
 __all__ = ["CONFIDENCE", "Estimate", "clopper_pearson", "mean", "quantile", "share", "spread"]

@@ -15,12 +15,12 @@ import numpy as np
 
 from cosim.catalogue import needing_no_run
 from cosim.errors import fail
-from cosim.staging import disk_errors, whole_file
-from cosim.tolerance.cube_points import REPLICATES, Sampling, sampling
+from cosim.storage.staging import disk_errors, whole_file
 from cosim.tolerance.engine import LEVELS, Processes
 from cosim.tolerance.monte_carlo import Study
 from cosim.tolerance.preparation import Points, Prepared
 from cosim.tolerance.two_level import Pilot, TwoLevel, cheap_samples, corrected, pilot_of
+from cosim.tolerance.unit_cube import REPLICATES, Sampling, sampling
 from cosim.types import Array, Progress
 
 __all__ = ["CHEAPER", "Chosen", "LevelSamples", "cheaper"]

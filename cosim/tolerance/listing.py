@@ -8,7 +8,7 @@ from typing import Any
 
 from cosim.tolerance.distributions import SIGMAS
 from cosim.tolerance.intervals import CONFIDENCE
-from cosim.tolerance.varying import Component, Tolerances
+from cosim.tolerance.random_variables import Component, Tolerances
 from cosim.units import quantity
 
 __all__ = ["CONVENTION", "component_rows", "table"]

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from cosim.caution import Caution, warn
 from cosim.errors import InputError, Problem, fail
 from cosim.tolerance import intervals
-from cosim.tolerance.cube_points import Sampling
 from cosim.tolerance.intervals import Estimate
+from cosim.tolerance.random_variables import Tolerances
 from cosim.tolerance.spec import Spec
-from cosim.tolerance.varying import Tolerances
+from cosim.tolerance.unit_cube import Sampling
 from cosim.types import Array
 
 __all__ = ["QUANTILES", "Engine", "Measurer", "Study", "Summary", "draw", "summary", "yields"]

@@ -20,7 +20,7 @@ from cosim.ngspice.expression import reduce, split
 from cosim.ngspice.lines import Line, assignments, number, tokens
 from cosim.ngspice.netlist import Block, Instance, Netlist
 from cosim.ngspice.values import as_meant
-from cosim.tolerance.calls import extracted_calls
+from cosim.tolerance.distribution_functions import extracted_calls
 from cosim.tolerance.distributions import Shape
 from cosim.tolerance.grammar import Stated, Wrong, begins, parse
 

@@ -10,20 +10,20 @@ from typing import Any, Protocol
 
 import cosim
 from cosim.caution import Caution, warn
-from cosim.comparisons.measuring import check_measures, needs_a_run
+from cosim.comparisons.measure_values import check_measures, needs_a_run
 from cosim.errors import InputError, fail
 from cosim.plan import Plan, resolve
 from cosim.scene import load_scene
 from cosim.scene.load import SceneLike
 from cosim.tolerance.batch import Batch
-from cosim.tolerance.cube_points import Method
 from cosim.tolerance.engine import Job
 from cosim.tolerance.monte_carlo import Measurer
-from cosim.tolerance.recipe import Recipe
+from cosim.tolerance.random_variables import Tolerances
+from cosim.tolerance.scene_variables import tolerances
 from cosim.tolerance.spec import Spec
 from cosim.tolerance.trim import Trimmed, trims
-from cosim.tolerance.variables import tolerances
-from cosim.tolerance.varying import Tolerances
+from cosim.tolerance.unit_cube import Method
+from cosim.tolerance.value_expression import Recipe
 from cosim.types import Array
 
 __all__ = ["MOST", "Asked", "Points", "Prepared", "prepare"]

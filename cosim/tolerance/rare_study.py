@@ -15,13 +15,13 @@ from cosim.tolerance.engine import Processes
 from cosim.tolerance.intervals import Estimate
 from cosim.tolerance.monte_carlo import Study
 from cosim.tolerance.preparation import Prepared
+from cosim.tolerance.random_variables import Tolerances
 from cosim.tolerance.rare_failures import (
     Places,
     failure_estimate,
     importance_points,
     nearest_failures,
 )  # fmt: skip
-from cosim.tolerance.varying import Tolerances
 from cosim.tolerance.worst_case import Extreme, extremes
 from cosim.types import Array, Progress
 

@@ -19,9 +19,9 @@ import pyarrow.parquet as pq
 from typing_extensions import TypedDict
 
 from cosim.errors import fail
-from cosim.seal import plain_json
-from cosim.staging import disk_errors, whole_file
-from cosim.stored_form import fits
+from cosim.storage.checksums import plain_json
+from cosim.storage.field_types import fits
+from cosim.storage.staging import disk_errors, whole_file
 from cosim.types import Array
 
 __all__ = ["SAMPLES", "Samples"]

@@ -10,15 +10,15 @@ from pathlib import Path
 
 from cosim.catalogue import UNITS
 from cosim.errors import InputError, fail
-from cosim.seal import read_object
+from cosim.storage.checksums import read_object
 from cosim.tolerance.corner_search import Corner, corner
-from cosim.tolerance.cube_points import Sampling, sampling
 from cosim.tolerance.engine import Processes, run
-from cosim.tolerance.findings import Findings, find
 from cosim.tolerance.model_levels import check, two_levels
 from cosim.tolerance.monte_carlo import Measurer, Study, draw, pilot_size
 from cosim.tolerance.preparation import MOST, Asked, Prepared, prepare
 from cosim.tolerance.rare_study import rare_failures
+from cosim.tolerance.study_results import Findings, find
+from cosim.tolerance.unit_cube import Sampling, sampling
 from cosim.types import Array, Progress
 
 __all__ = [

@@ -14,7 +14,7 @@ import numpy as np
 
 from cosim.tolerance.intervals import CONFIDENCE, Estimate
 from cosim.tolerance.monte_carlo import Study
-from cosim.tolerance.varying import Tolerances
+from cosim.tolerance.random_variables import Tolerances
 from cosim.types import Array
 
 __all__ = ["GOOD", "Surface", "deviations", "fit_surface"]

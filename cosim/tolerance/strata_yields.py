@@ -18,11 +18,11 @@ from cosim.tolerance.border_strata import (
     failure_rate,
     replicate_weights,
 )  # fmt: skip
-from cosim.tolerance.cube_points import Sampling
 from cosim.tolerance.intervals import Estimate
 from cosim.tolerance.level_samples import Chosen, LevelSamples
 from cosim.tolerance.monte_carlo import passed
 from cosim.tolerance.spec import Spec
+from cosim.tolerance.unit_cube import Sampling
 from cosim.types import Array
 
 __all__ = ["Stratified", "yields_by_strata"]

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from cosim.tolerance.cube_points import REPLICATES, sampling
+from cosim.tolerance.unit_cube import REPLICATES, sampling
 from cosim.types import Array
 
 __all__ = ["Pilot", "TwoLevel", "cheap_samples", "corrected", "moments", "pilot_of"]

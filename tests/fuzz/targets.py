@@ -19,16 +19,16 @@ from hypothesis import HealthCheck, Phase, configuration, given, settings
 from hypothesis import strategies as st
 
 from cosim.assets import netlists_folder, scenes_folder
-from cosim.checkpoint import Points
 from cosim.comparisons.sweep import parse_range
 from cosim.errors import CosimError
 from cosim.ngspice import deck_file
 from cosim.ngspice.deck import load_deck
 from cosim.plan import resolve
-from cosim.rawfile import read_raw
 from cosim.results import Run, json_text, read_csv
 from cosim.scene import load_scene
 from cosim.scene.schema import SceneTables
+from cosim.storage.checkpoint import Points
+from cosim.storage.rawfile import read_raw
 from cosim.studies.study import load_study
 from cosim.terminal import printable
 from cosim.variants import parse_settings, variants

@@ -21,7 +21,7 @@ from cosim.ngspice.child import Child, call, start_early
 from cosim.plan import resolve
 from cosim.runner import run
 from cosim.scene import load_scene
-from cosim.staging import scratch_folder
+from cosim.storage.staging import scratch_folder
 from cosim.types import Array
 
 __all__ = [

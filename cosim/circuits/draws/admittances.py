@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.errors import InputError, Problem
-from cosim.ngspice.conditions import flags
+from cosim.ngspice.conditionals import flags
 from cosim.ngspice.deck import NOMINAL_C, Deck
 from cosim.ngspice.expression import evaluate
 from cosim.ngspice.lines import Line, assignments, number, tokens

@@ -15,7 +15,7 @@ import numpy as np
 
 from cosim.circuits.cache import load_arrays, store_arrays
 from cosim.circuits.decks import SUPPLY_V
-from cosim.circuits.rest import AtRest
+from cosim.circuits.operating_point import AtRest
 from cosim.errors import CosimError
 from cosim.ngspice.deck import Deck
 from cosim.ngspice.netlist import Block, Netlist, parse

@@ -11,7 +11,7 @@ from cosim.circuits.extraction.multipliers import Multiplier, find_multipliers
 from cosim.circuits.extraction.noise_analysis import by_element
 from cosim.circuits.extraction.probes import find_probes
 from cosim.circuits.linear_circuit import channel_names
-from cosim.circuits.rest import AtRest
+from cosim.circuits.operating_point import AtRest
 from cosim.errors import NoOperatingPoint
 from cosim.ngspice.deck import Deck
 from cosim.ngspice.simulator import Simulator

@@ -19,7 +19,7 @@ import numpy as np
 
 from cosim.caution import Caution, warn
 from cosim.circuits.decks import Drive, Tolerances, testbench
-from cosim.circuits.rest import STEPPING
+from cosim.circuits.operating_point import STEPPING
 from cosim.effects.prediction import EVENT_POINTS
 from cosim.errors import Crawl, InputError, NoOperatingPoint, Problem, SimulationError, StepTooSmall
 from cosim.loop.setup import Memory

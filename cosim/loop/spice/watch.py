@@ -2,7 +2,7 @@
 
 An output that latches later in a run, or an operating point that time integration has left, is no error of
 the simulation, and nothing before the run can see it. The watch only notes what the pins were; whether they
-ask for what was seen is judged when the run has ended (`cosim.judgement`).
+ask for what was seen is judged when the run has ended (`cosim.stability_gate`).
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ import re
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 
-from cosim.ngspice.conditions import flags
+from cosim.ngspice.conditionals import flags
 from cosim.ngspice.expression import evaluate
 from cosim.ngspice.lines import Line, tokens
 from cosim.ngspice.netlist import Block, Netlist

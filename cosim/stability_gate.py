@@ -13,11 +13,11 @@ from cosim.caution import Caution
 from cosim.circuits.decks import AT_LIMIT, AT_SUPPLY, REST_RAD_PER_S, SUPPLY_V
 from cosim.circuits.extraction import motor_response
 from cosim.circuits.instability.stability_verdict import Question, Verdict, keep, known
-from cosim.coupled import growing, hidden
+from cosim.coupled_poles import growing, hidden
 from cosim.ngspice.child import TIME_LIMIT_S, Child, call
 from cosim.ngspice.deck import Deck, load_deck
 from cosim.plan import Plan, swaps
-from cosim.pose import at_poses, at_start
+from cosim.pose_matrices import at_poses, at_start
 from cosim.scene import Level, PartFile
 from cosim.types import Array
 from cosim.units import quantity, signed

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from cosim.circuits.instability.stability_verdict import Question
 from cosim.errors import InputError, Problem
-from cosim.judgement import FINITE, question
 from cosim.ngspice.deck import Deck, load_deck
 from cosim.plan import resolve
 from cosim.scene import Potentiometer, Scene, load_scene
 from cosim.scene.load import SceneLike
+from cosim.stability_gate import FINITE, question
 from cosim.variants import Variant
 
 _PARTS = ("opamp", "vca", "driver_level")

@@ -89,7 +89,7 @@ def at_poses(scene: Scene, gear: float, poses: Sequence[Array], child: Child | N
     """Return the mechanics about `poses` ([n] rad each), asked of the child, which has the compiled code."""
     asked = {"scene": scene, "gear": gear, "poses": list(poses)}
     limit = scene.solver.time_limit_s
-    found: list[Pose] = call("cosim.pose:computed", asked, time_limit_s=limit, child=child)
+    found: list[Pose] = call("cosim.pose_matrices:computed", asked, time_limit_s=limit, child=child)
     return found
 
 

@@ -21,7 +21,7 @@ def about() -> str:
     from cosim import __version__
     from cosim.ngspice.child import call
 
-    ngspice, sandbox = call("cosim.commands.about:seen_inside", None, time_limit_s=60.0)
+    ngspice, sandbox = call("cosim.commands.version_info:seen_inside", None, time_limit_s=60.0)
     rows = {
         "cosim": __version__,
         "Python": f"{platform.python_version()} on {platform.platform()}",

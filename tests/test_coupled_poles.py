@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cosim.circuits.extraction.motor_response import MotorResponse
-from cosim.coupled import growing, hidden
+from cosim.coupled_poles import growing, hidden
 
 HZ = np.geomspace(1e-3, 1e9, 121)
 S = 2j * np.pi * HZ

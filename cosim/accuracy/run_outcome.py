@@ -134,7 +134,7 @@ def peers(
 ) -> dict[str, Any]:
     """Run whole decks in plain ngspice: label -> 'motion', 'wall_s' and 'cpu_s' by repetition, 'points'."""
     found: dict[str, Any] = call(
-        "cosim.accuracy.outcome:run_decks",
+        "cosim.accuracy.run_outcome:run_decks",
         {"decks": dict(decks), "times": times, "repeats": repeats, "end_s": plan.scene.duration_s},
         time_limit_s=plan.scene.solver.time_limit_s,
         deck=str(plan.board.path),

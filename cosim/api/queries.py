@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from cosim.api.doubts import doubts
+from cosim.api.python_warnings import doubts
 from cosim.caution import warn
 from cosim.plan import Plan, resolve
 from cosim.scene import PotNoise
@@ -17,7 +17,7 @@ if TYPE_CHECKING:  # each function loads what it needs: a map of stability check
     from cosim.analysis.noise_covariance import NoiseCovariance
     from cosim.analysis.stiffness_limits import Limits
     from cosim.checking.check import Check
-    from cosim.checking.subject import Subject
+    from cosim.checking.check_target import Subject
     from cosim.circuits.design_constants import DesignConstants
     from cosim.circuits.linear_circuit import LinearCircuit
     from cosim.ngspice.child import Child
@@ -204,7 +204,7 @@ def check(
     (1, 0)
     """
     from cosim.checking.check import check as measured
-    from cosim.checking.subject import Subject, load_subject
+    from cosim.checking.check_target import Subject, load_subject
 
     with doubts():
         if not isinstance(target, Subject):

@@ -19,9 +19,9 @@ from cosim.tolerance.distributions import Shape
 from cosim.tolerance.eseries import preferred
 from cosim.tolerance.grammar import Stated, Wrong, merged, parse
 from cosim.tolerance.netlist_tolerances import Board, Found, Param, Place, value_of
-from cosim.tolerance.recipe import MOST_NEGATIVE, Recipe, Term
+from cosim.tolerance.random_variables import Component, Tolerances
 from cosim.tolerance.scene_numbers import Mechanical, numbers
-from cosim.tolerance.varying import Component, Tolerances
+from cosim.tolerance.value_expression import MOST_NEGATIVE, Recipe, Term
 
 __all__ = ["Component", "Tolerances", "tolerances"]
 

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from cosim.errors import fail
-from cosim.seal import MANIFEST, coming, listed, write_manifest
-from cosim.staging import disk_errors, folder_beside, writable_folder
+from cosim.storage.checksums import MANIFEST, coming, listed, write_manifest
+from cosim.storage.staging import disk_errors, folder_beside, writable_folder
 
 __all__ = ["manifest_of", "own_file", "refuse_foreign", "write_file", "write_files"]
 

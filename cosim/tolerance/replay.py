@@ -13,13 +13,13 @@ from typing_extensions import TypedDict
 import cosim
 from cosim.errors import fail
 from cosim.scene import load_scene
-from cosim.seal import read_object
-from cosim.stored_form import fits, refuse_code
-from cosim.tolerance.cube_points import Sampling
+from cosim.storage.checksums import read_object
+from cosim.storage.field_types import fits, refuse_code
 from cosim.tolerance.preparation import Asked, Prepared, prepare
 from cosim.tolerance.sample_store import SAMPLES, Samples
 from cosim.tolerance.scene_study import RECORD
 from cosim.tolerance.spec import Spec
+from cosim.tolerance.unit_cube import Sampling
 from cosim.types import Progress
 
 __all__ = ["asked_of", "record_of", "repeat_samples"]

@@ -21,10 +21,10 @@ from cosim.tolerance.intervals import Estimate
 from cosim.tolerance.listing import CONVENTION, component_rows
 from cosim.tolerance.model_levels import Levels
 from cosim.tolerance.monte_carlo import Study, Summary, passed, summary, worst, yields
+from cosim.tolerance.random_variables import Tolerances
 from cosim.tolerance.rare_study import Rare
 from cosim.tolerance.sensitivity import GOOD, Surface, fit_surface
 from cosim.tolerance.spec import Spec
-from cosim.tolerance.varying import Tolerances
 from cosim.units import heading
 
 __all__ = ["Findings", "components_csv", "estimate_dict", "find", "summary_dict"]

@@ -1,6 +1,7 @@
 """The form of ``run.json``: what readers of a stored result rely on, whoever has written it.
 
-Entries that are only shown may be anything that JSON can hold; `cosim.seal` has seen to numbers and texts.
+Entries that are only shown may be anything that JSON can hold; numbers and texts have passed
+`cosim.storage.checksums`.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cosim.errors import SimulationError, fail
-from cosim.staging import disk_errors
+from cosim.storage.staging import disk_errors
 
 _COUNT_WIDTH = 20
 _BINARY = b"Binary:\n"

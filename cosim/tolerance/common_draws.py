@@ -18,12 +18,12 @@ from cosim.errors import InputError, Problem, fail
 from cosim.scene.load import SceneLike
 from cosim.tolerance import intervals
 from cosim.tolerance.bill import gained
-from cosim.tolerance.cube_points import sampling
 from cosim.tolerance.engine import Processes, run
 from cosim.tolerance.intervals import Estimate
 from cosim.tolerance.monte_carlo import Study, Summary, passed, summary, yields
 from cosim.tolerance.preparation import MOST, Asked, Prepared, prepare
 from cosim.tolerance.spec import Spec
+from cosim.tolerance.unit_cube import sampling
 from cosim.types import Array, Progress
 
 __all__ = ["Named", "Side", "sides"]

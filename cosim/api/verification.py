@@ -11,8 +11,8 @@ import numpy as np
 import cosim
 from cosim.errors import fail
 from cosim.results import BOARD, RECORD, Run
-from cosim.staging import scratch_folder
-from cosim.stored_form import refuse_code
+from cosim.storage.field_types import refuse_code
+from cosim.storage.staging import scratch_folder
 from cosim.types import Progress
 
 __all__ = ["Verified", "verify"]
@@ -72,7 +72,7 @@ def verify(
         fail("is no seed", key="--seed", value=seed, allowed=">= 0")
     if os.path.isfile(place / RECORD):
         return _run_again(place, trust)
-    from cosim.tolerance.repeating import repeat_samples
+    from cosim.tolerance.replay import repeat_samples
     from cosim.tolerance.scene_study import RECORD as STUDY
 
     if not os.path.isfile(place / STUDY):

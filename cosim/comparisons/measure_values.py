@@ -15,7 +15,7 @@ from cosim.ngspice.child import Child
 from cosim.plan import Plan
 from cosim.results import Run
 from cosim.runner import Errors, run
-from cosim.staging import scratch_folder
+from cosim.storage.staging import scratch_folder
 
 __all__ = ["Measured", "Measurer", "check_measures", "measure", "needs_a_run", "run_with_measures"]
 

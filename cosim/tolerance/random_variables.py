@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cosim.tolerance.distributions import Shape
-from cosim.tolerance.recipe import Recipe, Term
+from cosim.tolerance.value_expression import Recipe, Term
 from cosim.types import Array
 
 __all__ = ["Component", "Tolerances"]

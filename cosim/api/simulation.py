@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.doubts import doubts
+from cosim.api.python_warnings import doubts
 from cosim.caution import collected
 from cosim.plan import Plan, resolve
 from cosim.scene import load_scene
 from cosim.scene.load import SceneLike
-from cosim.staging import scratch_folder
+from cosim.storage.staging import scratch_folder
 from cosim.variants import Setting, Variant, variants
 
 if TYPE_CHECKING:  # each function loads what it needs: a script that simulates compares nothing
@@ -134,10 +134,10 @@ def run(
     planned = plan(scene, trust=trust, child=child)
     how: dict[str, Any] = {"formats": formats, "on_progress": on_progress, "child": child}
     if tolerances:
-        from cosim.accuracy.within import parse_tolerances, run_within
+        from cosim.accuracy.tolerance_control import parse_tolerances, run_within
 
         return run_within(planned, out, parse_tolerances(tolerances), free=free, **how)
-    from cosim.comparisons.measuring import run_with_measures
+    from cosim.comparisons.measure_values import run_with_measures
 
     if not estimate:
         return run_with_measures(planned, out, **how)
@@ -203,7 +203,7 @@ def sweep(
         ]
     how: dict[str, Any] = {"child": child, "trust": trust, "on_progress": on_progress}
     if tolerances:
-        from cosim.accuracy.within import measurer_within, parse_tolerances
+        from cosim.accuracy.tolerance_control import measurer_within, parse_tolerances
 
         free = all(setting.name != "solver.model" for setting in ranges)
         wanted = replace(parse_tolerances(tolerances), of=frozenset(measures))

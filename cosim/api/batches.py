@@ -6,15 +6,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cosim.api.doubts import doubts
+from cosim.api.python_warnings import doubts
 from cosim.scene import load_scene
 from cosim.scene.load import SceneLike
-from cosim.staging import scratch_folder
+from cosim.storage.staging import scratch_folder
 
 if TYPE_CHECKING:  # loaded when they are called
     from cosim.studies.study import StudyResult
-    from cosim.tolerance.cube_points import Method
-    from cosim.tolerance.findings import Findings
+    from cosim.tolerance.study_results import Findings
+    from cosim.tolerance.unit_cube import Method
 
 __all__ = ["monte_carlo", "study"]
 

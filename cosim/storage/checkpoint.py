@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any, Self, TextIO
 
 from cosim.errors import SimulationError, fail
-from cosim.seal import plain_json
-from cosim.staging import disk_errors
-from cosim.stored_form import fits
+from cosim.storage.checksums import plain_json
+from cosim.storage.field_types import fits
+from cosim.storage.staging import disk_errors
 from cosim.types import Progress
 
 #: How the first line of a file of points begins.
@@ -97,7 +97,7 @@ class Points:
     def get(self, key: str, compute: Callable[[], Any], form: Any = Any) -> Any:
         """Return the point `key`, computed unless it is known; its value must be JSON-ready.
 
-        A kept value that is not of the `form` (`cosim.stored_form`) is none of ours, and computed again.
+        A kept value that is not of the `form` (`field_types`) is not ours: it is computed again.
         Raises whatever `compute` raises; the points before it are kept.
         """
         if self._on_progress is not None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from cosim.caution import collected
-from cosim.commands.manner import remark
+from cosim.commands.verbosity import remark
 from cosim.units import quantity
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def plan_of(args: argparse.Namespace, scene: "Scene", child: "Child") -> "Plan":
     """Return the plan of a scene, its effects chosen where it leaves that open."""
-    from cosim.api.simulating import plan
+    from cosim.api.simulation import plan
 
     begun = time.perf_counter()
     found = plan(scene, child=child, trust=args.trust, on_choice=_told)

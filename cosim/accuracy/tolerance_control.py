@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from cosim.accuracy.estimate import estimator
 from cosim.catalogue import OF_A_RUN, UNITS
 from cosim.caution import Caution, collected, warn
-from cosim.comparisons.measuring import Measured, Measurer, measure, run_with_measures
+from cosim.comparisons.measure_values import Measured, Measurer, measure, run_with_measures
 from cosim.errors import InputError, Problem, nearest
 from cosim.measures import Tolerance, amount
 from cosim.ngspice.child import Child
@@ -154,7 +154,7 @@ def run_within(
 
 
 def measurer_within(wanted: Wanted, *, free: bool = True) -> Measurer:
-    """Return what measures a plan as `cosim.comparisons.measuring.measure`, within tolerances.
+    """Return what measures a plan as `cosim.comparisons.measure_values.measure`, within tolerances.
 
     Rows have their 'error'; what cannot be reached is among the warnings.
     """

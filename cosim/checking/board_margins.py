@@ -33,7 +33,7 @@ def standing(board: Deck, time_limit_s: float, child: Child | None = None) -> St
         When ngspice does not accept the board.
     """
     found: Standing = call(
-        "cosim.checking.standing:ask", {"board": board},
+        "cosim.checking.board_margins:ask", {"board": board},
         time_limit_s=time_limit_s, deck=str(board.path), child=child,
     )  # fmt: skip
     return found
