@@ -122,7 +122,7 @@ class Simulator:
         return said
 
     def command(self, command: str) -> list[str]:
-        """Run one ngspice command of those that `cosim.ngspice.allowed_commands` lists, with the deck's own names.
+        """Run one of the ngspice commands that `allowed_commands` lists, with the deck's own names.
 
         Returns
         -------
