@@ -10,6 +10,9 @@ joints. Marks are comments in front of a fence:
     <!-- needs: ngspice -->     (anywhere) a program or module without which the page is skipped
 
 A fence with a title is a file: it is written before what follows runs.
+
+`python doc_blocks.py PAGE [PATTERN ...]` prints the page as a shell script, without lines that match a pattern; what
+is "not run" here is in it (`.ci/fresh` runs it elsewhere).
 """
 
 import ast
@@ -138,6 +141,8 @@ class Reader:
         if program == "cd":
             self.folder = self.folder / arguments[0]
             return ""
+        if program == ".":  # the environment of the tests is in force
+            return ""
         if program != "cosim" or not plain:
             return self._shell(line)
         out = io.StringIO()
@@ -240,3 +245,22 @@ def check_scene(text):
 def check_python(text):
     """Check that code is Python."""
     ast.parse(text)
+
+
+def script(text, left_out=()):
+    """Return what a page tells to type as a shell script, blocks of Python as well."""
+    lines = []
+    for block in blocks(text):
+        if block.kind in ("sh", "") and not block.title:
+            lines += [
+                line
+                for line in shell_lines(block.text)
+                if not any(re.search(each, line) for each in left_out)
+            ]
+        elif block.kind == "python" and not block.why_not and not block.title:
+            lines += ["python - <<'END'", *block.text.splitlines(), "END"]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    print(script(Path(sys.argv[1]).read_text(encoding="utf-8"), sys.argv[2:]), end="")

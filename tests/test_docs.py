@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from doc_blocks import RUN, Reader, blocks, check_python, check_scene, commands, lacking, words
+from doc_blocks import RUN, Reader, band, blocks, check_python, check_scene, commands, lacking, words
 
 from cosim.cli import build_parser, main
 from cosim.newproject import new_project
@@ -28,7 +28,7 @@ def read(name, folder):
         pytest.skip(f"{', '.join(missing)}: not here")
     reader = Reader(folder)
     typed = commands(text)
-    if not (typed and typed[0].startswith(("cosim new", "pip"))):
+    if not any(line.startswith(("cosim new", "pip")) for line in typed[:2]):
         new_project(folder / "mydevice", 2)
         reader.folder = folder / "mydevice"
     reader.follow(text)
@@ -56,6 +56,8 @@ def test_code_of_a_page_is_understood(name):
             assert len(block.why_not) != 1, where
         else:
             assert block.kind in RUN, f"{where}: is not run and does not say why not"
+        if block.kind == "text" and not block.why_not:
+            band(block.mark)
         if block.kind == "toml" and not block.why_not and not block.title:
             check_scene(block.text)
         if block.kind == "python" and not block.why_not:

@@ -17,12 +17,22 @@ from mkdocs.structure.files import File, Files
 ROOT = Path(__file__).resolve().parents[2]
 #: A signature that is longer stands on several lines.
 _LINE = 70
+#: How much pages that name everything count in the search, against 1 of a page that explains.
+_LOUD = {
+    "python": 0.3,
+    "changelog": 0.1,
+    "contributing": 0.2,
+    "security": 0.3,
+    "measures": 0.2,
+    "hard-cases": 0.5,
+}
 
 
 def on_files(files: Files, config: Any) -> Files:
     """Add the generated pages, and the pictures that the repository publishes."""
     for name, written in PAGES.items():
-        files.append(File.generated(config, f"reference/{name}.md", content=written()))
+        head = f"---\nsearch:\n  boost: {_LOUD[name]}\n---\n\n" if name in _LOUD else ""
+        files.append(File.generated(config, f"reference/{name}.md", content=head + written()))
     for picture in sorted((ROOT / "reports/gallery").glob("*.png")):
         files.append(File(f"gallery/{picture.name}", str(ROOT / "reports"), config.site_dir, False))
     return files
