@@ -11,8 +11,8 @@ joints. Marks are comments in front of a fence:
 
 A fence with a title is a file: it is written before what follows runs.
 
-`python doc_blocks.py PAGE [PATTERN ...]` prints the page as a shell script, without lines that match a pattern; what
-is "not run" here is in it (`.ci/fresh` runs it elsewhere).
+`python doc_blocks.py PAGE [PATTERN ...]` prints the page as a shell script, without lines that match PATTERN;
+what is "not run" here is in it (`.ci/fresh` runs it elsewhere).
 """
 
 import ast
