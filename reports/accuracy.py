@@ -111,7 +111,7 @@ def draw(found: Accuracy) -> Drawn:
     for row, name in enumerate(names):
         for column, clock in enumerate(("wall_s", "cpu_s")):
             _panel(grid[row, column], found, name, clock)
-        grid[row, 0].set_ylabel(f"error of {name.replace('_', ' ')}")
+        grid[row, 0].set_ylabel(f"relative error of\n{name.replace('_', ' ')}")
     grid[-1, 0].set_xlabel("wall time of the simulation [s]")
     grid[-1, 1].set_xlabel("its processor time [s]")
     handles = _key(found)

@@ -52,7 +52,7 @@ def draw(ledger: "EffectsLedger", measure: str, title: str = "") -> "Figure":
 
     It stands alone, without a page: its title names the scene, and its caption says what to see.
     """
-    from reports.style import Drawn
+    from reports.style import Drawn, legend
     from reports.style import figure as new_figure
 
     rows = sorted(ledger.rows, key=lambda r: max(abs(r.on.get(measure, 0)), abs(r.off.get(measure, 0))))
@@ -70,15 +70,18 @@ def draw(ledger: "EffectsLedger", measure: str, title: str = "") -> "Figure":
     )
     size.set_xscale("log")
     scale = abs(float(ledger.full[measure]["value"])) or 1.0
-    size.set_xlim(scale * 1e-6, scale * 10)
+    most = max((abs(change.get(measure, 0.0)) for r in rows for change in (r.on, r.off)), default=0.0)
+    size.set_xlim(scale * 1e-6, max(scale * 0.05, 2.0 * most))
     size.axvline(scale * 0.01, color="0.4", linewidth=1, linestyle="--")
-    size.annotate("1 %", (scale * 0.01, 1.0), xycoords=("data", "axes fraction"), ha="center", va="bottom")
+    size.annotate(
+        " 1 %", (scale * 0.01, 0.0), xycoords=("data", "axes fraction"), ha="left", va="bottom", fontsize=9
+    )
     size.set_xlabel(f"change of {measure.replace('_', ' ')}" + (f" [{unit}]" if unit else ""))
     _bars(cost, labels, [1e3 * r.on_s for r in rows], [1e3 * r.off_s for r in rows])
     # linear: what is lost in the noise of the machine's clock shall look small
     cost.set_xlabel("cost, processor time [ms]")
     cost.axvline(0.0, color="0.4", linewidth=1)
-    size.legend(loc="lower right")
+    legend(size)
     words = measure.replace("_", " ")
     drawing.suptitle(
         f"{title}: what each effect does to {words}" if title else f"What each effect does to {words}"

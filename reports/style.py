@@ -70,6 +70,7 @@ _RC: Any = {
     "axes.grid": True,
     "axes.formatter.useoffset": False,
     "axes.formatter.limits": (-4, 5),
+    "axes.prop_cycle": mpl.cycler(color=JOINTS),
     "grid.color": "#E2E2E2",
     "grid.linewidth": 0.6,
     "xtick.color": "#444444",

@@ -79,4 +79,6 @@ def _map(
     place.set_aspect("equal")
     place.set_title(title)
     place.set_xlabel("x [m]")
-    place.figure.colorbar(drawn, ax=place, ticks=ticks, shrink=0.85, extend="both")
+    place.locator_params(axis="x", nbins=5)
+    plain = None if ticks is None else "%g"
+    place.figure.colorbar(drawn, ax=place, ticks=ticks, format=plain, shrink=0.85, extend="both")
