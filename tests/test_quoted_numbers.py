@@ -131,7 +131,7 @@ def test_a_run_takes_the_memory_that_the_page_says(tmp_path):
         "cosim",
         "run",
         str(ROOT / "scenes/press.toml"),
-        "-q",
+        "--quiet",
         "-o",
         str(tmp_path / "out"),
     ]
@@ -145,7 +145,7 @@ def test_a_run_takes_the_memory_that_the_page_says(tmp_path):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::cosim.caution.Doubt")
 def test_bounds_hold_as_often_as_they_say(capsys):
-    """A part of what the page quotes, one scene at three tolerances: 95 % promised, all within three times."""
+    """One scene at three tolerances, of what the page quotes: 95 % promised, all within three times."""
     from benchmarks.estimates import main
 
     assert main(["press"]) == 0
