@@ -11,6 +11,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -70,7 +71,7 @@ _RC: Any = {
     "axes.grid": True,
     "axes.formatter.useoffset": False,
     "axes.formatter.limits": (-4, 5),
-    "axes.prop_cycle": mpl.cycler(color=JOINTS),
+    "axes.prop_cycle": cycler(color=JOINTS),
     "grid.color": "#E2E2E2",
     "grid.linewidth": 0.6,
     "xtick.color": "#444444",

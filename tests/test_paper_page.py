@@ -5,8 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from cosim.checkpoint import Points
 
+from cosim.storage.checkpoint import Points
 from cosim.studies.study import load_study
 
 ROOT = Path(__file__).resolve().parents[1]
