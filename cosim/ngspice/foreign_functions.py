@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Collection, Sequence
 
 from cosim.ngspice.dialect import Dialect
-from cosim.ngspice.spoken import arguments
+from cosim.ngspice.expression_names import arguments
 
 __all__ = ["in_own_words"]
 
