@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from paper_quotes import QUOTED
 from quoted_numbers import prose, unaccounted
-from test_paper_page import QUOTED
 
 import cosim
 
