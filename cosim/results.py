@@ -31,6 +31,7 @@ from cosim.scene import Scene, scene_from_dict
 from cosim.storage import field_types
 from cosim.storage.checksums import check_files, file_sums, intact, listed, read_sealed, sealed
 from cosim.storage.rawfile import Signals, read_raw
+from cosim.storage.results_nearby import results_below
 from cosim.storage.run_record import Record
 from cosim.storage.staging import Staging, disk_errors
 from cosim.units import heading, name_of, sample_unit, signal_unit
@@ -221,7 +222,10 @@ class Run:
         """
         place = Path(folder)
         if not os.path.isfile(place / RECORD):
-            fail("is not a result folder: it holds no run.json", file=str(place))
+            fail(
+                "is not a result folder: it holds no run.json" + results_below(place, (RECORD,)),
+                file=str(place),
+            )
         record = read_sealed(place / RECORD, _FORMAT_VERSION)
         field_types.check(record, Record, str(place / RECORD))
         check_files(place, {**dict.fromkeys((RAW, SAMPLES, SCENE), ""), **record["files"]})

@@ -10,6 +10,7 @@ from support import SCENES, merge, quick, scene_of, simulate, slider, toml
 
 from cosim import cli
 from cosim.effects import EFFECTS
+from cosim.errors import InputError
 from cosim.results import Run
 from cosim.scene import load_scene
 from cosim.scene.keys import keys, section
@@ -122,3 +123,19 @@ def test_own_joint_dampers_are_used(tmp_path: Path) -> None:
     assert held.any()
     assert np.all(np.asarray(run.samples["ksd11"])[held] == 0.02)
     assert np.abs(run.signals["ksd11"]).max() > 0.0
+
+
+def test_a_word_finds_keys_by_name_and_by_meaning() -> None:
+    def found(word: str) -> set[str]:
+        return {key.path for key in section(word)}
+
+    assert found("Gravity") == {
+        "effects.gravity",
+        "device.chain.gravity_m_per_s2",
+        "device.slider.gravity_m_per_s2",
+    }
+    assert "computer.period_s" in found("period")
+    assert "operator.mass_kg" in found("hand mass")  # both words, in name and meaning together
+    assert found("computer.dac") == {path for path in ALL if path.startswith("computer.dac.")}  # no search
+    with pytest.raises(InputError, match=r"nearest is computer\.period_s"):
+        section("perod")

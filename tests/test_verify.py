@@ -67,3 +67,21 @@ def test_a_study_comes_out_again_and_a_changed_number_is_found(
 def test_slips_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "holds neither a run" in call(capsys, "verify", str(tmp_path), code=2)
     assert "no number of samples" in call(capsys, "verify", str(tmp_path), "--samples", "0", code=2)
+
+
+def test_the_folder_of_all_results_says_which_to_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    top = tmp_path / "out"
+    for k, record in enumerate(("run.json", "mc.json", "study.json")):
+        (top / f"deeper{k}" / "one").mkdir(parents=True)
+        (top / f"deeper{k}" / "one" / record).write_text("{}")
+    for k in range(9):
+        (top / f"run{k}").mkdir()
+        (top / f"run{k}" / "run.json").write_text("{}")
+    told = call(capsys, "verify", str(top), code=2)
+    # of eleven runs and studies of tolerances eight are shown; deeper2 has neither
+    assert "below it: deeper0/one, deeper1/one, run0, run1, run2, run3, run4, run5, and 3 more" in told
+    told = call(capsys, "report", str(top), code=2)
+    assert "below it: deeper0/one, run0" in told
+    assert "deeper1" not in told  # a study of tolerances has a page of its own

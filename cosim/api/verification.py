@@ -12,6 +12,7 @@ import cosim
 from cosim.errors import fail
 from cosim.results import BOARD, RECORD, Run
 from cosim.storage.field_types import refuse_code
+from cosim.storage.results_nearby import results_below
 from cosim.storage.staging import scratch_folder
 from cosim.types import Progress
 
@@ -76,7 +77,11 @@ def verify(
     from cosim.tolerance.scene_study import RECORD as STUDY
 
     if not os.path.isfile(place / STUDY):
-        fail(f"holds neither a run ({RECORD}) nor a study of tolerances ({STUDY})", file=str(place))
+        fail(
+            f"holds neither a run ({RECORD}) nor a study of tolerances ({STUDY})"
+            + results_below(place, (RECORD, STUDY)),
+            file=str(place),
+        )
     numbers, different = repeat_samples(place, samples, seed, trust=trust, on_progress=on_progress)
     return Verified(f"{len(numbers)} samples of a study", tuple(numbers), tuple(different))
 

@@ -15,8 +15,9 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         "section",
         nargs="?",
         default="",
-        metavar="SECTION",
-        help="table of a scene (computer, device.chain) or one key (default: all)",
+        metavar="WORD",
+        help="table of a scene (computer, device.chain), one key, or a word in names or meanings "
+        "(default: all)",
     )
 
 

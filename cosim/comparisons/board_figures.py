@@ -94,8 +94,8 @@ def of_circuit(circuit: LinearCircuit) -> Iterator[Figure]:
         )
     neglect = circuit.certificate.get("footnote_1", {})
     for path, share in neglect.get("error", {}).items():
-        shown = f"dynamics of the path up to {quantity(neglect['band_hz'], 'Hz', 4)}, at most"
-        yield Figure("bounds", shown, str(path).replace("_", "-"), "%", 100.0 * share)
+        shown = f"error of DC gains up to {quantity(neglect['band_hz'], 'Hz', 4)} over the path's largest"
+        yield Figure("bounds", shown, str(path).replace("_", "-"), "", share)
     worst = float(circuit.certificate["control_nonlinearity"])
     yield Figure("bounds", "nonlinearity of a gain, of full scale", "", "%", 100.0 * worst)
 

@@ -4,6 +4,7 @@
 angle brackets (``device.parts.<part>.file``).
 """
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -57,6 +58,8 @@ def keys() -> list[Key]:
 def section(name: str) -> list[Key]:
     """Return the keys of a table (``computer``, ``device.chain``) or one key; all for an empty name.
 
+    Where there is no such table or key, those that have the word in their name or meaning.
+
     Raises
     ------
     InputError
@@ -66,15 +69,23 @@ def section(name: str) -> list[Key]:
     --------
     >>> [key.unit for key in section('computer.period_s')]
     ['s']
+    >>> [key.path for key in section('gravity')]
+    ['effects.gravity']
     """
     every = keys()
     found = [key for key in every if not name or key.path == name or key.path.startswith(f"{name}.")]
+    words = re.split(r"[\s_]+", name.lower().strip())
+    found = found or [
+        key for key in every if all(word in f"{key.path} {key.meaning}".lower() for word in words)
+    ]
     if not found:
         tables = {key.path.rpartition(".")[0] for key in every} | {k.path.partition(".")[0] for k in every}
-        near = nearest(name, [*tables, *(key.path for key in every)])
+        ends = {key.path.rpartition(".")[2].partition("_")[0]: key.path for key in reversed(every)}
+        near = nearest(name, [*tables, *(key.path for key in every), *ends])
+        near = ends.get(near or "", near)
         fail(
-            "no such section or key of a scene" + (f"; nearest is {near}" if near else ""),
-            key="SECTION",
+            "no section, key or meaning of a scene has this word" + (f"; nearest is {near}" if near else ""),
+            key="WORD",
             value=name,
             allowed=", ".join(sorted(table for table in tables if table)),
         )

@@ -64,7 +64,8 @@ def scene() -> str:
         "# Scene keys",
         "",
         "A scene is a TOML file. Every key is listed with its unit, its range and its default; "
-        "`cosim keys SECTION` prints the same. A number has the unit at the end of its name (`period_s`, "
+        "`cosim keys WORD` prints a section, a key, or all whose name or meaning has the word. "
+        "A number has the unit at the end of its name (`period_s`, "
         "`stiffness_n_per_m`). What a scene does not state has its default; a key that acts through an "
         "effect is idle while that is off. Names in angle brackets are yours.",
         "",

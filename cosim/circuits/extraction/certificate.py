@@ -71,13 +71,16 @@ def footnote(
         "back_emf": float(second[m + n :].max()),
     }
     worst = max(each, key=lambda name: each[name])
-    others = ", ".join(f"{name.replace('_', '-')} {_percent(value)}" for name, value in each.items())
+    others = ", ".join(
+        f"{name.replace('_', '-')} {_share(value).removesuffix(' of')}" for name, value in each.items()
+    )
+    beyond = "; its damper no longer differentiates there" if each["damper"] > 1.0 else ""
     return {
         "band_hz": band_hz,
         "error": each,
         "sentence": f"up to {quantity(band_hz, 'Hz', 6)} the circuit differs from its DC gains "
-        f"(dampers: from H(jw)/(jw) "
-        f"as w -> 0) by at most {_percent(each[worst])} of the path's maximum ({others})",
+        f"(dampers: from H(jw)/(jw) as w -> 0) by at most {_share(each[worst])} the most that the path "
+        f"gives there ({others}){beyond}",
     }
 
 
@@ -229,6 +232,11 @@ def _group_delay(paths: Paths) -> float:
         2.0 * np.pi * paths.hz[0]
     )
     return float(late.max(initial=0.0))
+
+
+def _share(value: float) -> str:
+    """Return a share in words, whatever its size: `3 % of`, `22 times`."""
+    return f"{_percent(value)} of" if value < 1.0 else f"{value:.3g} times"
 
 
 def _percent(value: float) -> str:
