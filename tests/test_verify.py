@@ -82,6 +82,10 @@ def test_the_folder_of_all_results_says_which_to_name(
     told = call(capsys, "verify", str(top), code=2)
     # of eleven runs and studies of tolerances eight are shown; deeper2 has neither
     assert "below it: deeper0/one, deeper1/one, run0, run1, run2, run3, run4, run5, and 3 more" in told
-    told = call(capsys, "report", str(top), code=2)
-    assert "below it: deeper0/one, run0" in told
+    deep = tmp_path / "all"  # `report` itself takes the results right below a folder
+    deep.mkdir()
+    for name in ("deeper0", "deeper1"):
+        (top / name).rename(deep / name)
+    told = call(capsys, "report", str(deep), code=2)
+    assert "below it: deeper0/one" in told
     assert "deeper1" not in told  # a study of tolerances has a page of its own
