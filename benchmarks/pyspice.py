@@ -52,7 +52,7 @@ class PythonLockstep(NgSpiceShared):  # type: ignore[misc]  # PySpice carries no
         self.a, self.a_old = [0.0] * n, [0.0] * n
         self.t, self.h_old, self.history = 0.0, 1.0, 0
         self.trial = (-1.0, self.q, self.v)
-        self.torque_per_amp, self.gear = float(s["torque_per_amp"]), float(s["gear"])
+        self.torque_per_amp, self.gear = float(s["torque_per_amp"][0]), float(s["gear"])
         self.h_max, self.h_first = float(s["h_max"]), float(s["h_first"])
         self.h_couple = self.h_max
         self.tolerance, self.tiny = float(s["tol"]), float(s["delta_min"])

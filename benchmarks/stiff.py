@@ -122,7 +122,7 @@ def system(run: Propagation, table: dict[str, Array]) -> System:
 def _matrices(circuit: LinearCircuit, run: Propagation, gain: Array) -> tuple[Array, Array, Array, Array]:
     """Return A, B, C, D of the whole with inputs 1, u and cmd, and outputs q, v and the motor current."""
     s = run.memory.state[0]
-    gear, torque = float(s["gear"]), float(s["torque_per_amp"])
+    gear, torque = float(s["gear"]), float(s["torque_per_amp"][0])
     a0, aq, av, at = mechanics(run)
     before, after, m = len(circuit.a_pre), len(circuit.a_post), len(gain)
     size = before + after + 2

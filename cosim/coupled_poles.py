@@ -29,7 +29,7 @@ def growing(
     volts: Mapping[str, float],
     mass: Array,
     viscosity: Array,
-    torque: float,
+    torque: Array,
     gear: float,
 ) -> list[complex]:
     """Return the poles [rad/s] in the right half plane of board and linkage, fastest growing first.
@@ -41,12 +41,12 @@ def growing(
     mass, viscosity
         [n, n] kg m^2 and N m s/rad at the joints.
     torque, gear
-        Torque at the joint per ampere [N m/A]; motor turns per joint turn.
+        [n] torque at each joint per ampere of its motor [N m/A]; motor turns per joint turn.
     """
     s = 2j * np.pi * response.hz.astype(complex)
     n = len(mass)
     h = response.at(volts)
-    stiff = torque * (h[:, :, :n] + gear * s[:, None, None] * h[:, :, n:])
+    stiff = torque[:, None] * (h[:, :, :n] + gear * s[:, None, None] * h[:, :, n:])
     whole = s[:, None, None] ** 2 * mass + s[:, None, None] * viscosity - stiff
     shown = pivots(whole)
     if round(-sum(winding(response.hz, shown[:, k]) for k in range(n))) <= 0:

@@ -148,7 +148,7 @@ def _run(
             samples=samples,
             plan={
                 **plan.as_dict(),
-                "constants": vars(constants),
+                "constants": constants.as_dict(),
                 "amplifiers": headroom(amplifiers),
                 "certificate": answer.circuit.certificate if answer.circuit is not None else {},
                 "component_noise": answer.component_noise,

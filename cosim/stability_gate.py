@@ -117,7 +117,12 @@ def coupled(plan: Plan, child: Child | None = None, poses: Sequence[Array] = ())
         where = f" at the angles {', '.join(f'{q:.3g}' for q in pose.q)} rad" if poses else ""
         for volts in ({}, pose.gain_volts(scene, constants)):
             poles = growing(
-                response, volts, pose.mass, pose.viscosity, constants.torque_per_amp, constants.gear
+                response,
+                volts,
+                pose.mass,
+                pose.viscosity,
+                constants.torques_per_amp(scene.joints),
+                constants.gear,
             )
             found |= dict.fromkeys(hidden(poles, scene.solver.max_step_s, where))
         if found:

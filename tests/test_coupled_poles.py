@@ -24,7 +24,9 @@ def test_a_late_spring_turns_unstable_where_routh_says(tau, unstable):
     m, b, k = 1e-4, 1e-2, 1000.0
     roots = np.roots([m * tau, m + b * tau, b, k])
     assert (roots.real.max() > 0.0) == unstable
-    found = growing(late_spring(k, tau, b), {"ksp11": 10.0}, np.array([[m]]), np.zeros((1, 1)), 1.0, 1.0)
+    found = growing(
+        late_spring(k, tau, b), {"ksp11": 10.0}, np.array([[m]]), np.zeros((1, 1)), np.ones(1), 1.0
+    )
     assert bool(found) == unstable
     if unstable:
         worst = roots[np.argmax(roots.real)]
@@ -33,4 +35,4 @@ def test_a_late_spring_turns_unstable_where_routh_says(tau, unstable):
         )
         assert hidden(found, 1e-3)[0].code == "coupling-unstable"
         assert not hidden(found, 1e-5)  # such steps show it
-    assert not growing(late_spring(k, tau, b), {}, np.array([[m]]), np.zeros((1, 1)), 1.0, 1.0)
+    assert not growing(late_spring(k, tau, b), {}, np.array([[m]]), np.zeros((1, 1)), np.ones(1), 1.0)

@@ -165,6 +165,38 @@ def test_the_scene_gives_defaults_and_exceptions() -> None:
     assert found.idle == ("offset",)  # no offset is in force
 
 
+def test_what_the_scene_gives_is_drawn_by_every_joint_link_and_mass() -> None:
+    """Each entry of a list is a part of its own: no two of them move together."""
+    scene = load_scene(
+        PRESS,
+        ["effects.viscous=true", "effects.coulomb=true", "device.chain.coulomb_n_m=[0.01, 0.01]",
+         *(f"tolerance.{name}=10%" for name in ("k_t", "link_length", "mass", "friction"))],
+    )  # fmt: skip
+    found = tolerances(scene)
+    pairs = [
+        *(
+            f"scene:device.chain.{name}"
+            for name in ("lengths_m", "masses_kg", "viscous_n_m_s", "coulomb_n_m")
+        ),
+    ]
+    keys = [*(f"{pair}[{joint}]" for pair in pairs for joint in (0, 1)),
+            "xdrv1.xmotor:motor_k", "xdrv2.xmotor:motor_k"]  # fmt: skip
+    drawn = np.array([deviation(found, key) for key in keys])
+    assert np.abs(np.corrcoef(drawn) - np.eye(len(keys))).max() < 5 / np.sqrt(4000)
+    assert drawn.std(axis=1) == pytest.approx(0.98659 * 0.1 / 3, rel=0.05)
+
+
+def test_a_network_without_a_size_takes_that_of_its_class(tmp_path: Path) -> None:
+    """`match=net1 dev=0.1%` and `resistors = "2%"`: 2 % in common, 0.1 % each."""
+    net = (DIFFAMP, "r_diff_in=10.0k $ tol=1%", "r_diff_in=10.0k $ match=net1 dev=0.1%")
+    found = read(tmp_path, net, overrides=("tolerance.resistors=2%",))
+    a, b, other = (deviation(found, key) for key in ("xdiff1.r11", "xdiff1.r13", "xdiff2.r11"))
+    together = np.cov(a, b)
+    assert together[0, 1] == pytest.approx((0.98659 * 0.02 / 3) ** 2, rel=0.1)
+    assert 0.0 < np.abs(a - b).max() <= 0.002 * (1 + 1e-9)
+    assert np.abs(np.corrcoef(a, other)[0, 1]) < 5 / np.sqrt(4000)
+
+
 def test_values_that_may_be_changed_become_preferred_ones(tmp_path: Path) -> None:
     found = read(tmp_path, overrides=("tolerance.series=E96", "device.values.r_diff_fb=168.1k"))
     assert found.components[found.keys.index("xdiff1.r12")].nominal == 169e3

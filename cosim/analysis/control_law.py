@@ -183,7 +183,7 @@ def rests(
     inner = before @ np.concatenate([q, law.volts[:n]]) + circuit.x_offset
     products = circuit.gain * (law.volts[n : n + m] + circuit.y_offset) * inner
     current = after @ np.concatenate([products, law.volts[n + m :], np.zeros(n)]) + circuit.offset
-    motors = constants.torque_per_amp * current
+    motors = constants.torques_per_amp(n) * current
     outer = linkage.jacobian(q).T @ external_force(scene, linkage, q, t)
     bias = linkage.bias(q, np.zeros(n))
     scale = max(float(np.abs(part).max()) for part in (motors, outer, bias))

@@ -33,7 +33,7 @@ def device_of(scene: Scene, constants: DesignConstants, circuit: LinearCircuit, 
     law = law_point(scene, constants, linkage, np.asarray(q, float))
     gains = law.volts[n : n + m]
     viscous = np.diag(linkage.pack()[0]["viscous"][:n]).astype(complex)
-    per_amp = constants.torque_per_amp
+    per_amp = constants.torques_per_amp(n)[:, None]
     w = linkage.jacobian(q).T @ np.array(scene.wall.normal)
 
     def damping(omega: Array) -> Complex:

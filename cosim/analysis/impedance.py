@@ -54,7 +54,7 @@ def impedance(
     m = len(circuit.gain)
     s = 2j * np.pi * np.asarray(frequency, float)
     y = circuit.response(s, law.volts[n : n + m])
-    per_amp = constants.torque_per_amp
+    per_amp = constants.torques_per_amp(n)
     viscous = np.diag(linkage.pack()[0]["viscous"][:n])
     moved = (s[:, None, None] * linkage.mass_matrix(pose) + viscous) @ joint
     # the circuit by itself: pot and motor speed

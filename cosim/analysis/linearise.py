@@ -119,7 +119,7 @@ def linearise(
         _, _, current = rests(scene, constants, circuit, linkage, q, at)
         inner = circuit.before(0.0)[0].real @ np.concatenate([q, law.volts[:n]]) + circuit.x_offset
     a, b, e, c, d, feed = _electric(circuit, constants.gear, law.volts[n : n + m], inner)
-    per_amp = constants.torque_per_amp
+    per_amp = constants.torques_per_amp(n)[:, None]
     jac = linkage.jacobian(q)
     inverse = np.linalg.inv(linkage.mass_matrix(q, person))
     viscous = np.diag(linkage.pack()[0]["viscous"][:n]) + op["damping"] * jac.T @ jac
@@ -132,7 +132,7 @@ def linearise(
     a[motion, :n] -= inverse @ stiff
     a[motion, n : 2 * n] -= inverse @ viscous
     b[motion], e[motion] = inverse @ (per_amp * d), inverse @ (per_amp * feed)
-    outputs = _outputs(scene, linkage, q, op, a, b, e, per_amp, (c, d, feed), per_amp * current)
+    outputs = _outputs(scene, linkage, q, op, a, b, e, per_amp, (c, d, feed), per_amp[:, 0] * current)
     effects = scene.effects
     computer = scene.computer
     late = computer.delay_periods + computer.delay_fraction
@@ -192,7 +192,7 @@ def _outputs(
     a: Array,
     b: Array,
     e: Array,
-    per_amp: float,
+    per_amp: Array,
     currents: tuple[Array, Array, Array],
     torque: Array,
 ) -> dict[str, Output]:

@@ -82,6 +82,12 @@ class Tip:
         out: Array = np.linalg.pinv(jac) @ np.array(self.scene.wall.normal)
         return out
 
+    @cached_property
+    def pushed(self) -> Array:
+        """Force along the normal of the torques that equal motors would give for a unit current [n] rad/m."""
+        out: Array = self.motion * self.constants.motor_ratios(len(self.motion))
+        return out
+
     def control(self, wanted: Wanted) -> Array:
         """Return the volts at the gain pins [m] for k n n^T and c n n^T at the tip."""
         c, square = self.constants, np.outer(self.torques, self.torques).ravel()
@@ -97,7 +103,7 @@ class Tip:
         n = self.circuit.joints
         y = self.circuit.response(2j * np.pi * np.asarray(hz), self.control(wanted))[:, :, :n]
         per_amp = self.constants.torque_per_amp
-        out: Complex = -per_amp * np.einsum("i,fij,j->f", self.motion, y, self.motion)
+        out: Complex = -per_amp * np.einsum("i,fij,j->f", self.pushed, y, self.motion)
         return out
 
     def joint_viscosity(self) -> Array:
@@ -105,6 +111,7 @@ class Tip:
         n, c = self.circuit.joints, self.constants
         back = self.circuit.after(0.0)[0].real[:, len(self.circuit.gain) + n :]
         bearings = np.diag(mechanism(self.scene, c.gear).pack()[0]["viscous"][:n])
+        back = c.motor_ratios(n)[:, None] * back
         out: Array = bearings - c.torque_per_amp * c.gear * 0.5 * (back + back.T)
         return out
 

@@ -92,7 +92,7 @@ def pot_form(tip: Tip, density: tuple[Array, Array]) -> NoiseForm:
     parts = []
     for wanted in (Wanted(1.0), Wanted(0.0, 1.0)):
         y = tip.circuit.response(s, tip.control(wanted))[:, :, :n]
-        parts.append(-tip.constants.torque_per_amp * np.einsum("i,fij->fj", tip.motion, y))
+        parts.append(-tip.constants.torque_per_amp * np.einsum("i,fij->fj", tip.pushed, y))
     zero = np.zeros_like(parts[0])
     return NoiseForm(_gram(hz, np.stack([zero, *parts], axis=-1) * np.sqrt(power)[:, None, None]))
 
@@ -105,7 +105,7 @@ def component_form(tip: Tip, noise: ComponentNoise, band_hz: float) -> NoiseForm
     parts = [base]
     for wanted in (Wanted(1.0), Wanted(0.0, 1.0)):
         parts.append(noise.currents(tip.control(wanted)) - base)
-    force = np.stack([scale * np.einsum("fdi,i->fd", part, tip.motion) for part in parts], axis=-1)
+    force = np.stack([scale * np.einsum("fdi,i->fd", part, tip.pushed) for part in parts], axis=-1)
     return NoiseForm(_gram(noise.hz[inside], force[inside]))
 
 

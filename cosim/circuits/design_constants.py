@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from math import isfinite
+from typing import Any
+
+import numpy as np
 
 from cosim.errors import InputError, Problem
+from cosim.types import Array
 
 #: Numbers beyond are none of any board's: what is computed from them would leave the range of a double.
 LEAST, MOST = 1e-30, 1e30
@@ -34,6 +38,7 @@ class DesignConstants:
     r_tip : m, reach for which figures at the tip are quoted
     motor_k : N m/A, torque constant of the motor as it is, where its part states one (at its temperature);
         0 where none does: then it is `kt`, which is what the computer believes
+    motors : N m/A, torque constants of the motors, one a joint, of a device whose motors differ; else empty
     """
 
     v_rad: float
@@ -50,11 +55,25 @@ class DesignConstants:
     w_rated: float
     r_tip: float
     motor_k: float = 0.0
+    motors: tuple[float, ...] = ()
 
     @property
     def torque_per_amp(self) -> float:
         """Torque at the joint per ampere that the motor gives [N m/A]."""
         return (self.motor_k or self.kt) * self.gear
+
+    def torques_per_amp(self, joints: int) -> Array:
+        """Return the torque at each joint per ampere of its motor [joints] N m/A."""
+        return np.array(self.motors or (self.motor_k or self.kt,) * joints) * self.gear
+
+    def motor_ratios(self, joints: int) -> Array:
+        """Return each motor's torque constant over the common one [joints]."""
+        return self.torques_per_amp(joints) / self.torque_per_amp
+
+    def as_dict(self) -> dict[str, float]:
+        """Return them JSON-ready; of motors that differ `motor_k1` and so on."""
+        single = {f"motor_k{joint}": value for joint, value in enumerate(self.motors, 1)}
+        return {name: getattr(self, name) for name in (*self.names(), "motor_k")} | single
 
     @classmethod
     def names(cls) -> list[str]:
@@ -65,7 +84,7 @@ class DesignConstants:
     def read(cls, values: Mapping[str, float | None], file: str) -> DesignConstants:
         """From what ngspice read back; `InputError` names every constant that is missing or not positive."""
         problems = []
-        good: dict[str, float] = {}
+        good: dict[str, Any] = {}
         for name in cls.names():
             value = values.get(name)
             if value is None:
@@ -126,7 +145,7 @@ class Stated(DesignConstants):
 
     def constants(self) -> DesignConstants:
         """Return the design constants as such."""
-        return DesignConstants(**self.design(), motor_k=self.motor_k)
+        return DesignConstants(**self.design(), motor_k=self.motor_k, motors=self.motors)
 
     def check(self, file: str) -> None:
         """Refuse data of parts by which nothing can be divided, naming each; `InputError`."""

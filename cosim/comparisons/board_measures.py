@@ -91,7 +91,7 @@ class BoardMeasures:
         linkage = mechanism(self._scene, tip.constants.gear)
         control = law_point(self._scene, tip.constants, linkage, tip.q).volts[n : n + len(tip.circuit.gain)]
         still = tip.circuit.response(0.0, control)[0].real
-        found: Array = -tip.constants.torque_per_amp * still[:, :n]
+        found: Array = -tip.constants.torques_per_amp(n)[:, None] * still[:, :n]
         return found
 
     def _arm(self) -> Chain:

@@ -36,10 +36,11 @@ def dissipation(run: Run, stated: Stated) -> list[Dissipation]:
         return []
     ohm = max(resistance)
     t = np.asarray(run.signals["time"])
+    per_amp = stated.torques_per_amp(run.scene.joints)
     dissipations = []
     for joint in range(1, run.scene.joints + 1):
         current = np.asarray(run.signals[f"imot{joint}"])
-        volts = ohm * current + stated.torque_per_amp * np.asarray(run.signals[f"v{joint}"])
+        volts = ohm * current + per_amp[joint - 1] * np.asarray(run.signals[f"v{joint}"])
         motor = ohm * current**2
         driver = np.abs(current) * (SUPPLY_V - volts * np.sign(current))
         dissipations.append(

@@ -46,7 +46,7 @@ def write_row(s: Record, t: float, row: Any) -> int:
         row[at] = s.q[j]
         row[at + n] = s.v[j]
         row[at + 2 * n] = s.a[j]
-        row[at + 3 * n] = s.tau[j] / s.torque_per_amp
+        row[at + 3 * n] = s.tau[j] / s.torque_per_amp[j]
         row[at + 4 * n] = s.w.tau_visc[j]
         row[at + 5 * n] = s.w.tau_coul[j]
         row[at + 6 * n] = s.w.tau_stop[j]

@@ -42,7 +42,7 @@ def torques_and_energy(
     p: Any,
     nobody: Any,
     n: int,
-    torque_per_amp: float,
+    torque_per_amp: NDArray[np.float64],
     rows: NDArray[np.float64],
     first: int,
     torques: NDArray[np.float64],
@@ -70,7 +70,7 @@ def torques_and_energy(
                 v[n + j] = row[motors + n + j]
         jacobian(p, q, jac)
         for j in range(n):
-            torques[k, 0, j] = torque_per_amp * row[first + 3 * n + j]
+            torques[k, 0, j] = torque_per_amp[j] * row[first + 3 * n + j]
             torques[k, 1, j] = jac[0, j] * row[first - 2] + jac[1, j] * row[first - 1]
             torques[k, 2, j] = row[first + 4 * n + j]
             torques[k, 3, j] = row[first + 5 * n + j]

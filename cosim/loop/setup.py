@@ -160,7 +160,7 @@ def pack(
         s["motor"] = n
         s["q"][n : 2 * n], s["v"][n : 2 * n] = q, v
         s["w"]["latched"] = 1
-    s["torque_per_amp"] = constants.torque_per_amp
+    s["torque_per_amp"][:n] = constants.torques_per_amp(n)
     s["gear"] = constants.gear
     s["t_trial"] = math.nan
     s["speeds"] = n if circuit.speeds else 0

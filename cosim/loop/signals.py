@@ -89,7 +89,7 @@ def _derived(
         assert work_j is not None  # whoever turns shafts keeps account of them
         workers, stores = workers + 1, stores + 1
     nobody = NoOperator().pack()[0]
-    torque_per_amp = layout.constants.torque_per_amp
+    torque_per_amp = layout.constants.torques_per_amp(n)
     first = columns.index("q1")
     totals = np.zeros(workers)
     held, spring = [], []

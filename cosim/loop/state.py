@@ -48,7 +48,7 @@ STATE = np.dtype(
         ("tau", "f8", NMAX),
         ("tau_old", "f8", (2, NMAX)),  # at the last accepted point and the one before; with shafts only
         ("work", "f8", 6),  # J by worker, where the lockstep keeps account itself (shafts)
-        ("torque_per_amp", "f8"),
+        ("torque_per_amp", "f8", NMAX),  # by joint
         ("gear", "f8"),
         # the trial point that ngspice is solving
         ("t_trial", "f8"),

@@ -177,10 +177,11 @@ def _free_force(
     free = (wall_frame(scene, signals)["penetration"] < 0.0) & (since > wait)
     if free.sum() < 10:
         return
+    per_amp = constants.torques_per_amp(scene.joints)
     for joint in range(1, scene.joints + 1):
         current, speed = signals[f"imot{joint}"][free], signals[f"v{joint}"][free]
         offset = float(np.linalg.lstsq(np.stack([np.ones_like(speed), speed], 1), current, rcond=None)[0][0])
-        force = abs(offset * constants.torque_per_amp / constants.r_tip)
+        force = abs(offset * per_amp[joint - 1] / constants.r_tip)
         if force > _REST_N:
             yield Caution(
                 "force-out-of-contact",

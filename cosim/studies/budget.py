@@ -141,7 +141,7 @@ def _forces(
     control = tip.control(Wanted(k, c))
     # a device that reaches several motors does so with one noise: its forces add along the normal
     inside = noise.hz <= given.noise_band_hz
-    force = tip.constants.torque_per_amp * np.einsum("fdi,i->fd", noise.currents(control), tip.motion)
+    force = tip.constants.torque_per_amp * np.einsum("fdi,i->fd", noise.currents(control), tip.pushed)
     squares = np.trapezoid(np.abs(force[inside]) ** 2, noise.hz[inside], axis=0)
     power = dict(zip(noise.devices, squares.tolist(), strict=True))
     # rounded, so that equal joints keep the order of their names

@@ -129,7 +129,7 @@ def rendered(circuit: LinearCircuit, constants: DesignConstants, ksp: Array) -> 
     n = circuit.joints
     control = np.concatenate([ksp.ravel() * constants.v_fs / constants.k_fs, np.zeros(n * n)])
     still = circuit.response([0.0], control)[0].real
-    found: Array = -constants.torque_per_amp * still[:, :n]
+    found: Array = -constants.torques_per_amp(n)[:, None] * still[:, :n]
     return found
 
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
+from cosim.circuits.design_constants import Stated
 from cosim.circuits.draws.admittances import nominal_values
-from cosim.errors import InputError, Problem
+from cosim.ngspice.placed_values import board_netlist, split, walk
 from cosim.plan import Plan
 from cosim.scene import Scene
 from cosim.scene.numbers import number_of, with_number
+from cosim.types import Array
 
-__all__ = ["SCENE", "motor_constant", "nominal", "of_board", "with_numbers"]
+__all__ = ["SCENE", "motors", "nominal", "of_board", "with_motors", "with_numbers"]
 
 #: How the key of a number of the scene begins.
 SCENE = "scene:"
@@ -41,21 +44,32 @@ def nominal(plan: Plan, keys: Sequence[str]) -> list[float]:
     ]
 
 
-def motor_constant(plan: Plan, keys: Sequence[str]) -> int | None:
-    """Return the place of the motor's own torque constant, which turns current into torque as well.
+def motors(plan: Plan, keys: Sequence[str]) -> dict[int, int]:
+    """Return the joint, from 0, that each key turns which is a motor's torque constant.
 
-    Raises
-    ------
-    InputError
-        Where it is one of several motors: all joints of a device share one constant.
+    It turns current into torque as well as speed into back-EMF; only the second is an element of the board.
     """
-    found = [k for k, key in enumerate(keys) if key.endswith(f":{MOTOR_CONSTANT}")]
-    if found and plan.scene.joints > 1:
-        raise InputError(
-            Problem("the torque constants of single motors vary on devices of one joint only", key=keys[k])
-            for k in found
-        )
-    return found[0] if found else None
+    found = {}
+    places = {".".join(split(key)[0]): k for k, key in enumerate(keys) if key.endswith(f":{MOTOR_CONSTANT}")}
+    board = plan.board
+    for path, _block, _instance, nets in walk(board_netlist(board), board.board) if places else ():
+        place = places.get(path.removeprefix("xboard."))
+        for node in nets.values():
+            if place is not None and node.startswith("imot") and node[4:].isdigit():
+                found[place] = int(node[4:]) - 1
+    return found
+
+
+def with_motors(
+    constants: Stated, drawn: Mapping[int, int], values: Sequence[float] | Array, joints: int
+) -> Stated:
+    """Return constants with the torque constants of the motors as drawn; `drawn` as of `motors`."""
+    if not drawn:
+        return constants
+    each = [constants.motor_k or constants.kt] * joints
+    for place, joint in drawn.items():
+        each[joint] = float(values[place])
+    return replace(constants, motors=tuple(each))
 
 
 def with_numbers(scene: Scene, keys: Sequence[str], values: Sequence[float]) -> Scene:

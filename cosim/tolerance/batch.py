@@ -17,7 +17,6 @@ import numpy as np
 from cosim.catalogue import MEASURES, Need
 from cosim.caution import collected
 from cosim.circuits.draws.models import Draws
-from cosim.circuits.extraction.alter import altered
 from cosim.circuits.fitting.rational_fit import FitError
 from cosim.comparisons.board_measures import BoardMeasures, Lacking
 from cosim.comparisons.measure_values import all_measures, check_measures
@@ -28,7 +27,7 @@ from cosim.ngspice.placed_values import Placed
 from cosim.plan import Plan
 from cosim.runner import run
 from cosim.storage.staging import scratch_folder
-from cosim.tolerance.applied_draw import MOTOR_CONSTANT, motor_constant, nominal, of_board, with_numbers
+from cosim.tolerance.applied_draw import motors, nominal, of_board, with_motors, with_numbers
 from cosim.tolerance.calibration import calibrated
 from cosim.types import Array
 
@@ -92,7 +91,7 @@ class Batch:
         self._child: Child | None = None
         self.failures: dict[int, str] = {}
         with_numbers(plan.scene, keys, self._nominal)
-        self._motor = motor_constant(plan, keys)
+        self._motors = motors(plan, keys)
         self._placed = Placed.of(plan.board, [keys[k] for k in of_board(keys)])
         self._runs = [name for name in self.names if MEASURES[name].needs is Need.RUN]
 
@@ -161,10 +160,10 @@ class Batch:
     def plan_of(self, values: Sequence[float] | Array) -> Plan:
         """Return the plan of one sample."""
         board = self._placed.deck([float(values[k]) for k in of_board(self.keys)])
-        if self._motor is not None:
-            board = altered(board, {MOTOR_CONSTANT: repr(float(values[self._motor]))})
         scene = with_numbers(self._plan.scene, self.keys, [float(value) for value in values])
-        return replace(self._plan, board=board, scene=scene)
+        # its design is the plan's, but for the motors
+        stated = with_motors(self._plan.stated(self._alive()), self._motors, values, scene.joints)
+        return replace(self._plan, board=board, scene=scene, _asked={"stated": stated})
 
     def _call(self, target: str, payload: dict[str, Any], count: int) -> Any:
         limit = self._plan.scene.solver.time_limit_s * count
@@ -246,13 +245,13 @@ def measured(payload: Mapping[str, Any], report: Report) -> tuple[Array, dict[in
     plan: Plan = payload["plan"]
     keys, values, names = payload["keys"], payload["values"], payload["names"]
     draws = _draws(plan, keys, payload["nominal"])
-    motor = motor_constant(plan, keys)
+    drawn = motors(plan, keys)
     report({"time_s": 0.0})
     table = np.full((len(values), len(names)), np.nan)
     failed: dict[int, str] = {}
     for k, row in enumerate(values):
         try:
-            table[k] = _one(plan, draws, keys, names, row.tolist(), motor)
+            table[k] = _one(plan, draws, keys, names, row.tolist(), drawn)
         except FitError as reason:
             failed[k] = _words(SimulationError(f"no `linear` model: {reason}"))
         except CosimError as reason:
@@ -278,19 +277,17 @@ def _one(
     keys: Sequence[str],
     names: Sequence[str],
     values: Sequence[float],
-    motor: int | None,
+    drawn: Mapping[int, int],
 ) -> list[float]:
     """Return the measures of one sample."""
     scene = with_numbers(plan.scene, keys, values)
     on_board = [values[k] for k in of_board(keys)]
     solver = scene.solver
     circuit = draws.at(on_board)  # of a run on `spice` too: who is unstable is told
-    constants = plan.stated()
-    if motor is not None:
-        constants = replace(constants, motor_k=values[motor])
+    constants = with_motors(plan.stated(), drawn, values, scene.joints)
     if scene.tolerance.calibration == "gains":
         constants = calibrated(constants, circuit)
-    # what is asked of the plan is the board's design, but for its motor
+    # what is asked of the plan is the board's design, but for its motors
     plan = replace(plan, scene=scene, board=draws.deck(on_board), _asked={"stated": constants})
     found: dict[str, float] = {}
     runs = [name for name in names if MEASURES[name].needs is Need.RUN]

@@ -107,8 +107,6 @@ class _Reader:
         if default is not None and by_class:
             lot = param.name if found.kind == ":" else f"{kind} of {param.text}"
             param = replace(param, stated=self._about_percent(default, kind), name=lot)
-        elif param.stated is not None:
-            param = replace(param, stated=merged(param.stated, default))
         if found.network is not None and param.stated is not None and not param.stated.match:
             param = replace(param, stated=merged(found.network, param.stated))
         origin = _outermost(param)
@@ -121,7 +119,7 @@ class _Reader:
             names = (found.key, found.key.rpartition(".")[2], origin[0].name)
             named = [name for name in names if name in self._named]
             where = self._scene_place(f"components.{named[0]}") if named else where
-            self._sizeless(origin, where)
+            self._sizeless(origin, where, kind)
             unit = _UNITS.get(found.kind, "") or _unit(param.comment)
             signed = kind in _ABOUT_ZERO or found.kind in "viegfh"
             self._take(found.key, recipe, unit, where, not signed, tuple(each.name for each in origin))
@@ -185,7 +183,7 @@ class _Reader:
             assert value is not None
             if self._series and found.kind == "r" and number(each.text) is not None:
                 value = preferred(value, self._series)
-            terms = self._terms(each, found, own(each.name)) if each.stated is not None else ()
+            terms = self._terms(each, found, own(each.name), kind) if each.stated is not None else ()
             names: dict[str, Recipe] = {}
             for call, (middle, shape) in each.calls.items() if each.stated is None else ():
                 alone = not several and len(each.calls) == 1
@@ -202,8 +200,15 @@ class _Reader:
 
         return made(param)
 
-    def _terms(self, param: Param, found: Found, own: str) -> tuple[Term, ...]:
-        stated = param.stated
+    def _sized(self, param: Param, kind: str) -> Stated | None:
+        """Return a parameter's tolerance; a network that states no size has that of its class."""
+        default = self._classes.get(kind)
+        if param.stated is None or default is None:
+            return param.stated
+        return merged(param.stated, self._about_percent(default, kind))
+
+    def _terms(self, param: Param, found: Found, own: str, kind: str) -> tuple[Term, ...]:
+        stated = self._sized(param, kind)
         assert stated is not None
         terms = []
         if stated.shared is not None or stated.match:
@@ -240,9 +245,9 @@ class _Reader:
         if stated is not None:
             key = f"scene:{each.path}"
             param = Param(each.path.partition("[")[0], repr(each.value), {}, Place(), stated)
-            terms = self._terms(param, Found(key, param, ":", "", ""), key)
+            terms = self._terms(param, Found(key, param, ":", "", ""), key, each.kind)
             where = self._scene_place(f"components.{name}" if name else each.kind)
-            self._sizeless([param], where)
+            self._sizeless([param], where, each.kind)
             self._take(key, Recipe(each.value, terms=terms), each.unit, where, True, (each.path,))
         return each.kind
 
@@ -266,9 +271,9 @@ class _Reader:
             return "", 0
         return str(file), line_of(self._text, ("tolerance", *name.split("."))) or 0
 
-    def _sizeless(self, origin: list[Param], where: tuple[str, int]) -> None:
+    def _sizeless(self, origin: list[Param], where: tuple[str, int], kind: str) -> None:
         """Refuse a network that shares nothing: its members would be as independent as without it."""
-        for stated in (each.stated for each in origin):
+        for stated in (self._sized(each, kind) for each in origin):
             if stated is not None and stated.match and stated.shared is None:
                 form = f"match={stated.match}" + (" dev=0.1%" if stated.own is not None else "")
                 self._problem(

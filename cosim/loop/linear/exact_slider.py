@@ -162,10 +162,10 @@ def system(state: np.void, circuit: LinearCircuit, gains: Array) -> tuple[Array,
     inertia = p["couple"][0, 0] + op["mass"] * radius**2 + p["armature"][0]
     viscous = (p["viscous"][0] if p["viscous_on"] else 0.0) + op["damping"] * radius**2
     a[0, 1] = 1.0
-    a[1] = state["torque_per_amp"] * c[0] / inertia
+    a[1] = state["torque_per_amp"][0] * c[0] / inertia
     a[1, 0] -= op["stiffness"] * radius**2 / inertia
     a[1, 1] -= viscous / inertia
-    b[1] = state["torque_per_amp"] * d[0] / inertia
+    b[1] = state["torque_per_amp"][0] * d[0] / inertia
     b[1, 0] += 1.0 / inertia
     return a, b, c, d
 
@@ -299,7 +299,7 @@ def leap(s: Record, k: Any, b: Any, x: Any, t: float, h: float, ramp: float) -> 
     for i in range(size - 2):
         now[2 + i] = b.states[i]
     outer = _outer(s, x, t)
-    now[size] = outer + s.torque_per_amp * k.offset[0]
+    now[size] = outer + s.torque_per_amp[0] * k.offset[0]
     now[size + 1], now[size + 2] = volts(s, 0, t), volts(s, 3, t)
     now[size + 3] = _outer(s, x, t + h) - outer
     now[size + 4] = now[size + 5] = 0.0
@@ -322,7 +322,7 @@ def leap(s: Record, k: Any, b: Any, x: Any, t: float, h: float, ramp: float) -> 
         b.work[i] = 0.0
     for node in range(3):
         at = size + 1 + 3 * node
-        s.tau[0] = s.torque_per_amp * (then[at + 2] + k.offset[0])
+        s.tau[0] = s.torque_per_amp[0] * (then[at + 2] + k.offset[0])
         s.q_trial[0] = then[at]
         v = s.v_trial[0] = then[at + 1]
         dynamics(s.p, s.op, t + NODES[node] * h, s.q_trial, s.v_trial, s.tau, s.a_trial, s.w)
@@ -331,7 +331,7 @@ def leap(s: Record, k: Any, b: Any, x: Any, t: float, h: float, ramp: float) -> 
         b.work[1] += part * (s.w.jac[0, 0] * s.w.f_op[0] + s.w.jac[1, 0] * s.w.f_op[1])
         b.work[2] += part * s.w.tau_visc[0]
     s.q_trial[0], s.v_trial[0] = then[0], then[1]
-    s.tau[0] = s.torque_per_amp * b.results[3]
+    s.tau[0] = s.torque_per_amp[0] * b.results[3]
     dynamics(s.p, s.op, t + h, s.q_trial, s.v_trial, s.tau, s.a_trial, s.w)
     return True
 

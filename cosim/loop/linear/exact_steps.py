@@ -47,7 +47,7 @@ def _right_hand(s: Record, k: Any, b: Any, wanted: bool) -> None:
     present(s, k, b)
     if wanted:
         current = min(max(b.current[0], k.limit[0, 0]), k.limit[0, 1])
-        s.tau[0] = s.torque_per_amp * current
+        s.tau[0] = s.torque_per_amp[0] * current
         evaluate(s, s.t, s.q, s.v, s.a)
 
 

@@ -157,7 +157,7 @@ def _sweep(s: Record, k: Any, b: Bench, t: float, h: float, weight: float) -> fl
             s.q_trial[j] = s.q[j] + h * (NODES[i] * s.v[j] + h * twice)
             s.v_trial[j] = s.v[j] + h * once
         for j in range(n):
-            s.tau[j] = s.torque_per_amp * clamped(k, b, j, b.results[3 * j + i])
+            s.tau[j] = s.torque_per_amp[j] * clamped(k, b, j, b.results[3 * j + i])
         dynamics(s.p, s.op, t + NODES[i] * h, s.q_trial, s.v_trial, s.tau, s.a_trial, s.w)
         for j in range(m):
             b.new[i, j] = s.a_trial[j]
@@ -206,7 +206,7 @@ def _error_at_end(s: Record, k: Any, b: Bench, slot: int, t: float, h: float) ->
     finish(k, slot, b.gains, b.features, b.results)
     for j in range(n):
         b.results[3 * n + j] += k.offset[j]
-        s.tau[j] = s.torque_per_amp * clamped(k, b, j, b.results[3 * n + j])
+        s.tau[j] = s.torque_per_amp[j] * clamped(k, b, j, b.results[3 * n + j])
     dynamics(s.p, s.op, t + h, s.q_trial, s.v_trial, s.tau, s.a_trial, s.w)
     # What the current does faster than the parabola is no error of the parabola: take it off. Angle and speed
     # at the end are right with it, but within the step the circuit has seen an angle without it: its states
@@ -215,7 +215,7 @@ def _error_at_end(s: Record, k: Any, b: Bench, slot: int, t: float, h: float) ->
         smooth = 0.0
         for i in range(3):
             smooth += _AT_END[i] * b.results[3 * j + i]
-        b.a_new[motor + j] = s.tau[j] - s.torque_per_amp * clamped(k, b, j, smooth)
+        b.a_new[motor + j] = s.tau[j] - s.torque_per_amp[j] * clamped(k, b, j, smooth)
     if s.w.holding:
         for j in range(n):
             b.holds[3, j] = s.w.hold[j]

@@ -109,7 +109,7 @@ def _limit(s: Record, k: Any, b: Any) -> None:
     for j in range(s.n):
         b.clamp[j] = _side(k, j, b.current[j])
         current = min(max(b.current[j], k.limit[j, 0]), k.limit[j, 1])
-        s.tau[j] = s.torque_per_amp * current
+        s.tau[j] = s.torque_per_amp[j] * current
     if s.w.located:
         find(s, b)
     else:

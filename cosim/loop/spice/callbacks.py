@@ -133,7 +133,7 @@ def accepted(data: Any, count: int, ident: int, user: Any) -> int:
     vectors = carray(data, (2,))[1]
     t = vector_value(vectors, s.time_index)
     for j in range(s.n):
-        s.tau[j] = s.torque_per_amp * vector_value(vectors, s.current_index[j])
+        s.tau[j] = s.torque_per_amp[j] * vector_value(vectors, s.current_index[j])
         if not abs(s.tau[j]) < _NEVER:
             s.fault = _NOT_FINITE
     step = t - s.t

@@ -62,7 +62,7 @@ def back_emf_viscosity(simulator: Simulator, circuit: Drive, state: np.void) -> 
             simulator.command(f"ac lin 1 {_LOW_HZ} {_LOW_HZ}")
             admittance[:, j] = [np.real(simulator.vector(f"imot{i + 1}")[0]) for i in range(n)]
             simulator.command(f"alter @v{first + j:02d}[acmag] = 0")
-    viscosity: NDArray[np.float64] = -float(state["torque_per_amp"]) * float(state["gear"]) * admittance
+    viscosity: NDArray[np.float64] = -state["torque_per_amp"][:n, None] * float(state["gear"]) * admittance
     return viscosity
 
 
