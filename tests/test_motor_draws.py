@@ -6,8 +6,8 @@ from support import SCENES
 
 from cosim.plan import resolve
 from cosim.scene import load_scene
+from cosim.tolerance.applied_draw import motors
 from cosim.tolerance.batch import Batch
-from cosim.tolerance.drawn_plan import motors
 
 KEYS = ("xdrv1.xmotor:motor_k", "xdrv2.xmotor:motor_k")
 K = 0.04

@@ -83,14 +83,14 @@ def sampled(
     count = len(prepared.tolerances.variables)
     if asked.until:
         until = _until(asked)
-        first = sampling("plain", _PILOT, count, _pilot_seed(prepared.seed))
+        first = sampling(asked.method, _PILOT, count, _pilot_seed(prepared.seed))
         pilot = draw(
             prepared.tolerances, first, prepared.names, batch, prepared.plan.model, on_progress=on_progress
         )
         n = pilot_size(until, pilot, asked.specs)
         if n > MOST:
             fail(f"{asked.until} would take {n} samples", key="--until", value=asked.until)
-        notes.append(f"{n} samples for {asked.until}, judged by a pilot of {_PILOT} that was discarded")
+        notes.append(f"{n} samples for {asked.until}, judged by a pilot of {first.n} that was discarded")
     how = sampling(asked.method, n, count, prepared.seed)
     if how.n != n:
         notes.append(f"{how.n} samples instead of {n}: {how.replicates} randomisations of {how.each}")
@@ -156,8 +156,6 @@ def _until(asked: Asked) -> tuple[str, float]:
     allowed = '"yield +- 0.5%" with a --spec, or a measure such as "k_max +- 5 N/m"'
     if match is None or not size > 0.0:
         fail("is no precision", key="--until", value=asked.until, allowed=allowed)
-    if asked.method != "plain":
-        fail("is for plain sampling", key="--until", value=asked.until, allowed="--sampling plain")
     what, unit = match[1], match[3].strip()
     if what == "yield":
         allowed = '"yield +- 0.5%" and a --spec'

@@ -13,7 +13,7 @@ from cosim.plan import resolve
 from cosim.runner import run
 from cosim.scene import load_scene
 
-from . import commands
+from . import commands, mc_kills
 from .targets import Project, exercise, readers
 
 #: How the cases are shared out: what is quick and small needs fewer.
@@ -27,6 +27,7 @@ def main() -> int:
     parser.add_argument("--cases", type=int, default=20_000, help="inputs within this process")
     parser.add_argument("--commands", type=int, default=500, help="whole commands")
     parser.add_argument("--kills", type=int, default=50, help="kills at random instants")
+    parser.add_argument("--mc-kills", type=int, default=50, help="kills of Monte Carlo studies")
     args = parser.parse_args()
     os.environ.setdefault("SOURCE_DATE_EPOCH", "0")  # else two runs differ in their dates
     failed = 0
@@ -45,6 +46,7 @@ def main() -> int:
         for title, count, task in (
             ("commands", args.commands, commands.exercise),
             ("kills", args.kills, commands.kill_and_resume),
+            ("mc kills", args.mc_kills, mc_kills.kill_studies),
         ):
             if count:
                 place = folder / title

@@ -1,0 +1,217 @@
+"""Studies of Monte Carlo killed at random instants: the same bytes at the end, and nothing measured twice."""
+
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from .commands import Defect
+from .targets import Project
+
+__all__ = ["kill_studies"]
+
+_SAMPLES, _CHUNK = 60, 3
+_MEASURE = "max_penetration"
+#: A command that was left alone for so long [s] hangs.
+_LIMIT_S = 300.0
+_LOCAL = ("parent", "Ctrl-C", "worker")
+_CLUSTER = ("scheduler", "cluster's worker")
+_DASK = ("--no-dashboard",)
+
+
+def kill_studies(project: Project, folder: Path, number: int, count: int) -> dict[str, int]:
+    """Kill studies at random instants, go on, and compare with one that was never disturbed.
+
+    Every second time what was finished is marked before the study goes on: a mark that is lost was measured
+    twice. Scheduler and workers of a cluster are among the victims where `distributed` is installed.
+
+    Returns
+    -------
+    dict
+        How many of each kind were killed before their end, and samples that were kept by then.
+
+    Raises
+    ------
+    Defect
+        For other bytes than those of an undisturbed study, samples measured again, and a command that hangs.
+    """
+    chance = random.Random(number)
+    scene = next(path for path in project.scenes if path.name == "drop.toml")
+    words = ["mc", str(scene), "--set", "solver.model=linear", "--set", "duration_s=0.3",
+             "--measure", _MEASURE, "-n", str(_SAMPLES), "--chunk", str(_CHUNK)]  # fmt: skip
+    begun = time.monotonic()
+    _ended(_start([*words, "--workers", "2"], folder / "whole", folder), "undisturbed")
+    length = time.monotonic() - begun
+    truth = (folder / "whole" / "samples.parquet").read_bytes()
+    kinds = _LOCAL + (_CLUSTER if find_spec("distributed") else ())
+    counts: Counter[str] = Counter()
+    for turn in range(count):
+        kind, out = kinds[turn % len(kinds)], folder / f"killed{turn}"
+        wait_s = chance.uniform(0.0, length)
+        counts[kind] += (
+            _cluster(kind, words, out, folder, wait_s)
+            if kind in _CLUSTER
+            else _local(kind, words, out, folder, wait_s)
+        )
+        marked = _mark(out) if turn % 2 else {}
+        counts["samples kept"] += len(_parts(out)) * _CHUNK
+        _ended(_start([*words, "--workers", "2"], out, folder), f"turn {turn}, {kind}")
+        found = (out / "samples.parquet").read_bytes()
+        if not marked and found != truth:
+            raise Defect(f"turn {turn}, {kind}: other bytes than an undisturbed study")
+        if marked:
+            _compare(out, folder / "whole", marked, f"turn {turn}, {kind}")
+    return dict(counts)
+
+
+def _local(kind: str, words: list[str], out: Path, folder: Path, wait_s: float) -> bool:
+    """Kill a study on this machine, or one of its workers; return whether it was still at work."""
+    process = _start([*words, "--workers", "2"], out, folder)
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(wait_s)
+    if process.poll() is not None:
+        return False
+    if kind == "worker":
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        workers = [int(pid) for pid in children if _is_worker(int(pid))]
+        if workers:
+            os.kill(random.Random(wait_s).choice(workers), signal.SIGKILL)
+        _ended(process, kind)
+        return bool(workers)
+    process.send_signal(signal.SIGKILL if kind == "parent" else signal.SIGINT)
+    _wait(process, kind)
+    for _ in range(600):  # workers that outlive their parent end with their chunk
+        try:
+            os.killpg(process.pid, 0)
+        except (ProcessLookupError, PermissionError):
+            break
+        time.sleep(0.1)
+    return True
+
+
+def _is_worker(pid: int) -> bool:
+    with suppress(OSError):
+        said = Path(f"/proc/{pid}/cmdline").read_bytes()
+        return b"spawn_main" in said and b"resource_tracker" not in said
+    return False
+
+
+def _cluster(kind: str, words: list[str], out: Path, folder: Path, wait_s: float) -> bool:
+    """Kill the scheduler, or the only worker, of a cluster at work."""
+    with _dask() as (address, scheduler, workers, another):
+        process = _start([*words, "--cluster", address], out, folder)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(wait_s)
+        if process.poll() is not None:
+            return False
+        victim = scheduler if kind == "scheduler" else workers[0]
+        victim.kill()
+        victim.wait()
+        if kind == "scheduler":
+            _wait(process, kind)
+            if process.returncode == 0 and not (out / "samples.parquet").exists():
+                raise Defect("a study without a scheduler ended as if it were done")
+        else:
+            another()
+            _ended(process, kind)
+    return True
+
+
+@contextmanager
+def _dask() -> Iterator[tuple[str, subprocess.Popen[bytes], list[subprocess.Popen[bytes]], object]]:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    processes: list[subprocess.Popen[bytes]] = []
+
+    def started(*command: str) -> subprocess.Popen[bytes]:
+        processes.append(
+            subprocess.Popen([sys.executable, "-m", *command], stdin=subprocess.DEVNULL,
+                             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        )  # fmt: skip
+        return processes[-1]
+
+    def worker() -> subprocess.Popen[bytes]:
+        return started("distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", *_DASK)
+
+    try:
+        scheduler = started("distributed.cli.dask_scheduler", "--host", address, "--no-jupyter", *_DASK)
+        workers = [worker()]
+        _until_up(address)
+        yield address, scheduler, workers, worker
+    finally:
+        for process in reversed(processes):
+            process.kill()
+            process.wait()
+
+
+def _until_up(address: str) -> None:
+    from importlib import import_module
+
+    distributed = import_module("distributed")
+    with distributed.Client(address, timeout=90) as client:
+        client.wait_for_workers(1, timeout=90)
+
+
+def _start(words: list[str], out: Path, folder: Path) -> subprocess.Popen[bytes]:
+    with (folder / "said").open("wb") as said:
+        return subprocess.Popen(
+            [sys.executable, "-m", "cosim", *words, "-o", str(out)], cwd=folder, stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL, stderr=said, env={**os.environ, "TMPDIR": str(folder)},
+            start_new_session=True,
+        )  # fmt: skip
+
+
+def _wait(process: subprocess.Popen[bytes], what: str) -> None:
+    try:
+        process.wait(_LIMIT_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        raise Defect(f"{what}: still runs after {_LIMIT_S:g} s") from None
+
+
+def _ended(process: subprocess.Popen[bytes], what: str) -> None:
+    _wait(process, what)
+    if process.returncode:
+        raise Defect(f"{what}: exit code {process.returncode}")
+
+
+def _parts(out: Path) -> list[Path]:
+    return sorted((out / "parts").glob("*.parquet"))
+
+
+def _mark(out: Path) -> dict[int, int]:
+    """Move the last digit of every finished sample; return first sample -> count of each part."""
+    marked = {}
+    for part in _parts(out):
+        try:
+            table = pq.read_table(part)
+        except (OSError, pa.ArrowException):  # half written: it is to be measured again
+            continue
+        column = np.nextafter(table[_MEASURE].to_numpy(), np.inf)
+        place = table.schema.get_field_index(_MEASURE)
+        pq.write_table(table.set_column(place, table.schema.field(place), pa.array(column)), part)
+        marked[table["sample"][0].as_py()] = len(table)
+    return marked
+
+
+def _compare(out: Path, whole: Path, marked: dict[int, int], what: str) -> None:
+    found, truth = (pq.read_table(at / "samples.parquet")[_MEASURE].to_numpy() for at in (out, whole))
+    wanted = truth.copy()
+    for first, count in marked.items():
+        wanted[first : first + count] = np.nextafter(truth[first : first + count], np.inf)
+    if not np.array_equal(found, wanted):
+        again = [k for k in np.flatnonzero(found != wanted) if found[k] == truth[k]]
+        raise Defect(f"{what}: samples measured again: {again}, others differ: {np.sum(found != wanted)}")
