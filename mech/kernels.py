@@ -227,7 +227,7 @@ def dynamics(
     coulomb_speed * atanh(torque / coulomb). With `coriolis` off the operator's mass, too, is taken at
     its instantaneous inertia only, so that M a = tau + J^T F_op holds to the letter in every setting.
     Where `w.located` is set, friction is constant by the way that each joint slips (`w.slide`), joints in
-    `w.held` do not accelerate, and a stop pushes as `w.touch` says: whoever integrates sets these at the
+    `w.held` do not accelerate, and, with `w.stops_located`, a stop pushes as `w.touch` says: whoever integrates sets these at the
     instants where they change (`mech.stiction`), and the accelerations are smooth between them.
 
     Left in `w`: r, rdot, jac, mass, bias, tau_visc, tau_coul, tau_stop (torques on the joints),
@@ -277,7 +277,7 @@ def dynamics(
             a_out[i] += w.tau_coul[i]
     if p.stops_on:
         for i in range(n):
-            if w.located:
+            if w.stops_located:
                 w.tau_stop[i] = pushed(p, i, q[i], v[i], w.touch[i])
             else:
                 w.tau_stop[i] = stop_torque(p, i, q[i], v[i])

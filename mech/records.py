@@ -123,8 +123,9 @@ WORK = np.dtype(
         ("sin", np.float64, (NMAX,)),
         ("rate", np.float64, (NMAX,)),  # rad/s, absolute
         ("factor", np.float64, (NMAX, NMAX)),
-        # Friction and stops as located events. 0: friction a smooth step, stops a function of the angle.
+        # Friction as located events, and stops. 0: friction a smooth step, stops a function of the angle.
         ("located", np.int64),
+        ("stops_located", np.int64),
         ("slide", np.int64, (NMAX,)),  # way a joint slips, +1 or -1; 0: held
         ("touch", np.int64, (NMAX,)),  # `Touch`, its sign the stop's: -1 the lower, +1 the upper
         ("holding", np.int64),  # number of joints held

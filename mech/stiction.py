@@ -1,7 +1,8 @@
 """Joints at rest under Coulomb friction or on a stop: which are held, which start, and which way.
 
-With friction and stops as located events (`w.located` of `mech.records.WORK`) a joint whose speed is zero is
-held while the torque that this takes is within its friction's limit, or pushes as a stop can; else it starts.
+With friction and stops as located events (`w.located`, `w.stops_located` of `mech.records.WORK`) a joint
+whose speed is zero is held while the torque that this takes is within its friction's limit, or pushes as a
+stop can; else it starts.
 Several joints couple through the mass matrix. The accelerations are those that minimise
 
     a^T M a / 2 - a^T r + sum f_c |a|      (a >= 0 on a lower stop, a <= 0 on an upper one),

@@ -35,6 +35,7 @@ _NODES = (0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15))
 #: Below this ratio of det(J J^T) to its squared trace the arm counts as stretched.
 _FLAT = 1e-12
 _WEIGHTS = (5 / 18, 8 / 18, 5 / 18)
+_COULOMB = WORKS.index("coulomb")
 
 
 @njit(cache=True, error_model="numpy")
@@ -111,6 +112,9 @@ def works(
                 if rule == 0.0:
                     g0 = g1
                     a0 = a1
+                if i == _COULOMB:  # constant over a step, and changes at its end
+                    total += torques[k - 1, i, j] * (rows[k, first + j] - rows[k - 1, first + j]) / h
+                    continue
                 elif rule == 2.0 and k > 1:
                     old = rows[k - 1, 0] - rows[k - 2, 0]
                     c = ((g1 - g0) / h - (g0 - torques[k - 2, i, j]) / old) / (h + old)

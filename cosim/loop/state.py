@@ -45,6 +45,8 @@ STATE = np.dtype(
         ("h_old", "f8"),
         ("history", "i8"),  # accelerations on the present smooth piece, 0 to 2 (see adams.py)
         ("used", "i8"),  # history behind the last step: which rule took it
+        ("hold", "f8", NMAX),  # N m, what holds the joints at rest at the last accepted point, `spice`
+        ("hold_old", "f8", NMAX),  # and at the one before
         ("tau", "f8", NMAX),
         ("tau_old", "f8", (2, NMAX)),  # at the last accepted point and the one before; with shafts only
         ("work", "f8", 6),  # J by worker, where the lockstep keeps account itself (shafts)

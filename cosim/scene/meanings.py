@@ -8,7 +8,7 @@ _LINKAGE = {
     "rotor_inertia_kg_m2": "inertia of each rotor, on the motor's side of the gear",
     "viscous_n_m_s": "viscous friction of each joint",
     "coulomb_n_m": "Coulomb friction of each joint",
-    "coulomb_speed_rad_per_s": "width of the smoothed friction tanh(v / width); on spice and in exports only",
+    "coulomb_speed_rad_per_s": "width of the smoothed friction tanh(v / width); in exports only",
     "stops_rad": "end stops of each joint, rows [lowest, highest]; none: it turns freely",
     "stop_stiffness_n_m_per_rad": "stiffness of a stop that gives",
     "stop_damping_n_m_s": "damping of a stop that gives",

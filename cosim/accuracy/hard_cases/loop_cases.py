@@ -235,7 +235,7 @@ def _friction_border(share: float) -> HardCase:
 
     return HardCase(
         f"held spring on friction alone, {share:g} of its border", 60, "grows (1) or decays (0)",
-        float(share > 1.0), dict.fromkeys(OWN, 0.0),
+        float(share > 1.0), dict.fromkeys(ALL, 0.0),
         "energy of a swing: k T v = 8 f/pi; k T^2/m = 0.009 moves it by less than 2 %", find,
     )  # fmt: skip
 

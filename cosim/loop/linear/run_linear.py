@@ -131,6 +131,7 @@ def prepare(
     if not (record and dense):
         state["h_max"] = scene.computer.period_s
     state["w"]["located"] = any(state["p"][name] for name in ("coulomb_on", "stops_on", "backlash_on"))
+    state["w"]["stops_located"] = state["p"]["stops_on"]
     names = channels(n)
     driven = [names.index(name) - n for name in driving.channels if name.startswith("ks")]
     shifted_circuit = shifted(circuit)

@@ -14,11 +14,10 @@ import numba
 from numba import carray, cfunc, njit, types
 
 from cosim.loop.columns import write_row
-from cosim.loop.equations_of_motion import evaluate
 from cosim.loop.events import announce, process_events
 from cosim.loop.numba_calls import call_plain, doubles_at, name_hash, vector_value
-from cosim.loop.spice import runge_kutta, stop_surfaces
-from cosim.loop.spice.coupling import advance, bound_by_pole, fill, shortened
+from cosim.loop.spice import friction_events, runge_kutta, stop_surfaces
+from cosim.loop.spice.coupling import advance, bound_by_pole, fill, present, shortened
 from cosim.loop.spice.watch import watch
 from cosim.loop.state import NO_VOLTAGE, STATE, Fault
 from cosim.types import Record
@@ -112,6 +111,8 @@ def synchronise(t: float, delta: Any, old: float, redo: int, ident: int, where: 
         h = runge_kutta.edge(s, h)
     if s.p.stops_on:
         h = stop_surfaces.edge(s, h)
+    if s.w.located:
+        h = friction_events.edge(s, h)
     rest = s.t_event - t
     if rest > 0.0:
         if h > 0.999 * rest:
@@ -142,7 +143,7 @@ def accepted(data: Any, count: int, ident: int, user: Any) -> int:
             fill(s, t)
         advance(s, t)
     else:
-        evaluate(s, t, s.q, s.v, s.a)
+        present(s, t)
         s.history = 1
         for j in range(s.n):
             s.tau_old[0, j] = s.tau[j]

@@ -9,7 +9,7 @@ from numba import njit
 
 from cosim.loop.equations_of_motion import RUNAWAY_RAD_PER_S, evaluate
 from cosim.loop.pin_voltages import component, is_gain, noise_at
-from cosim.loop.spice import runge_kutta, stop_surfaces
+from cosim.loop.spice import friction_events, runge_kutta, stop_surfaces
 from cosim.loop.spice.adams import correct, predict
 from cosim.loop.state import Fault
 from cosim.types import Record
@@ -87,6 +87,24 @@ def _weight(s: Record, h: float, inside: int) -> float:
     return float(max(h, s.c.period)) if inside != 0 else h
 
 
+@inner_inlined
+def _at_trial(s: Record, t: float) -> None:
+    """Find the accelerations at the trial point `t`, the motors' torques there being in `s.tau`."""
+    if s.w.located:
+        friction_events.trial(s, t)
+    else:
+        evaluate(s, t, s.q_trial, s.v_trial, s.a_trial)
+
+
+@njit(cache=True, error_model="numpy")
+def present(s: Record, t: float) -> None:
+    """Find the accelerations at the accepted point `t`, friction as it is just behind."""
+    if not s.w.located:
+        evaluate(s, t, s.q, s.v, s.a)
+    elif friction_events.meet(s, t):
+        s.history = min(s.history, 1)
+
+
 @njit(cache=True, error_model="numpy")
 def advance(s: Record, t: float) -> None:
     """Take the linkage to the accepted time `t`, the motors' torques there being in `s.tau`."""
@@ -95,7 +113,7 @@ def advance(s: Record, t: float) -> None:
     if s.p.shaft_on:
         s.defect = runge_kutta.advance(s, h)
     else:
-        evaluate(s, t, s.q_trial, s.v_trial, s.a_trial)
+        _at_trial(s, t)
         s.defect = correct(s, h, s.a_trial, _weight(s, h, inside), True)
         for j in range(s.n):
             s.tau_old[1, j] = s.tau_old[0, j]
@@ -111,7 +129,7 @@ def advance(s: Record, t: float) -> None:
             s.history = min(s.history, 1)
     if s.p.stops_on and stop_surfaces.inside(s) != inside:
         s.history = min(s.history, 1)  # the stop's torque has a kink there, not a jump
-    evaluate(s, t, s.q, s.v, s.a)
+    present(s, t)
     s.t = t
     s.h_old = h
     if not s.defect < _DIVERGENCE_RAD:
@@ -142,7 +160,7 @@ def shortened(s: Record, h: float) -> float:
     for j in range(s.n):
         slope = (s.tau_old[0, j] - s.tau_old[1, j]) / s.h_old if s.history > 1 else 0.0
         s.tau[j] = s.tau_old[0, j] + h * slope
-    evaluate(s, s.t_trial, s.q_trial, s.v_trial, s.a_trial)
+    _at_trial(s, s.t_trial)
     inside = stop_surfaces.inside(s) if s.p.stops_on else 0
     share = correct(s, h, s.a_trial, _weight(s, h, inside), False) / (_SAFETY * s.tol)
     if not share > _REDONE / _SAFETY:
