@@ -12,6 +12,7 @@ from cosim.accuracy.hard_cases import (
     coupled_motion,
     event_cases,
     exchange_cases,
+    limit_cycles,
     loop_cases,
     mechanical,
     public_problems,
@@ -50,6 +51,7 @@ CASES: tuple[HardCase, ...] = tuple(
             *event_cases.CASES,
             *loop_cases.CASES,
             *exchange_cases.CASES,
+            *limit_cycles.CASES,
         ),
         key=lambda case: case.row,
     )

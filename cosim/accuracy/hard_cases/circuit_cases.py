@@ -200,6 +200,52 @@ def _swapped(bench: Bench, model: str) -> float:
     return bench.refusal(lambda: bench.run(tables, model), "unstable")
 
 
+_KICK = """
+from cosim.loop.userlaw import Command
+class Kick:
+    def control(self, sample):
+        return Command(torque_n_m=[0.6 if sample.tick == 2 else 0.0])
+"""
+
+
+def _hangs(amps: float, code: str, words: str, bench: Bench, model: str) -> float:
+    """Whether it is said that a kick of 9 V has let an output go where it stays.
+
+    A source drives the summing node once the output is below -3 V, and drives nothing about 0 V: there are
+    two solutions, and Newton finds the one that time integration has left.
+    """
+    line = "R31 sum out {r31}"
+    hang = f"Bhang 0 sum I={amps!r}/(1+exp(4*(V(out)+3)))"
+    place = bench.netlists({"blocks/summer.cir": lambda text: text.replace(line, f"{line}\n{hang}")})
+    tables = slider(
+        duration_s=0.15,
+        device={"board": str(place / "board1.cir"), "slider": {"mass_kg": 1e3}},
+        computer={"law": "law.py:Kick", "method": "discrete", "analog_stiffness_n_per_m": None,
+                  "period_s": 0.025},
+        effects={"opamp": "full", "vca": "gbw", "driver": "voltage", "driver_level": "gbw", "motor": "full"},
+        solver={"coupling_tolerance_rad": 1e-7},
+    )  # fmt: skip
+    said = bench.run(tables, model, _KICK).warnings
+    return float(any(each == code and words in text and "xsum1.xop" in text for each, text in said))
+
+
+def _in_band(interval: float, bench: Bench, model: str) -> float:
+    """Return the power below 100 Hz of a potentiometer's noise over that of its density, drawn so often."""
+    density, hz, seconds = 1e-10, 100.0, 2.0  # rad^2/Hz
+    bandwidth = 0.5 / interval
+    tables = slider(
+        duration_s=seconds, device={"potentiometer": {
+            "noise_rad": math.sqrt(density * bandwidth), "noise_bandwidth_hz": bandwidth}},
+        effects={"pot_noise": "white"}, solver={"coupling_tolerance_rad": 1e-6},
+    )  # fmt: skip
+    s = bench.run(tables, model).signals
+    at = np.arange(round(seconds / interval)) * interval
+    noise = np.interp(at, s["time"], np.asarray(s["pot1"]) - np.asarray(s["q1"]))
+    lines = np.fft.rfft(noise)[1 : round(hz * seconds) + 1] * interval
+    power = 2 * float((np.abs(lines) ** 2).sum()) / seconds**2
+    return power / (1.5 * density * hz)  # straight lines between ticks keep two thirds of a mean square
+
+
 def _edge(values: dict[str, str], words: tuple[str, ...]) -> HardCase:
     """Return the case of a part's data at the edge of numbers: a finite answer, or an error with its name."""
 
@@ -242,6 +288,18 @@ CASES = (
     *(HardCase(f"kT/C, 1 nF on {ohms:g} Ohm", 9, "noise [V rms]", math.sqrt(_BOLTZMANN * 300.0 / 1e-9),
                {"spice": 1e-3 * 2.035e-6}, "trapezoids of 200 points a decade; 1e-4 of the power is outside",
                partial(_kt_over_c, ohms)) for ohms in (1e3, 1e6)),
+    *(HardCase(f"noise drawn every {1e6 * interval:g} us", 10, "power below 100 Hz over its density's", 1.0,
+               {"linear": 0.23, "spice": 0.23},
+               "200 lines of two normal numbers each: 99.9 % within 3.3/sqrt(200)",
+               partial(_in_band, interval),
+               broken="values not scaled for the straight lines between them")
+      for interval in (1e-3, 1e-4)),
+    HardCase("output latched within a run", 49, "said with the amplifier (1)", 1.0, {"spice": 0.0},
+             "1.4 mA through 10k ask for 14 V, more than there is",
+             partial(_hangs, 1.4e-3, "output-latched", ""), broken="nothing is looked at"),
+    HardCase("operating point that time integration has left", 49, "said with the amplifier (1)", 1.0,
+             {"spice": 0.0}, "0.8 mA through 10k are 8 V; Newton finds 0 V",
+             partial(_hangs, 0.8e-3, "operating-point-left", "-7.99 V"), broken="within the supply all is well"),
     HardCase("slew limit, large sine", 38, "amplitude over SR/(4 f)", 1.0, {"spice": 0.01},
              "0.16 us of each 25 us the input is inside the output's range", _slew),
     *(HardCase(f"algebraic loop of gain {gain:g}", 35, "output times (1 - g)", 1.0, {"spice": 1e-6},

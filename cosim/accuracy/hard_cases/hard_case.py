@@ -109,12 +109,16 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Ran:
-    """What is left of a run: signals and samples by name; measures and stats as in `cosim.results.Run`."""
+    """What is left of a run: signals and samples by name; measures and stats as in `cosim.results.Run`.
+
+    `warnings` are those of the run, as (code, text).
+    """
 
     signals: Mapping[str, Array]
     samples: Mapping[str, Array]
     measures: Mapping[str, Mapping[str, Any]]
     stats: Mapping[str, Any]
+    warnings: tuple[tuple[str, str], ...] = ()
 
 
 class Bench:
@@ -187,7 +191,8 @@ class Bench:
             errors = estimator(plan, self._child) if estimate else None
             found = run(plan, out, formats=(), child=self._child, errors=errors)
         signals = {name: np.array(found.signals[name]) for name in found.signals}
-        return Ran(signals, dict(found.samples), dict(found.measures), dict(found.stats))
+        said = tuple((each.code, each.text) for each in found.warnings)
+        return Ran(signals, dict(found.samples), dict(found.measures), dict(found.stats), said)
 
 
 def analysed(payload: dict[str, Any], report: Any) -> list[Array]:
