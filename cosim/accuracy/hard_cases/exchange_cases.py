@@ -1,4 +1,4 @@
-"""Hard cases of the coupling: problems of the co-simulation literature, against held values.
+"""Hard cases of the coupling: problems of the co-simulation literature, and shorter steps that mislead.
 
 Masses that exchange held states every H, exact between, are the constant-step Jacobi scheme of zero order
 (Busch, 2012; Schweizer et al., 2015).
@@ -12,8 +12,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.linalg import expm
 
-from cosim.accuracy.hard_cases.coupled_motion import _DAMPER, _SPRING, _STATED, _STATED_C
-from cosim.accuracy.hard_cases.hard_case import Bench, HardCase, board, slider
+from cosim.accuracy.hard_cases.coupled_motion import _DAMPER, _SPRING, _STATED, _STATED_C, _TORQUE
+from cosim.accuracy.hard_cases.hard_case import RADIUS, Bench, HardCase, board, slider
 from cosim.types import Array
 
 __all__ = ["CASES"]
@@ -97,12 +97,42 @@ def _against_jacobi(
     return find
 
 
+def _shorter_steps(bench: Bench, model: str) -> float:
+    """Return the larger error over its bound of an integral at two steps, the shorter of which is worse.
+
+    The heat of ten swings of 10 Hz in a circuit's spring, i^2 t/2, in steps of 2.5 ms and 1.25 ms at most.
+    """
+    inertia, amplitude, seconds = 0.2 * RADIUS**2, 0.05, 1.0
+    stiffness = (2 * math.pi * 10.0) ** 2 * inertia
+    law = (
+        "from cosim.loop.userlaw import Command\nclass Spring:\n    def control(self, sample):\n"
+        f"        k = {stiffness * _STATED / _SPRING!r}\n"
+        "        return Command(u_rad=0 * sample.q_rad, stiffness=[[k]])\n"
+    )
+    exact = (stiffness * amplitude / _TORQUE) ** 2 / 2 * seconds
+    errors, bounds = [], []
+    for step in (2.5e-3, 1.25e-3):
+        tables = slider(
+            duration_s=seconds, device={"start": {"q_rad": [amplitude]}},
+            computer={"period_s": seconds, "law": "law.py:Spring"},
+            solver={"coupling_tolerance_rad": 1e-3, "max_step_s": step, "rtol": 1e-5},
+        )  # fmt: skip
+        heat = bench.run(tables, model, law, estimate=True).measures["heat"]
+        errors.append(abs(heat["value"] - exact))
+        bounds.append(heat["error"])
+    if not (errors[1] > 1.1 * errors[0] and bounds[1] > bounds[0]):
+        return math.nan  # it is no such problem, or the estimate does not follow
+    return float(max(np.array(errors) / bounds))
+
+
 #: A quarter car over 1e5: chassis of 400 kg on 15 kN/m and 1 kN s/m, wheel of 40 kg on 150 kN/m.
 _CAR = ((4e-3, 4e-4), (0.0, 0.15, 1.5), (0.0, 0.01, 0.0))
 _TWO = ((0.01, 0.01), (4 * math.pi**2 * 0.01, 16 * math.pi**2 * 0.01, 4 * math.pi**2 * 0.01), (0.0, 0.0, 0.0))
 
 
 CASES = (
+    HardCase("integral that shorter steps make worse", 56, "larger error over its bound", 0.5, {"spice": 0.5},
+             "an error is within its bound, and both grow from 2.5 ms to 1.25 ms", _shorter_steps),
     *(HardCase(f"{name} against held values exchanged as often", 55, "our error over theirs", 0.0,
                {"spice": 0.02}, "the list's own; 1e-9 rad a step, amplitude 0.1 rad",
                _against_jacobi(*problem),

@@ -145,7 +145,7 @@ CASES = (
              "it rests, or what is found is no number; spice: speeds below 1e-3 rad/s", _rests, slow=True,
              broken="a gap wider by a tenth"),
     HardCase("wall of one count and one code", 59, "distance from the exact orbit over its swing", 0.0,
-             {**dict.fromkeys(OWN, 1e-6), "spice": 1e-3}, 
+             {**dict.fromkeys(OWN, 1e-6), "spice": 1e-3},
              "the list's own: op-amps of 1e9 leave 1e-8 of a torque, which five swings add up; spice: 1e-3",
              _counts_and_codes),
 )  # fmt: skip
