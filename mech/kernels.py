@@ -227,8 +227,9 @@ def dynamics(
     coulomb_speed * atanh(torque / coulomb). With `coriolis` off the operator's mass, too, is taken at
     its instantaneous inertia only, so that M a = tau + J^T F_op holds to the letter in every setting.
     Where `w.located` is set, friction is constant by the way that each joint slips (`w.slide`), joints in
-    `w.held` do not accelerate, and, with `w.stops_located`, a stop pushes as `w.touch` says: whoever integrates sets these at the
-    instants where they change (`mech.stiction`), and the accelerations are smooth between them.
+    `w.held` do not accelerate, and, with `w.stops_located`, a stop pushes as `w.touch` says: whoever
+    integrates sets these at the instants where they change (`mech.stiction`), and the accelerations are
+    smooth between them.
 
     Left in `w`: r, rdot, jac, mass, bias, tau_visc, tau_coul, tau_stop (torques on the joints),
     f_op (operator on device, with weight and inertia of its mass), f_drive (without both).

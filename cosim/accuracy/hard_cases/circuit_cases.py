@@ -299,7 +299,7 @@ CASES = (
              partial(_hangs, 1.4e-3, "output-latched", ""), broken="nothing is looked at"),
     HardCase("operating point that time integration has left", 49, "said with the amplifier (1)", 1.0,
              {"spice": 0.0}, "0.8 mA through 10k are 8 V; Newton finds 0 V",
-             partial(_hangs, 0.8e-3, "operating-point-left", "-7.99 V"), 
+             partial(_hangs, 0.8e-3, "operating-point-left", "-7.99 V"),
              broken="within the supply all is well"),
     HardCase("slew limit, large sine", 38, "amplitude over SR/(4 f)", 1.0, {"spice": 0.01},
              "0.16 us of each 25 us the input is inside the output's range", _slew),
