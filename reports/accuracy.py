@@ -10,6 +10,7 @@ import statistics
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cosim.storage.owned_files import manifest_of
 from cosim.units import quantity
 from reports.page import PAGE_NAME, picture, render, write_page
 from reports.study_page import Section, TextTable
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["FILES", "draw", "words", "write_accuracy"]
 
 #: What is written besides the picture.
-FILES = (PAGE_NAME, "accuracy.csv", "accuracy.json")
+FILES, MANIFEST = (PAGE_NAME, "accuracy.csv", "accuracy.json"), manifest_of("accuracy")
 _COLORS = {"ideal": JOINTS[2], "linear": JOINTS[0], "spice": JOINTS[1], "peer": JOINTS[5]}
 _MARKS = {
     "as the scene states it": "*",
@@ -60,7 +61,7 @@ def write_accuracy(found: Accuracy, folder: Path) -> Path:
         sections=[section], claims=[], warnings=[],
     )  # fmt: skip
     text = json.dumps(found.as_dict(), indent=1, allow_nan=False) + "\n"
-    return write_page(folder, html, [shown], dict(zip(FILES[1:], (_csv(found), text), strict=True)))
+    return write_page(folder, html, [shown], dict(zip(FILES[1:], (_csv(found), text), strict=True)), MANIFEST)
 
 
 def words(found: Accuracy) -> list[str]:

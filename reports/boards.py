@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.caution import grouped
+from cosim.storage.owned_files import manifest_of
 from cosim.units import quantity
 from reports.compare import overlay
 from reports.page import Picture, picture, render, write_page
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 _DASHES = ("-", (0, (5, 2)), (0, (2, 1.5)), (0, (6, 1.5, 1, 1.5)))
 _MARKS = ("o", "x", "+", "d")
+MANIFEST = manifest_of("compare")
 #: Bars that a picture holds, and sides that it tells apart.
 _MOST_BARS, _MOST_SIDES = 16, 4
 _TITLES = {
@@ -76,7 +78,7 @@ def write_comparison(sides: "Sequence[Side]", rows: "Sequence[Row]", folder: Pat
         said=[],
         scene="",
     )
-    return write_page(folder, html, pictures)
+    return write_page(folder, html, pictures, manifest=MANIFEST)
 
 
 def cells(row: "Row") -> list[str]:

@@ -8,13 +8,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cosim.storage.owned_files import manifest_of
 from reports.page import PAGE_NAME, render, write_page
 from reports.study_page import Section, TextTable
 
 if TYPE_CHECKING:
     from cosim.accuracy.hard_cases.hard_case import Outcome
 
-FILES = (PAGE_NAME, "hard_cases.csv")
+FILES, MANIFEST = (PAGE_NAME, "hard_cases.csv"), manifest_of("hard-cases")
 _HEAD = [
     "#", "case", "model", "what is found", "expected", "got", "off by", "bound", "where the bound comes from",
     "time [s]", "",
@@ -45,7 +46,7 @@ def write_hard_cases(outcomes: Sequence[Outcome], folder: Path) -> Path:
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(_HEAD)
     writer.writerows(rows)
-    return write_page(folder, html, [], {FILES[1]: stream.getvalue()})
+    return write_page(folder, html, [], {FILES[1]: stream.getvalue()}, MANIFEST)
 
 
 def _row(each: Outcome) -> list[str]:

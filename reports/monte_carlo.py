@@ -11,6 +11,7 @@ from scipy import stats
 from cosim.catalogue import UNITS
 from cosim.caution import Caution, grouped
 from cosim.results import json_text
+from cosim.storage.owned_files import manifest_of
 from cosim.tolerance.bill import grade_text
 from cosim.tolerance.listing import CONVENTION
 from cosim.tolerance.monte_carlo import worst
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 #: Figures of a measure; the last two need a fitted surface.
 PARTS = ("distribution", "estimate", "blame", "leading")
 #: What is written besides the figures.
-FILES = (PAGE_NAME, "samples.csv", "components.csv", "bill.csv", RECORD, SLIDERS)
+FILES, MANIFEST = (PAGE_NAME, "samples.csv", "components.csv", "bill.csv", RECORD, SLIDERS), manifest_of("mc")
 #: Bars of the tornado, points of a scatter, rows of tables.
 _BARS, _POINTS, _ROWS, _WORST = 15, 4000, 40, 5
 
@@ -80,7 +81,8 @@ def write_monte_carlo(
     files = dict(zip(FILES[1:], tables, strict=False))
     if found.surfaces:
         files[SLIDERS] = sliders_page(found)
-    return write_page(out, html, [each for section in sections for each in section.pictures], files)
+    pictures = [each for section in sections for each in section.pictures]
+    return write_page(out, html, pictures, files, MANIFEST)
 
 
 def draw(found: "Findings", part: str, name: str) -> Drawn:

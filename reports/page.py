@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cosim.caution import Caution, grouped
+from cosim.storage.checksums import MANIFEST
 from cosim.storage.owned_files import write_files
 from reports.summary import summary, tiles
 from reports.tables import Table, Trial, all_tables, command_line, compare_table
@@ -228,9 +229,16 @@ def glue(text: str) -> str:
 
 
 def write_page(
-    folder: Path, html: str, pictures: Sequence[Picture], tables: Mapping[str, str] | None = None
+    folder: Path,
+    html: str,
+    pictures: Sequence[Picture],
+    tables: Mapping[str, str] | None = None,
+    manifest: str = MANIFEST,
 ) -> Path:
     """Write the page, its pictures and `tables` (path in the folder -> CSV text), the page last.
+
+    Each command has a manifest of its own: with one for all, the second command into a folder would take the
+    first one's tables for its own of an earlier call, and delete them.
 
     Raises
     ------
@@ -242,5 +250,5 @@ def write_page(
         for ending, data in (("svg", each.svg), ("png", each.png), ("csv", each.data.encode())):
             content[f"{FOLDER_NAME}/{each.name}.{ending}"] = data
     content[PAGE_NAME] = html.encode()
-    write_files(folder, content)
+    write_files(folder, content, manifest)
     return folder / PAGE_NAME

@@ -8,6 +8,7 @@ from typing import Any
 
 from cosim.caution import Caution, grouped
 from cosim.storage.field_types import used
+from cosim.storage.owned_files import manifest_of
 from cosim.studies.claims import Claim
 from cosim.studies.study import StudyResult, Verdict, table_text
 from cosim.studies.study import Table as StudyTable
@@ -16,6 +17,7 @@ from reports.style import look
 
 __all__ = ["Section", "TextTable", "write_study_page"]
 
+MANIFEST = manifest_of("study")
 #: A longer table is data for a program: the page only links it.
 _MOST_ROWS = 40
 _HOLDS = {True: "holds", False: "does not hold", None: "answered"}
@@ -128,7 +130,7 @@ def write_study_page(
         for name, result in results
         for table in result.tables
     }
-    return write_page(out, html, pictures, tables)
+    return write_page(out, html, pictures, tables, MANIFEST)
 
 
 def _claims(results: Sequence[tuple[str, StudyResult]], asked: Sequence[Claim]) -> list[_Claim]:

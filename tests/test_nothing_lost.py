@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -189,6 +190,40 @@ def test_a_product_replaces_what_is_its_own_and_nothing_else(
     said = capsys.readouterr().err
     assert f"{out / file}: is in the way" in said
     assert contents(out) == before
+
+
+def test_a_second_command_into_a_folder_takes_nothing_away_from_the_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All pages have one name: the second is refused before it computes."""
+    pages = {
+        "reports.page": ("report.html", "figures/energy.csv"),
+        "reports.monte_carlo": ("report.html", "samples.csv"),
+        "reports.accuracy": ("report.html", "accuracy.csv"),
+        "reports.hard_cases": ("report.html", "hard_cases.csv"),
+        "reports.boards": ("report.html",),
+        "reports.study_page": ("report.html", "data/limits.csv"),
+    }
+    manifests = [import_module(name).MANIFEST for name in pages]
+    assert len(set(manifests)) == len(pages)
+    monkeypatch.setattr("cosim.ngspice.child.Child.call", lambda *_, **__: pytest.fail("computed first"))
+    scene = str(SCENES / "press.toml")
+    commands = [
+        ["mc", scene, "-n", "4", "--measure", "k_max"],
+        ["accuracy", scene],
+        ["hard-cases", "32"],
+        ["report", str(SCENES / "paper" / "6b_onset.toml")],
+    ]
+    for command, product in zip(commands, [*list(pages)[1:4], "reports.study_page"], strict=True):
+        for first in pages:
+            if first == product:
+                continue
+            out = tmp_path / command[0] / first
+            write_files(out, dict.fromkeys(pages[first], b"first"), import_module(first).MANIFEST)
+            before = contents(out)
+            assert cli.main([*command, "-o", str(out)]) == 2
+            assert "report.html: is in the way" in capsys.readouterr().err
+            assert contents(out) == before
 
 
 def test_files_that_a_killed_call_left_are_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -58,7 +58,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         from cosim.errors import fail
         from cosim.storage.owned_files import refuse_foreign
         from cosim.variants import parse_settings
-        from reports.accuracy import FILES, words, write_accuracy
+        from reports.accuracy import FILES, MANIFEST, words, write_accuracy
 
         check_measures(args.measure)
         if not 0.0 < args.tol <= 1.0:
@@ -69,7 +69,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         if any(len(setting.values) > 1 for setting in fixed):
             fail("a study is of one scene: give each name one value", key="--set", value=args.set)
         out = Path(args.out) if args.out else Path("out/accuracy")
-        refuse_foreign(out, FILES)  # told before anything is run
+        refuse_foreign(out, FILES, MANIFEST)  # told before anything is run
         with progress("accuracy") as show:
             found = accuracy(
                 args.scene, out,

@@ -60,6 +60,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         from cosim.errors import fail
         from cosim.storage.owned_files import refuse_foreign
         from cosim.variants import parse_settings, variants
+        from reports.boards import MANIFEST
         from reports.page import PAGE_NAME
 
         check_measures(args.measure)
@@ -72,7 +73,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         if args.measure:
             return _measures(args, values, last, child)
         out = Path(args.out) if args.out else _USUAL / "compare"
-        refuse_foreign(out / "report", [PAGE_NAME])
+        refuse_foreign(out / "report", [PAGE_NAME], MANIFEST)
         with progress("comparing") as show:
             found = compare(
                 args.scene, args.boards, values, last, out,

@@ -25,9 +25,9 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     cases = chosen(args.names, slow=args.slow)
     if args.out:
         from cosim.storage.owned_files import refuse_foreign
-        from reports.hard_cases import FILES, write_hard_cases
+        from reports.hard_cases import FILES, MANIFEST, write_hard_cases
 
-        refuse_foreign(Path(args.out), FILES)  # told before the first case
+        refuse_foreign(Path(args.out), FILES, MANIFEST)  # told before the first case
     with progress("hard cases") as show:
         found = list(run_cases(cases, show))
     lines = _table(found)

@@ -104,9 +104,9 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
             said = measure_shard(prepared, processes, _shard(args.shard), show)
         return {"folder": str(out), "done": said}, f"wrote {out}: {said}"
     from cosim.storage.owned_files import refuse_foreign
-    from reports.monte_carlo import FILES, write_monte_carlo
+    from reports.monte_carlo import FILES, MANIFEST, write_monte_carlo
 
-    refuse_foreign(out, FILES)  # told before the first sample
+    refuse_foreign(out, FILES, MANIFEST)  # told before the first sample
     with collected() as cautions, progress("mc") as show:
         found = monte_carlo(prepared, show, processes)
     page = write_monte_carlo(found, out, replay(args), digest, cautions, record_of(prepared))

@@ -130,7 +130,7 @@ def _report_studies(args: argparse.Namespace, files: list[Path]) -> tuple[dict[s
     from cosim.studies.study import load_study, run_study
     from cosim.variants import overrides
     from reports.page import PAGE_NAME
-    from reports.study_page import write_study_page
+    from reports.study_page import MANIFEST, write_study_page
 
     if args.tol:
         fail("judges results; a study states the errors of its numbers itself", key="--tol", value=args.tol)
@@ -144,7 +144,7 @@ def _report_studies(args: argparse.Namespace, files: list[Path]) -> tuple[dict[s
         if args.out
         else Path("out") / (files[0].parent.name if len(files) > 1 else files[0].stem)
     )
-    refuse_foreign(out, [PAGE_NAME])
+    refuse_foreign(out, [PAGE_NAME], MANIFEST)
     results = []
     with collected() as cautions:
         for number, spec in enumerate(specs, start=1):
