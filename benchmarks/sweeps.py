@@ -22,8 +22,8 @@ from benchmarks import monolithic
 from benchmarks.figure import Figure, figure
 from benchmarks.models import ACCURACY, Report, model, packed, signals, tip_errors
 from benchmarks.rig import ROOT, SMOOTH, Outcome, instants, lockstep, retold, tight
-from cosim.analysis.extracted import circuit_of
-from cosim.analysis.stability import border, held, touching, with_computer
+from cosim.analysis.held_contact import HeldContact
+from cosim.analysis.stability import border, held
 from cosim.analysis.stiffness_map import Axis, border_map
 from cosim.ngspice.child import Child
 from cosim.plan import resolve
@@ -168,13 +168,12 @@ def borders(repetitions: int) -> list[Figure]:
     """Map borders over period and analog stiffness against one border."""
     spec = load_study(FIG13)
     scene = spec.scene("computer.method=combined", "computer.analog_stiffness_n_per_m=100")
-    circuit, constants = circuit_of(resolve(scene))
-    q = touching(scene, constants)
+    contact = HeldContact.of(resolve(scene))
 
     def one() -> tuple[float, float]:
         begun = time.perf_counter()
         found = border(
-            lambda k: held(with_computer(scene, discrete_stiffness_n_per_m=k), constants, circuit, q),
+            lambda k: held(contact.with_computer(discrete_stiffness_n_per_m=k)),
             *SCANNED,
         )
         return time.perf_counter() - begun, found.value
@@ -184,15 +183,17 @@ def borders(repetitions: int) -> list[Figure]:
     columns = Axis("computer.period_s", tuple(float(t) for t in np.geomspace(3e-3, 0.1, SIDE)))
     before = [one()[0] for _ in range(5)]
     begun = time.perf_counter()
-    found = border_map(scene, constants, circuit, rows, columns, low=SCANNED[0], high=SCANNED[1], workers=1)
+    found = border_map(
+        scene, contact.constants, contact.circuit, rows, columns, low=SCANNED[0], high=SCANNED[1], workers=1
+    )
     wall = time.perf_counter() - begun
     singles = before + [one()[0] for _ in range(5)]
     errors = []
     rng = np.random.default_rng(1)
     for i, j in rng.integers(0, SIDE, (8, 2)):
-        there = with_computer(scene, analog_stiffness_n_per_m=rows.values[i], period_s=columns.values[j])
+        there = contact.with_computer(analog_stiffness_n_per_m=rows.values[i], period_s=columns.values[j])
         single = border(
-            lambda k, at=there: held(with_computer(at, discrete_stiffness_n_per_m=k), constants, circuit, q),
+            lambda k, at=there: held(at.with_computer(discrete_stiffness_n_per_m=k)),
             *SCANNED,
         ).value
         errors.append(abs(found[i, j] / single - 1.0))

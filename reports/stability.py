@@ -7,10 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.analysis.stability import with_computer
+from cosim.analysis.held_contact import HeldContact
 from cosim.analysis.stiffness_limits import Limits, limits, locus
-from cosim.circuits.design_constants import DesignConstants
-from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.scene import Scene
 from cosim.storage.owned_files import manifest_of, write_files
 from cosim.studies.grid import decimal
@@ -25,9 +23,7 @@ FILES, MANIFEST = ("stability.csv", "stability.svg", "stability.png"), manifest_
 _POINTS, _PERIODS = 161, np.geomspace(0.2, 5.0, 9)
 
 
-def write_stability(
-    found: Limits, scene: Scene, constants: DesignConstants, circuit: LinearCircuit, folder: Path
-) -> Path:
+def write_stability(found: Limits, contact: HeldContact, folder: Path) -> Path:
     """Write ``stability.png``, ``.svg`` and ``.csv`` (limits over the period); return the PNG.
 
     Raises
@@ -37,26 +33,24 @@ def write_stability(
     """
     from reports.style import look, pictures
 
-    rows = over_period(scene, constants, circuit)
+    rows = over_period(contact)
     table = io.StringIO()
     writer = csv.DictWriter(table, list(rows[0]))
     writer.writeheader()
     writer.writerows(rows)
     with look():
-        drawn = pictures(draw(found, scene, constants, circuit, rows))
+        drawn = pictures(draw(found, contact, rows))
     content = (table.getvalue().encode(), drawn["svg"], drawn["png"])
     write_files(folder, dict(zip(FILES, content, strict=True)), MANIFEST)
     return folder / FILES[-1]
 
 
-def over_period(
-    scene: Scene, constants: DesignConstants, circuit: LinearCircuit
-) -> list[dict[str, float | None]]:
+def over_period(contact: HeldContact) -> list[dict[str, float | None]]:
     """Return border, passive, Gil and Hulin's and the board's stiffness [N/m] over the period."""
     rows: list[dict[str, float | None]] = []
     for share in _PERIODS:
-        period = decimal(float(share) * scene.computer.period_s)
-        each = limits(with_computer(scene, period_s=period), constants, circuit).as_dict()
+        period = decimal(float(share) * contact.scene.computer.period_s)
+        each = limits(contact.with_computer(period_s=period)).as_dict()
         rows.append(
             {
                 "period_s": period,
@@ -69,13 +63,7 @@ def over_period(
     return rows
 
 
-def draw(
-    found: Limits,
-    scene: Scene,
-    constants: DesignConstants,
-    circuit: LinearCircuit,
-    rows: list[dict[str, float | None]],
-) -> "Figure":
+def draw(found: Limits, contact: HeldContact, rows: list[dict[str, float | None]]) -> "Figure":
     """Return the figure: root locus beside limits over the sampling period."""
     from reports.style import figure as new_figure
 
@@ -83,7 +71,7 @@ def draw(
     plane, over = axes[0]
     edge = found.border.value if np.isfinite(found.border.value) and found.border.value > 0.0 else 1e4
     values = np.geomspace(edge / 30.0, edge * 3.0, _POINTS)
-    _locus(plane, locus(scene, constants, circuit, values), values, edge)
+    _locus(plane, locus(contact, values), values, edge)
     if found.border.stability is not None and found.border.stability.critical is not None:
         at = found.border.stability.critical.z
         plane.plot([at.real] * 2, [at.imag, -at.imag], "o", color="#B2182B", markersize=5,
@@ -95,7 +83,7 @@ def draw(
             label=f"scene, {found.stiffness:.4g} N/m",
         )  # fmt: skip
     plane.legend(loc="lower left")
-    _over(over, rows, scene, found)
+    _over(over, rows, contact.scene, found)
     return drawing
 
 

@@ -1,9 +1,18 @@
 """Scenes in held contact, and the circuits that the exact map of a period is made with."""
 
-from linear_runs import ideal, lagging
+from linear_runs import CONSTANTS, ideal, lagging
 from support import scene_of, slider
 
+from cosim.analysis.held_contact import HeldContact
+from cosim.circuits.linear_circuit import LinearCircuit
+from cosim.scene import Scene
+
 RADIUS = 0.1333
+
+
+def at_wall(scene: Scene, circuit: LinearCircuit) -> HeldContact:
+    """Return the contact at the wall's point of a scene with the constants of the tests' board."""
+    return HeldContact.at_wall(scene, CONSTANTS, circuit)
 
 
 HELD = {

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from support import K_FS, SCENES, SPRING_TRUE
 
-from cosim.analysis.extracted import circuit_of
+from cosim.analysis.held_contact import HeldContact
 from cosim.plan import resolve
 from cosim.storage.checkpoint import Points
 from cosim.studies import equations, paper_passivity
@@ -18,12 +18,11 @@ NORMAL = np.array([-1.0, 1.0]) / np.sqrt(2.0)
 
 @pytest.fixture(scope="module")
 def arm():
-    """The paper's study on the ideal board: scene, constants, circuit."""
+    """The paper's study on the ideal board, held at a pose."""
     spec = load_study(PAPER / "0_1_acceptance.toml")
     level = spec.parameters.levels[0]
     scene = spec.scene(*level.set, "computer.method=continuous", "computer.discrete_stiffness_n_per_m=0")
-    circuit, constants = circuit_of(resolve(scene))
-    return scene, constants, circuit
+    return HeldContact.of(resolve(scene)).at([0.6, 1.1])
 
 
 def test_the_jacobian_s_error_is_that_of_differences():
@@ -33,7 +32,7 @@ def test_the_jacobian_s_error_is_that_of_differences():
 
 def test_gains_are_those_of_the_resistors(arm):
     """Springs: 169k/10k, 10k/24.3k, 20k/10k, 5 Ohm, by hand; what op-amps of gain 1e9 leave out is 1e-7."""
-    found = {name: (wanted, got) for name, _, wanted, got in equations.gains(*arm, np.array([0.6, 1.1]))}
+    found = {name: (wanted, got) for name, _, wanted, got in equations.gains(arm)}
     assert len(found) == 12
     w = np.array([[-0.15563073, -0.09916648], [0.06964911, -0.01288445]]).T @ NORMAL  # J^T n of theory
     assert found["ksp12"][0] == pytest.approx(100.0 * w[0] * w[1], rel=1e-6)
@@ -43,13 +42,12 @@ def test_gains_are_those_of_the_resistors(arm):
 
 
 def test_the_force_is_that_of_kinematics_and_resistors(arm):
-    q = np.array([0.6, 1.1])
-    normal, tangent = equations.static_force(*arm, q, 0.01)
-    share, half_way = equations.linearised(CHAIN, q, NORMAL, 0.01)
+    normal, tangent = equations.static_force(arm, 0.01)
+    share, half_way = equations.linearised(CHAIN, arm.q, NORMAL, 0.01)
     assert normal == pytest.approx(100.0 * 0.01 * (1.0 + share) * SPRING_TRUE / K_FS, rel=1e-5)
     assert abs(tangent) < 1e-12
     # first order in the depth with J of the pose, second order half way
-    there, there_half_way = equations.linearised(CHAIN, q, NORMAL, 0.001)
+    there, there_half_way = equations.linearised(CHAIN, arm.q, NORMAL, 0.001)
     assert share / there == pytest.approx(10.0, rel=0.2)
     assert half_way / there_half_way == pytest.approx(100.0, rel=0.2)
 

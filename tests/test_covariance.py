@@ -5,7 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
-from held_scenes import HELD, LATE, RADIUS, SLOW, circuit_of_kind
+from held_scenes import HELD, LATE, RADIUS, SLOW, at_wall, circuit_of_kind
 from linear_runs import CONSTANTS, ideal, lagging, propagate, rows, samples
 from scipy.linalg import solve_continuous_lyapunov
 from scipy.stats import chi2
@@ -21,10 +21,10 @@ from cosim.analysis.covariance_steps import (
     white_covariance,
 )
 from cosim.analysis.extracted import circuit_of
+from cosim.analysis.held_contact import HeldContact, touching
 from cosim.analysis.linearise import linearise
 from cosim.analysis.noise_covariance import noise_covariance, noise_grid
 from cosim.analysis.period_map import lift
-from cosim.analysis.stability import touching
 from cosim.errors import InputError
 from cosim.loop.computer import COMPUTER, SAMPLE, law, to_volts
 from cosim.loop.noise import potentiometer_noise
@@ -194,7 +194,7 @@ def test_sampled_runs_agree_within_their_interval(tmp_path, kind, more):
     squares = count = 0.0
     for seed in (1, 2, 3):
         scene = held(tmp_path, more, {"seed": seed, "duration_s": 190.0})
-        exact = noise_covariance(scene, CONSTANTS, circuit)
+        exact = noise_covariance(at_wall(scene, circuit))
         made = propagate(scene, circuit, rows=False)
         depth = samples(made, "pen")[200 :: exact.periods]  # the start's transient is gone after 1 s
         assert samples(made, "contact")[200:].all()
@@ -220,7 +220,7 @@ def test_the_arm_agrees_with_its_sampled_run():
         ],
     )  # fmt: skip
     circuit = lagging(ideal(2), 2e3, 3e3)
-    exact = noise_covariance(scene, CONSTANTS, circuit)
+    exact = noise_covariance(at_wall(scene, circuit))
     made = propagate(scene, circuit, rows=False)
     depth = samples(made, "pen")[120:]
     freedom = exact.freedom("penetration", len(depth))
@@ -241,7 +241,7 @@ def test_time_averages_agree_with_a_recorded_run(tmp_path, kind):
     """Current of the motor over 40 s: 12,000 values of the noise, its variance known to 1.3 % (one sigma)."""
     circuit = circuit_of_kind(kind)
     scene = held(tmp_path, {"seed": 5, "duration_s": 40.0, "solver": {"max_step_s": 5e-4}})
-    exact = noise_covariance(scene, CONSTANTS, circuit)
+    exact = noise_covariance(at_wall(scene, circuit))
     made = propagate(scene, circuit)
     t, current = rows(made, "time"), rows(made, "imot1")
     late = t > 1.0
@@ -274,9 +274,9 @@ def test_white_noise_through_a_continuous_contact_is_lyapunovs(tmp_path):
         scene = held(
             tmp_path, still, {"device": {"potentiometer": {"noise_rad": rms, "noise_bandwidth_hz": hz}}}
         )
-        exact = noise_covariance(scene, CONSTANTS, circuit)
+        exact = noise_covariance(at_wall(scene, circuit))
         found.append(exact.mean["penetration"][0, 0])
-    system = linearise(scene, CONSTANTS, circuit, exact.q)
+    system = linearise(HeldContact(scene, CONSTANTS, circuit, exact.q))
     p = solve_continuous_lyapunov(system.a, -density * system.b[:, -1:] @ system.b[:, -1:].T)
     off = np.abs(np.array(found) / (RADIUS**2 * p[0, 0]) - 1.0)
     assert off[0] > off[1] > off[2]
@@ -292,7 +292,7 @@ def test_poles_of_a_gigahertz_cost_no_accuracy(tmp_path):
     more = {"computer": {"analog_damping_n_s_per_m": 0.0}}
     scene = held(tmp_path, more)
     slow, fast = (
-        noise_covariance(scene, CONSTANTS, circuit) for circuit in (ideal(1), lagging(ideal(1), 1e9, 1e9))
+        noise_covariance(at_wall(scene, circuit)) for circuit in (ideal(1), lagging(ideal(1), 1e9, 1e9))
     )
     for name in ("penetration", "motor_normal", "operator_normal"):
         assert fast.rms(name) == pytest.approx(slow.rms(name), rel=1e-6)
@@ -304,8 +304,8 @@ def test_poles_of_a_gigahertz_cost_no_accuracy(tmp_path):
 def test_peak_to_peak_is_a_twelfth(tmp_path):
     """Uniform over w at the ticks: w^2/12, where white of rms s has 1.5 s^2."""
     circuit = circuit_of_kind("linear")
-    white = noise_covariance(held(tmp_path), CONSTANTS, circuit)
-    uniform = noise_covariance(held(tmp_path, {"effects": {"pot_noise": "peak_to_peak"}}), CONSTANTS, circuit)
+    white = noise_covariance(at_wall(held(tmp_path), circuit))
+    uniform = noise_covariance(at_wall(held(tmp_path, {"effects": {"pot_noise": "peak_to_peak"}}), circuit))
     for name in white.mean:
         assert uniform.rms(name) == pytest.approx(white.rms(name) / math.sqrt(18.0), rel=1e-12)
 
@@ -313,7 +313,7 @@ def test_peak_to_peak_is_a_twelfth(tmp_path):
 def test_a_static_offset_moves_the_rest_as_statics_say(tmp_path):
     """The hand of 100 N/m and the computer's spring, which reads encoders, hold against the circuit's."""
     scene = held(tmp_path, {"effects": {"pot_noise": "static"}})
-    exact = noise_covariance(scene, CONSTANTS, ideal(1))
+    exact = noise_covariance(at_wall(scene, ideal(1)))
     analog = 100.0 * SPRING_TRUE / CONSTANTS.k_fs
     discrete = 80.0 * COMMAND_TRUE * V_NM
     share = analog / (analog + discrete + 100.0)
@@ -327,7 +327,7 @@ def test_a_static_offset_moves_the_rest_as_statics_say(tmp_path):
 
 
 def test_the_transient_grows_to_the_stationary(tmp_path):
-    exact = noise_covariance(held(tmp_path), CONSTANTS, ideal(1))
+    exact = noise_covariance(at_wall(held(tmp_path), ideal(1)))
     growing = exact.transient("penetration", 400)
     assert growing[0] < 0.5 * growing[-1]
     assert growing[-1] == pytest.approx(math.sqrt(exact.at_samples["penetration"][0, 0]), rel=1e-9)
@@ -338,11 +338,11 @@ def test_samples_and_ticks_that_never_meet_are_brought_together(tmp_path):
     grid = noise_grid(scene)
     assert grid.periods <= 64
     assert 0.0 < grid.shift < 1e-3
-    exact = noise_covariance(scene, CONSTANTS, ideal(1))
+    exact = noise_covariance(at_wall(scene, ideal(1)))
     assert any("shifted" in note for note in exact.notes)
     # a neighbour that meets after two periods: the bandwidth enters the rms with its root, at most
     near = held(tmp_path, {"device": {"potentiometer": {"noise_bandwidth_hz": 125.0}}})
-    beside = noise_covariance(near, CONSTANTS, ideal(1))
+    beside = noise_covariance(at_wall(near, ideal(1)))
     assert beside.periods == 2
     assert exact.rms("penetration") == pytest.approx(beside.rms("penetration"), rel=0.02)
 
@@ -359,12 +359,12 @@ def test_samples_and_ticks_that_never_meet_are_brought_together(tmp_path):
 )
 def test_why_not(tmp_path, more, words):
     with pytest.raises(InputError, match=words):
-        noise_covariance(held(tmp_path, more), CONSTANTS, ideal(1))
+        noise_covariance(at_wall(held(tmp_path, more), ideal(1)))
 
 
 def test_a_shallow_contact_is_told(tmp_path):
     shallow = held(tmp_path, {"operator": {"waypoints_s_m": [[0.0, 0.0, -1e-4]]}})
-    assert any("leaves the wall" in note for note in noise_covariance(shallow, CONSTANTS, ideal(1)).notes)
+    assert any("leaves the wall" in note for note in noise_covariance(at_wall(shallow, ideal(1))).notes)
 
 
 # ---- the board itself
@@ -390,10 +390,10 @@ def test_the_shipped_board_has_the_noise_of_its_resistors(tmp_path):
     """ngspice's gains against the model made by hand from the netlist: 1e-5 of loading between them."""
     scene = held(tmp_path)
     circuit, constants = circuit_of(resolve(scene))
-    ours = noise_covariance(scene, constants, circuit)
-    hand = noise_covariance(scene, CONSTANTS, ideal(1))
+    ours = noise_covariance(HeldContact.at_wall(scene, constants, circuit))
+    hand = noise_covariance(at_wall(scene, ideal(1)))
     assert ours.rms("penetration") == pytest.approx(hand.rms("penetration"), rel=1e-3)
-    assert lift(linearise(scene, constants, circuit, ours.q)).states == 2
+    assert lift(linearise(HeldContact(scene, constants, circuit, ours.q))).states == 2
 
 
 def test_the_motors_force_turns_with_the_arm():
@@ -403,7 +403,7 @@ def test_the_motors_force_turns_with_the_arm():
     """
     scene = load_scene(SCENES / "press.toml", ["solver.model=linear"])
     q = touching(scene, CONSTANTS) - [0.05, 0.02]  # some millimetres deep
-    found = linearise(scene, CONSTANTS, lagging(ideal(2), 2e3, 3e3), q)
+    found = linearise(HeldContact(scene, CONSTANTS, lagging(ideal(2), 2e3, 3e3), q))
     linkage = mechanism(scene, CONSTANTS.gear)
     torque = CONSTANTS.torque_per_amp * found.current_a
     force = lambda at: np.linalg.solve(linkage.jacobian(at).T, torque)  # noqa: E731

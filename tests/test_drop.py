@@ -7,6 +7,7 @@ import pytest
 from support import COMMAND_TRUE, K_FS, SCENES, SPRING_TRUE, V_NM
 
 from cosim.analysis.extracted import circuit_of
+from cosim.analysis.held_contact import HeldContact
 from cosim.analysis.stiffness_limits import limits
 from cosim.effects import without_dynamics
 from cosim.loop.linear.run_linear import prepare
@@ -40,7 +41,7 @@ def test_a_mass_rests_up_to_its_exact_limit():
     slider = scene.device.slider
     rotor = slider.rotor_inertia_kg_m2 * constants.gear**2 / slider.radius_m**2
     mass = slider.mass_kg + scene.operator.mass_kg + rotor
-    b = limits(scene, constants, circuit).viscosity_n_s_per_m
+    b = limits(HeldContact.at_wall(scene, constants, circuit)).viscosity_n_s_per_m
     tau = mass / b
     decay = math.exp(-period / tau)
     exact = b * (1 - decay) / (tau * (1 - decay) - period * decay)
@@ -96,7 +97,7 @@ def test_a_drop_ends_as_soon_as_it_has_rested(speed, time):
     period = 0.01
     scene, circuit, constants = ideal_drop(f"computer.period_s={period}", "duration_s=30")
     falls = Falls(Job(scene, constants, circuit, Rest(30.0, speed, time, 0.95, 3, 0.8, 1.05)))
-    stiffness = 0.5 * limits(scene, constants, circuit).border.value
+    stiffness = 0.5 * limits(HeldContact.at_wall(scene, constants, circuit)).border.value
     ring_s = 2 * math.pi * math.sqrt(0.2 / stiffness)  # some 25 samples long: differences err by 1 %
     for rested, samples in falls.each(stiffness):
         assert rested

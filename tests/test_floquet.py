@@ -5,11 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from linear_runs import CONSTANTS, ideal
+from held_scenes import at_wall
+from linear_runs import ideal
 from support import BOARD2, SCENES, merge, scene_of, slider
 
 from cosim.analysis.extracted import circuit_of
-from cosim.analysis.stability import held, stability, with_computer
+from cosim.analysis.held_contact import HeldContact, with_computer
+from cosim.analysis.stability import held, stability
 from cosim.analysis.stiffness_limits import limits
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
@@ -32,7 +34,7 @@ def test_a_mode_that_nothing_samples_keeps_its_frequency(press: Board, period: f
     """An analog wall near its border rings at 41.4 Hz: eigenvalues of continuous time, at any period."""
     scene, circuit, constants = press
     stiff = with_computer(scene, analog_stiffness_n_per_m=50e3, period_s=period)
-    lifted = held(stiff, constants, circuit)
+    lifted = held(HeldContact.at_wall(stiff, constants, circuit))
     poles = np.linalg.eigvals(lifted.system.a)
     slow = poles[(poles.imag > 1.0) & (np.abs(poles) < 1e3)]
     assert len(slow) == 2
@@ -49,7 +51,7 @@ def test_the_border_tells_the_same_frequency_at_every_period(press: Board) -> No
     scene, circuit, constants = press
     told = []
     for period in (0.025, 0.02, 0.001):
-        found = limits(with_computer(scene, period_s=period), constants, circuit)
+        found = limits(HeldContact.at_wall(with_computer(scene, period_s=period), constants, circuit))
         assert found.border.stability is not None
         assert found.border.stability.critical is not None
         told.append((found.border.value, found.border.stability.critical.frequency_hz))
@@ -65,7 +67,7 @@ def test_a_sampled_swing_has_the_frequency_that_its_samples_show(tmp_path: Path)
         device={"slider": {"mass_kg": mass}},
     )  # fmt: skip
     scene = scene_of(tmp_path, tables)
-    critical = stability(held(scene, CONSTANTS, ideal(1, emf=False))).critical
+    critical = stability(held(at_wall(scene, ideal(1, emf=False)))).critical
     assert critical is not None
     z = 1 - 1000.0 * period**2 / (4 * mass)
     turn = math.atan2(math.sqrt(1 + 1000.0 * period**2 / (2 * mass) - z**2), z)
@@ -87,7 +89,7 @@ def test_a_swing_of_nearly_half_the_rate_is_two_at_once(tmp_path: Path) -> None:
         device={"slider": {"mass_kg": mass}},
     )  # fmt: skip
     scene = scene_of(tmp_path, tables)
-    critical = stability(held(scene, CONSTANTS, ideal(1, emf=False))).critical
+    critical = stability(held(at_wall(scene, ideal(1, emf=False)))).critical
     assert critical is not None
     assert critical.frequency_hz == pytest.approx(0.488 / period, rel=2e-3)
     assert critical.share == pytest.approx(1.3 / 2.3, abs=0.05)
@@ -96,29 +98,20 @@ def test_a_swing_of_nearly_half_the_rate_is_two_at_once(tmp_path: Path) -> None:
 def test_the_words_name_the_limit_to_design_for(press: Board) -> None:
     """The board's gain DACs end at 612 N/m, far below the border: full scale over the largest w_i w_j."""
     scene, circuit, constants = press
-    found = limits(scene, constants, circuit)
+    found = limits(HeldContact.at_wall(scene, constants, circuit))
     text = describe(found)
     assert "decays x" in text
     assert "grows" not in text
     assert found.gil_hulin_n_per_m is None  # a rule for sampled walls
     assert "Gil" not in text
     assert found.board_n_per_m is not None
-    jac_normal = _lever(scene, constants)
+    jac_normal = HeldContact.at_wall(scene, constants, circuit).torques
     full = constants.k_fs * constants.dac_v / constants.v_fs
     assert found.board_n_per_m == pytest.approx(
         full / np.abs(np.outer(jac_normal, jac_normal)).max(), rel=1e-9
     )
     assert found.design == (found.board_n_per_m, "the board's range")
     assert "design for" in text
-
-
-def _lever(scene: Scene, constants: DesignConstants):
-    from cosim.analysis.stability import touching
-    from cosim.scene.mechanism import mechanism
-
-    assert scene.wall is not None
-    jac = mechanism(scene, constants.gear).jacobian(touching(scene, constants))
-    return jac.T @ np.array(scene.wall.normal)
 
 
 def test_a_sampled_wall_is_designed_for_passivity(tmp_path: Path) -> None:
@@ -131,7 +124,7 @@ def test_a_sampled_wall_is_designed_for_passivity(tmp_path: Path) -> None:
             "effects": {"viscous": True},
         },
     )  # fmt: skip
-    found = limits(scene_of(tmp_path, tables), CONSTANTS, ideal(1, emf=False))
+    found = limits(at_wall(scene_of(tmp_path, tables), ideal(1, emf=False)))
     value, which = found.design
     assert which == "the largest passive stiffness"
     assert value == found.passive_n_per_m
@@ -145,7 +138,7 @@ def test_a_device_without_damping_has_limits_all_the_same(tmp_path: Path) -> Non
     tables = slider(
         computer={"method": "discrete", "analog_stiffness_n_per_m": 0.0, "discrete_stiffness_n_per_m": 20.0},
     )
-    found = limits(scene_of(tmp_path, tables), CONSTANTS, ideal(1, emf=False))
+    found = limits(at_wall(scene_of(tmp_path, tables), ideal(1, emf=False)))
     assert found.viscosity_n_s_per_m == 0.0
     assert found.border.value == 0.0
     assert found.design[0] == 0.0

@@ -7,7 +7,6 @@ import pytest
 from scipy import optimize
 from support import SCENES
 
-from cosim.analysis.stability import with_computer
 from cosim.analysis.stiffness_limits import limits
 from cosim.analysis.tip import Wanted, reached, tip_of
 from cosim.analysis.tip_noise import component_form, flat, position_density, pot_density, pot_form
@@ -286,11 +285,9 @@ def test_passive_stiffness_over_the_corner_is_that_of_the_limits():
     tip = tip_of(scene("drop", "computer.period_s=0.025", "effects.encoder=false", "effects.dac=false"))
     given = CornerParameters(stiffness_n_per_m=0.0, damping_n_s_per_m=2.0)
     found = passive(tip, given)
-    changed = with_computer(tip.scene, method=Method.COMBINED, analog_stiffness_n_per_m=0.0,
-                            analog_damping_n_s_per_m=2.0, discrete_stiffness_n_per_m=1.0)  # fmt: skip
-    assert found == pytest.approx(
-        limits(changed, tip.constants, tip.circuit, tip.q).passive_n_per_m, rel=1e-3
-    )
+    changed = tip.with_computer(method=Method.COMBINED, analog_stiffness_n_per_m=0.0,
+                                analog_damping_n_s_per_m=2.0, discrete_stiffness_n_per_m=1.0)  # fmt: skip
+    assert found == pytest.approx(limits(changed).passive_n_per_m, rel=1e-3)
     # c in three lags, b behind one of them: far beyond 8 b it must be active
     assert passive(tip, CornerParameters(damping_n_s_per_m=20.0)) is None
 

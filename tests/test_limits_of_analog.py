@@ -6,11 +6,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from held_scenes import at_wall
 from linear_runs import CONSTANTS, ideal, lagging
 from support import COMMAND_TRUE, SCENES, SPRING_TRUE, V_NM, merge, scene_of, slider
 
+from cosim.analysis.held_contact import HeldContact, touching, with_computer
 from cosim.analysis.impedance import full_scale
-from cosim.analysis.stability import border, held, touching, with_computer
+from cosim.analysis.stability import border, held
 from cosim.analysis.stiffness_map import Axis, border_map, changed, pencil
 from cosim.loop.columns import sample_columns
 from cosim.scene import load_scene
@@ -59,9 +61,9 @@ def test_a_pencil_is_the_scene_whatever_circuit_delay_and_path_are(tmp_path, lat
     )  # fmt: skip
     circuit = lagging(ideal(1), 2e3, 300.0)
     expected = border(
-        lambda k: held(with_computer(scene, discrete_stiffness_n_per_m=k), CONSTANTS, circuit), 1.0, 1e5
+        lambda k: held(at_wall(with_computer(scene, discrete_stiffness_n_per_m=k), circuit)), 1.0, 1e5
     ).value
-    found = pencil(scene, CONSTANTS, circuit, touching(scene, CONSTANTS)).first(1.0, 1e5)
+    found = pencil(at_wall(scene, circuit)).first(1.0, 1e5)
     assert found == pytest.approx(expected, rel=1e-9)
     assert 1.0 < found < 1e5
 
@@ -74,9 +76,13 @@ def test_a_pencil_leaves_out_the_free_direction_of_a_chain():
     )
     circuit, q = ideal(2), touching(scene, CONSTANTS)
     expected = border(
-        lambda k: held(with_computer(scene, discrete_stiffness_n_per_m=k), CONSTANTS, circuit, q), 1.0, 1e5
+        lambda k: held(
+            HeldContact(with_computer(scene, discrete_stiffness_n_per_m=k), CONSTANTS, circuit, q)
+        ),
+        1.0,
+        1e5,
     ).value
-    found = pencil(scene, CONSTANTS, circuit, q)
+    found = pencil(HeldContact(scene, CONSTANTS, circuit, q))
     assert found.free == 1
     assert found.first(1.0, 1e5) == pytest.approx(expected, rel=1e-8)
 
@@ -84,9 +90,9 @@ def test_a_pencil_leaves_out_the_free_direction_of_a_chain():
 def test_what_is_stable_nowhere_has_the_border_zero_and_what_is_always_none(tmp_path):
     scene = carriage(tmp_path, viscous=0.0)  # no braking at all
     q = touching(scene, CONSTANTS)
-    assert pencil(scene, CONSTANTS, ideal(1, emf=False), q).first(1.0, 1e5) == 0.0
+    assert pencil(HeldContact(scene, CONSTANTS, ideal(1, emf=False), q)).first(1.0, 1e5) == 0.0
     strong = carriage(tmp_path)
-    assert pencil(strong, CONSTANTS, ideal(1, emf=False), q).first(1.0, 10.0) == math.inf
+    assert pencil(HeldContact(strong, CONSTANTS, ideal(1, emf=False), q)).first(1.0, 10.0) == math.inf
 
 
 def test_a_map_goes_on_where_it_was_interrupted(tmp_path):
@@ -116,7 +122,7 @@ def test_delay_bounds_spring_and_damper(tmp_path):
     circuit = replace(lag, a_pre=plain.a_pre, b_pre=plain.b_pre, c_pre=plain.c_pre, d_pre=plain.d_pre)
     scene = carriage(tmp_path, 0.1, 0.05, 1.6625, method="continuous", analog_stiffness_n_per_m=1.0,
                      discrete_stiffness_n_per_m=0.0)  # fmt: skip
-    found = delay(scene, CONSTANTS, circuit, 100.0)
+    found = delay(at_wall(scene, circuit), 100.0)
     tau = 1 / (2e3 * math.pi)
     assert found.lag_s == pytest.approx(tau, rel=1e-6)
     assert found.viscosity_n_s_per_m == pytest.approx(1.6625, rel=1e-6)
@@ -138,7 +144,7 @@ def test_a_damper_through_two_equal_poles_is_passive_to_eight_times_the_viscosit
     )  # fmt: skip
     scene = carriage(tmp_path, 0.1, 0.05, 1.6625, method="continuous", analog_stiffness_n_per_m=1.0,
                      discrete_stiffness_n_per_m=0.0)  # fmt: skip
-    found = delay(scene, CONSTANTS, circuit, 1e-3)
+    found = delay(at_wall(scene, circuit), 1e-3)
     assert found.passive_damper_n_s_per_m / (8 * 1.6625) == pytest.approx(1.0, rel=1e-3)
 
 

@@ -6,13 +6,14 @@ import math
 
 import numpy as np
 import pytest
-from held_scenes import RADIUS
+from held_scenes import RADIUS, at_wall
 from linear_runs import CONSTANTS, ideal, lagging
 from support import COMMAND_TRUE, EMF_TRUE, KT, SCENES, SPRING_TRUE, V_NM, merge, scene_of, slider
 
 from cosim.analysis import closed_form_limits
+from cosim.analysis.held_contact import with_computer
 from cosim.analysis.impedance import displayed, full_scale, impedance, largest
-from cosim.analysis.stability import held, stability, with_computer
+from cosim.analysis.stability import held, stability
 from cosim.cli import main
 from cosim.studies.device import device_numbers, forces, workspace
 from cosim.studies.study import load_study, run_study
@@ -33,7 +34,7 @@ def carriage(folder, more=None, **computer):
 
 def test_free_air_is_mass_and_back_emf(tmp_path):
     scene = carriage(tmp_path)
-    found = impedance(scene, CONSTANTS, ideal(1), HZ)
+    found = impedance(at_wall(scene, ideal(1)), HZ)
     # rounding, and 1e-9 of op-amp gain that the hand-made board does not have
     assert found == pytest.approx(2j * np.pi * HZ * 0.2 + BACK_EMF, rel=1e-9)
 
@@ -46,7 +47,7 @@ def test_an_analog_spring_behind_a_pole(tmp_path):
     s = 2j * np.pi * HZ
     expected = 0.2 * s + 100.0 * SPRING / (s * (1.0 + s * tau))
     # the far pole delays by 1e-9 s, 6e-6 rad at 1 kHz
-    assert impedance(scene, CONSTANTS, circuit, HZ) == pytest.approx(expected, rel=1e-5)
+    assert impedance(at_wall(scene, circuit), HZ) == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.mark.parametrize("late", [0.0, 0.25])
@@ -68,14 +69,14 @@ def test_a_sampled_wall_is_its_fundamental(tmp_path, late):
         part = (np.exp(-1j * w * (begin + period)) - np.exp(-1j * w * begin)) / (-1j * w)
         fundamental = np.sum(force * part) / (count * period)
         expected = 0.2j * w + fundamental / (1j * w)
-        found = impedance(scene, CONSTANTS, ideal(1, emf=False), np.array([hz]))[0]
+        found = impedance(at_wall(scene, ideal(1, emf=False)), np.array([hz]))[0]
         assert found == pytest.approx(expected, rel=1e-6)  # 5e-7 of the board's resistors in COMMAND
 
 
 def test_at_low_frequency_a_wall_is_as_stiff_as_it_says(tmp_path):
     scene = carriage(tmp_path, analog_stiffness_n_per_m=100.0, discrete_stiffness_n_per_m=60.0)
     s = 2j * np.pi * 1e-3
-    found = impedance(scene, CONSTANTS, ideal(1), np.array([1e-3]))[0] * s
+    found = impedance(at_wall(scene, ideal(1)), np.array([1e-3]))[0] * s
     assert found.real == pytest.approx(100.0 * SPRING + 60.0 * COMMAND, rel=1e-6)
 
 
@@ -83,20 +84,20 @@ def test_the_stiffest_walls(tmp_path):
     """Analog at full scale or short of b/tau + b^2/m, discrete short of the exact border of a held mass."""
     viscous = {"device": {"slider": {"viscous_n_m_s": 1.6 * RADIUS**2}}, "effects": {"viscous": True}}
     scene, plain = carriage(tmp_path, viscous), ideal(1, emf=False)
-    wall = displayed(scene, CONSTANTS, plain, spring=False, damper=False, margin=0.8)
+    wall = displayed(at_wall(scene, plain), spring=False, damper=False, margin=0.8).scene
     border = closed_form_limits.held_mass(0.2, 1.6, 0.025)
     assert wall.computer.discrete_stiffness_n_per_m * COMMAND == pytest.approx(0.8 * border, rel=1e-6)
     assert wall.computer.analog_stiffness_n_per_m == 0.0
-    wall = displayed(scene, CONSTANTS, plain, spring=True, damper=False)
+    wall = displayed(at_wall(scene, plain), spring=True, damper=False).scene
     assert wall.computer.analog_stiffness_n_per_m == pytest.approx(CONSTANTS.k_fs / RADIUS**2, rel=1e-12)
     # a slow circuit oscillates before full scale
     slow = lagging(plain, 1e9, 2 * math.pi * 8.0)
     alone = with_computer(scene, method="continuous")
-    found = largest(alone, CONSTANTS, slow, "analog_stiffness_n_per_m", cap=CONSTANTS.k_fs / RADIUS**2)
+    found = largest(at_wall(alone, slow), "analog_stiffness_n_per_m", cap=CONSTANTS.k_fs / RADIUS**2)
     assert found.by == "stability"
     assert found.value * SPRING == pytest.approx(1.6 * 2 * math.pi * 8.0 + 1.6**2 / 0.2, rel=1e-6)
-    wall = displayed(scene, CONSTANTS, slow, spring=True, damper=False, margin=0.8)
-    assert stability(held(wall, CONSTANTS, slow)).stable
+    wall = displayed(at_wall(scene, slow), spring=True, damper=False, margin=0.8)
+    assert stability(held(wall)).stable
 
 
 def test_full_scale_is_that_of_the_largest_gain():
@@ -126,7 +127,7 @@ def test_numbers_of_a_carriage(tmp_path):
     """Every number from the board's statements: 0.28 N m on 133 mm, k_fs/r^2, 2 m/T-like damping limits."""
     stops = {"stops_rad": [[-1.0, 0.5]], "viscous_n_m_s": 1.6 * RADIUS**2}
     scene = carriage(tmp_path, {"device": {"slider": stops}, "effects": {"viscous": True}})
-    found = device_numbers(scene, CONSTANTS, ideal(1, emf=False))
+    found = device_numbers(at_wall(scene, ideal(1, emf=False)))
     assert found.continuous_n == pytest.approx(0.875 * KT * 8 / RADIUS)
     assert found.peak_n == pytest.approx(1.987 * KT * 8 / RADIUS)
     assert (found.analog_n_per_m.by, found.analog_n_per_m.value) == (

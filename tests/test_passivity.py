@@ -4,13 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from held_scenes import RADIUS, carriage
-from linear_runs import CONSTANTS, ideal, lagging
+from held_scenes import RADIUS, at_wall, carriage
+from linear_runs import ideal, lagging
 from support import EMF_TRUE, merge, quick, slider
 
 from cosim.analysis.device_passivity import delivered, device_of, law_of
 from cosim.analysis.passivity import Device, Law, _used, least_damping, needed_damping, share_used, wall
-from cosim.analysis.stability import touching
 
 
 def plain(b):
@@ -173,7 +172,7 @@ def test_the_least_damping_of_analog_paths():
 def test_the_boards_back_emf_is_the_viscosity(tmp_path):
     """Nothing brakes but the motor: b = EMF/r^2 at the tip, and the limit is 2 b/T."""
     scene = carriage(tmp_path, 0.01, 0.2, 0.0, discrete_stiffness_n_per_m=100.0)
-    device = device_of(scene, CONSTANTS, ideal(1), touching(scene, CONSTANTS))
+    device = device_of(at_wall(scene, ideal(1)))
     b = EMF_TRUE / RADIUS**2
     assert 1.0 / device.mobility(np.array([1.0, 1e3, 1e9])) == pytest.approx(b, rel=1e-9)
     share = share_used(law_of(scene), device).value
@@ -187,10 +186,7 @@ def test_a_lag_of_the_circuit_costs_damping(tmp_path):
         discrete_stiffness_n_per_m=50.0,
     )  # fmt: skip
     device = device_of(
-        scene,
-        CONSTANTS,
-        lagging(ideal(1, emf=False), 2e3 * math.pi, 2e3 * math.pi),
-        touching(scene, CONSTANTS),
+        at_wall(scene, lagging(ideal(1, emf=False), 2e3 * math.pi, 2e3 * math.pi)),
     )
     tau = 1.0 / (2e3 * math.pi)
     assert device.damping(np.array([1e-3]))[0, 0, 0].real / RADIUS**2 == pytest.approx(

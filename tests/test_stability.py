@@ -6,15 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from held_scenes import HELD, LATE, RADIUS, SLOW, carriage, circuit_of_kind
+from held_scenes import HELD, LATE, RADIUS, SLOW, at_wall, carriage, circuit_of_kind
 from linear_runs import CONSTANTS, ideal, lagging, propagate, rows, samples
 from scipy.linalg import expm
 from support import COMMAND_TRUE, EMF_TRUE, SCENES, SPRING_TRUE, V_NM, Arm, merge, scene_of, slider
 
 from cosim.analysis.control_law import law_point, resting_pose
+from cosim.analysis.held_contact import HeldContact, touching, with_computer
 from cosim.analysis.linearise import linearise
 from cosim.analysis.period_map import lift
-from cosim.analysis.stability import border, held, stability, touching, with_computer
+from cosim.analysis.stability import border, held, stability
 from cosim.cli import main
 from cosim.errors import InputError
 from cosim.scene import load_scene
@@ -28,7 +29,7 @@ SPRING = SPRING_TRUE / CONSTANTS.k_fs
 def k_max(scene, circuit=None, key="discrete_stiffness_n_per_m", low=1e-1, high=1e6):
     circuit = ideal(1, emf=False) if circuit is None else circuit
     scale = COMMAND if key.startswith("discrete") else SPRING
-    found = border(lambda k: held(with_computer(scene, **{key: k}), CONSTANTS, circuit), low, high)
+    found = border(lambda k: held(at_wall(with_computer(scene, **{key: k}), circuit)), low, high)
     return found.value * scale
 
 
@@ -74,7 +75,7 @@ def test_gil_and_hulins_device(tmp_path):
 @pytest.mark.parametrize(("period", "growth"), [(3e-3, 1.002247), (0.1, 2.449490)])
 def test_hard_case_21_growth_of_an_undamped_sampled_spring(tmp_path, period, growth):
     scene = carriage(tmp_path, period, 1.0, 0.0, discrete_stiffness_n_per_m=1000.0 / COMMAND)
-    found = stability(held(scene, CONSTANTS, ideal(1, emf=False)))
+    found = stability(held(at_wall(scene, ideal(1, emf=False))))
     exact = math.sqrt(1.0 + 1000.0 * period**2 / 2.0)
     assert exact == pytest.approx(growth, abs=6e-7)
     assert found.critical.growth == pytest.approx(exact, rel=1e-12)
@@ -85,7 +86,7 @@ def test_hard_case_21_growth_of_an_undamped_sampled_spring(tmp_path, period, gro
 def test_hard_case_22_the_verdict_flips_at_a_millionth(tmp_path, period, critical):
     def system(viscous):
         scene = carriage(tmp_path, period, 1.0, viscous, discrete_stiffness_n_per_m=1000.0 / COMMAND)
-        return held(scene, CONSTANTS, ideal(1, emf=False))
+        return held(at_wall(scene, ideal(1, emf=False)))
 
     found = border(lambda b: system(b), 0.1, 300.0)
     assert found.from_value == pytest.approx(critical, rel=4e-6)
@@ -116,7 +117,7 @@ def test_hard_case_36_a_run_on_its_border_grows_as_the_eigenvalue(tmp_path):
         loaded = scene_of(tmp_path, scene)
         made = propagate(loaded, ideal(1, emf=False), rows=False)
         swing = samples(made, "pen") - 10.0 * RADIUS
-        mode = stability(held(loaded, CONSTANTS, ideal(1, emf=False))).critical
+        mode = stability(held(at_wall(loaded, ideal(1, emf=False)))).critical
         # a mode of two components: its amplitude from two samples each
         turn = np.angle(mode.z)
 
@@ -137,9 +138,9 @@ def test_a_run_obeys_the_characteristic_polynomial(tmp_path, kind, more):
     tables = merge(merge(slider(**HELD), more), {"effects": {"pot_noise": "none"}, "duration_s": 1.5})
     scene, circuit = scene_of(tmp_path, tables), circuit_of_kind(kind)
     made = propagate(scene, circuit, tol=1e-11, rows=False)
-    rest = resting_pose(scene, CONSTANTS, circuit, touching(scene, CONSTANTS))
+    rest = resting_pose(at_wall(scene, circuit))
     depth = samples(made, "pen")[5:] + RADIUS * rest[0]
-    z = np.linalg.eigvals(lift(linearise(scene, CONSTANTS, circuit, rest)).period())
+    z = np.linalg.eigvals(lift(linearise(HeldContact(scene, CONSTANTS, circuit, rest))).period())
     z = z[np.abs(z) > 1e-7]
     # what is left out has died after two samples; the first five are gone anyway
     left = np.convolve(depth, np.poly(z).real)[len(z) : len(depth)]
@@ -198,7 +199,7 @@ def test_delay_against_a_dense_model(tmp_path, lag):
         step[:3, :3] = whole
         total = step @ total
     theirs = np.abs(np.linalg.eigvals(total)).max()
-    ours = stability(held(scene, CONSTANTS, ideal(1, emf=False))).modes[0].growth
+    ours = stability(held(at_wall(scene, ideal(1, emf=False)))).modes[0].growth
     assert ours == pytest.approx(theirs, rel=1e-10)
 
 
@@ -225,7 +226,7 @@ def test_the_two_link_arm_at_a_pose(tmp_path):
         return np.linalg.eigvals(expm(period * generator) @ held_torque)
 
     z = eigenvalues(k)
-    lifted = held(scene, CONSTANTS, ideal(2))
+    lifted = held(at_wall(scene, ideal(2)))
     assert np.allclose(touching(scene, CONSTANTS), q, rtol=0.0, atol=1e-12)
     found = stability(lifted)
     theirs = np.sort(np.abs(z[np.abs(z) > 1e-6]))[::-1]
@@ -234,7 +235,7 @@ def test_the_two_link_arm_at_a_pose(tmp_path):
     assert np.allclose(ours, theirs[: len(ours)], rtol=1e-9)
     assert found.free == 1  # along the wall nothing holds the tip
     limit = border(
-        lambda x: held(with_computer(scene, discrete_stiffness_n_per_m=x), CONSTANTS, ideal(2)), 1.0, 1e5
+        lambda x: held(at_wall(with_computer(scene, discrete_stiffness_n_per_m=x), ideal(2))), 1.0, 1e5
     )
     at_limit = np.abs(eigenvalues(limit.value))
     assert np.sort(at_limit)[-3:] == pytest.approx(
@@ -276,8 +277,8 @@ def test_the_arms_linearisation_is_that_of_its_equations():
     circuit = ideal(2)
     linkage, person = mechanism(scene, CONSTANTS.gear), operator(scene)
     near = linkage.inverse(np.array([0.07, 0.145]))
-    rest = resting_pose(scene, CONSTANTS, circuit, near)
-    system = linearise(scene, CONSTANTS, circuit, rest)
+    rest = resting_pose(HeldContact(scene, CONSTANTS, circuit, near))
+    system = linearise(HeldContact(scene, CONSTANTS, circuit, rest))
     law = law_point(scene, CONSTANTS, linkage, rest)
     m = 8
 
@@ -302,7 +303,7 @@ def test_the_arms_linearisation_is_that_of_its_equations():
 def test_nothing_is_stable_without_damping(tmp_path):
     scene, circuit = carriage(tmp_path, 0.01, 1.0, 0.0), ideal(1, emf=False)
     found = border(
-        lambda k: held(with_computer(scene, discrete_stiffness_n_per_m=k), CONSTANTS, circuit), 1.0, 1e4
+        lambda k: held(at_wall(with_computer(scene, discrete_stiffness_n_per_m=k), circuit)), 1.0, 1e4
     )
     assert found.value == 0.0
     assert math.isnan(found.from_value)
@@ -331,8 +332,8 @@ def test_a_recorded_run_shows_the_mode(tmp_path):
         ),
     )
     circuit = ideal(1)
-    rest = resting_pose(scene, CONSTANTS, circuit, touching(scene, CONSTANTS))
-    mode = stability(lift(linearise(scene, CONSTANTS, circuit, rest))).critical
+    rest = resting_pose(at_wall(scene, circuit))
+    mode = stability(lift(linearise(HeldContact(scene, CONSTANTS, circuit, rest)))).critical
     made = propagate(scene, circuit)
     swing = rows(made, "q1") - rest[0]
     t = rows(made, "time")

@@ -10,7 +10,7 @@ import pytest
 from small_studies import PAPER, PERIODS, first, small
 
 import cosim.studies
-from cosim.analysis.tip import Case
+from cosim.scene.parameters import Variation
 from cosim.studies.case_effects import holds_table
 from cosim.studies.claims import load_claims
 from cosim.studies.footnote1_map import FootnoteParameters, verdicts
@@ -128,7 +128,7 @@ def test_the_page_says_what_the_cases_hold(name: str, changes: dict[str, Any], t
 def test_every_case_is_told_with_its_own_levels() -> None:
     """The shift study's cases take away what their names say; one more adds what the scene has not."""
     spec = load_study(PAPER / "5_4_shift.toml")
-    full = Case(name="full", set=("solver.model=spice", "effects.opamp=full", "effects.coulomb=true"))
+    full = Variation(name="full", set=("solver.model=spice", "effects.opamp=full", "effects.coulomb=true"))
     table = holds_table(spec, (*spec.parameters.cases, full), "")
     circuit = dict(zip(table.columns["case"], table.columns["of the circuit"], strict=True))
     gone = {

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cosim.analysis.stability import touching
+from cosim.analysis.held_contact import touching
 from cosim.caution import Caution
 from cosim.circuits.design_constants import DesignConstants
 from cosim.errors import InputError

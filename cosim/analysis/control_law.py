@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import root
 
+from cosim.analysis.held_contact import HeldContact
 from cosim.circuits.design_constants import DesignConstants
-from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import fail
 from cosim.scene import CommandPath, Method, Scene
-from cosim.scene.mechanism import known_mechanism, mechanism, operator
+from cosim.scene.mechanism import known_mechanism, operator
 from cosim.types import Array
 from mech.contact import operator_force
 from mech.linkage import Linkage
@@ -172,10 +172,9 @@ def external_force(scene: Scene, linkage: Linkage, q: Array, t: float) -> Array:
     return force + weight
 
 
-def rests(
-    scene: Scene, constants: DesignConstants, circuit: LinearCircuit, linkage: Linkage, q: Array, t: float
-) -> tuple[Array, float, Array]:
-    """Return the torques left at rest [N m], the largest of those that make them up, and the currents [A]."""
+def rests(contact: HeldContact, q: Array, t: float) -> tuple[Array, float, Array]:
+    """Return the torques left at rest at `q` [N m], the largest of those in them, and the currents [A]."""
+    scene, constants, circuit, linkage = contact.scene, contact.constants, contact.circuit, contact.linkage
     n = scene.joints
     law = law_point(scene, constants, linkage, q)
     before, after = circuit.before(0.0)[0].real, circuit.after(0.0)[0].real
@@ -190,15 +189,13 @@ def rests(
     return motors + outer - bias, scale, current
 
 
-def resting_pose(
-    scene: Scene, constants: DesignConstants, circuit: LinearCircuit, near: Array, t: float | None = None
-) -> Array:
+def resting_pose(contact: HeldContact, t: float | None = None) -> Array:
     """Return the angles [rad] at which the scene rests in contact, with the operator as at the time `t`.
 
     Parameters
     ----------
-    near
-        Pose from which it is searched [rad].
+    contact
+        Its pose is where the search begins.
     t
         By default the end of the scene.
 
@@ -207,14 +204,14 @@ def resting_pose(
     InputError
         When nothing rests there, or outside of the wall.
     """
-    linkage = mechanism(scene, constants.gear)
+    scene = contact.scene
     at = scene.duration_s if t is None else t
     file = scene.file_name
-    found = root(lambda q: rests(scene, constants, circuit, linkage, q, at)[0], near, tol=1e-13)
-    left, scale, _ = rests(scene, constants, circuit, linkage, found.x, at)
+    rest = root(lambda q: rests(contact, q, at)[0], contact.q, tol=1e-13)
+    left, scale, _ = rests(contact, rest.x, at)
     if not (math.isfinite(scale) and np.abs(left).max() <= _BALANCED * max(scale, 1e-9)):
         fail("no pose of rest in contact was found for this scene", file=file)
-    law = law_point(scene, constants, linkage, found.x)
+    law = law_point(scene, contact.constants, contact.linkage, rest.x)
     if not law.penetration_m > 0.0:
         fail(
             "the scene ends out of contact: nothing presses the tip into the wall",
@@ -222,4 +219,4 @@ def resting_pose(
             key="operator",
             value=f"rest {-1e3 * law.penetration_m:.3g} mm outside",
         )
-    return np.asarray(found.x, float)
+    return np.asarray(rest.x, float)

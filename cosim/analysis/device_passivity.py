@@ -10,31 +10,28 @@ from typing import Any
 import numpy as np
 
 from cosim.analysis.control_law import law_point
+from cosim.analysis.held_contact import HeldContact
 from cosim.analysis.passivity import Device, Law, wall
-from cosim.circuits.design_constants import DesignConstants
-from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.effects.dac_skew import skew_s
 from cosim.scene import CommandPath, Method, Scene
-from cosim.scene.mechanism import mechanism
 from cosim.types import Array, Complex
 
 __all__ = ["Delivered", "delivered", "device_of", "law_of"]
 
 
-def device_of(scene: Scene, constants: DesignConstants, circuit: LinearCircuit, q: Array) -> Device:
-    """Return the device at a pose [rad] in contact, its analog springs and dampers in force, held by nobody.
+def device_of(contact: HeldContact) -> Device:
+    """Return the device at the pose of a contact, its analog springs and dampers in force, held by nobody.
 
     What brakes it: viscous friction, the motors' back-EMF, the analog dampers, and what the circuit's lags
     make of its springs. Coulomb friction is left out.
     """
+    scene, constants, circuit, linkage = contact.scene, contact.constants, contact.circuit, contact.linkage
     n, m = scene.joints, len(circuit.gain)
-    linkage = mechanism(scene, constants.gear)
-    assert scene.wall is not None
-    law = law_point(scene, constants, linkage, np.asarray(q, float))
+    law = law_point(scene, constants, linkage, contact.q)
     gains = law.volts[n : n + m]
     viscous = np.diag(linkage.pack()[0]["viscous"][:n]).astype(complex)
     per_amp = constants.torques_per_amp(n)[:, None]
-    w = linkage.jacobian(q).T @ np.array(scene.wall.normal)
+    w = contact.torques
 
     def damping(omega: Array) -> Complex:
         y = circuit.response(1j * omega, gains)

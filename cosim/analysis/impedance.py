@@ -14,13 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.analysis.control_law import law_point
-from cosim.analysis.stability import border, held, stability, touching, with_computer
+from cosim.analysis.held_contact import HeldContact
+from cosim.analysis.stability import border, held, stability
 from cosim.circuits.design_constants import DesignConstants
-from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.effects.dac_skew import skew_s
 from cosim.errors import fail
-from cosim.scene import Method, Scene
-from cosim.scene.mechanism import mechanism
+from cosim.scene import Method
 from cosim.types import Array, Complex
 
 __all__ = ["Displayed", "displayed", "full_scale", "impedance", "largest"]
@@ -30,24 +29,15 @@ __all__ = ["Displayed", "displayed", "full_scale", "impedance", "largest"]
 _RANGE = {"stiffness": (1e-1, 1e7), "damping": (1e-3, 1e5)}
 
 
-def impedance(
-    scene: Scene, constants: DesignConstants, circuit: LinearCircuit, frequency: Array, q: Array | None = None
-) -> Complex:
+def impedance(contact: HeldContact, frequency: Array) -> Complex:
     """Return force over speed at the tip along the wall's normal [N s/m] at the frequencies [Hz].
 
     The tip is moved along the normal, contact held at a wall that is just touched; all joints follow. The
     operator is whoever moves it: his mass and damping are not in it.
-
-    Parameters
-    ----------
-    q
-        Pose [rad]; by default that with the tip on the wall's point.
     """
-    pose = touching(scene, constants) if q is None else q
+    scene, constants, circuit = contact.scene, contact.constants, contact.circuit
+    linkage, pose, normal = contact.linkage, contact.q, contact.normal
     n, c, effects = scene.joints, scene.computer, scene.effects
-    linkage = mechanism(scene, constants.gear)
-    assert scene.wall is not None
-    normal = np.array(scene.wall.normal)
     jac = linkage.jacobian(pose)
     joint = np.linalg.pinv(jac) @ normal if n > 1 else np.array([1.0 / float(normal @ jac[:, 0])])
     law = law_point(scene, constants, linkage, pose)
@@ -74,8 +64,8 @@ def impedance(
     asked = law.by_angle[channels] @ joint + speed[:, None] * (law.by_speed[channels] @ joint)
     torque = per_amp * np.einsum("fij,fj->fi", y[:, :, n : 3 * n], asked)
     moved = moved - (path / s)[:, None] * torque
-    found: Complex = moved @ joint
-    return found
+    out: Complex = moved @ joint
+    return out
 
 
 def full_scale(constants: DesignConstants, direction: Array) -> tuple[float, float]:
@@ -99,15 +89,7 @@ class Displayed:
     by: str
 
 
-def largest(
-    scene: Scene,
-    constants: DesignConstants,
-    circuit: LinearCircuit,
-    key: str,
-    *,
-    cap: float = math.inf,
-    q: Array | None = None,
-) -> Displayed:
+def largest(contact: HeldContact, key: str, *, cap: float = math.inf) -> Displayed:
     """Return the largest value of a key of ``[computer]`` that is stable, all others as they are.
 
     Parameters
@@ -115,26 +97,22 @@ def largest(
     cap
         Full scale of the board; where it is stable still, it is what ends the range.
     """
-    pose = touching(scene, constants) if q is None else q
     low, high = _RANGE["stiffness" if "stiffness" in key else "damping"]
-    found = border(
-        lambda value: held(with_computer(scene, **{key: value}), constants, circuit, pose),
+    edge = border(
+        lambda value: held(contact.with_computer(**{key: value})),
         low, min(high, cap) if cap > low else high, rtol=1e-9,
     )  # fmt: skip
-    if not found.value:
+    if not edge.value:
         return Displayed(0.0, "nothing is stable")
-    if found.value >= cap:
+    if edge.value >= cap:
         return Displayed(cap, "full scale")
-    if math.isinf(found.value):
+    if math.isinf(edge.value):
         return Displayed(high, "end of the scan")
-    return Displayed(found.value, "stability")
+    return Displayed(edge.value, "stability")
 
 
-def displayed(
-    scene: Scene, constants: DesignConstants, circuit: LinearCircuit, *, spring: bool, damper: bool,
-    margin: float = 1.0,
-) -> Scene:  # fmt: skip
-    """Return the scene with the stiffest wall that it can display.
+def displayed(contact: HeldContact, *, spring: bool, damper: bool, margin: float = 1.0) -> HeldContact:
+    """Return the contact with the stiffest wall that its device can display.
 
     Parameters
     ----------
@@ -149,12 +127,9 @@ def displayed(
     InputError
         When the wall is not stable there.
     """
-    linkage = mechanism(scene, constants.gear)
-    pose = touching(scene, constants)
-    assert scene.wall is not None
-    k, c = full_scale(constants, linkage.jacobian(pose).T @ np.array(scene.wall.normal))
-    out = with_computer(
-        scene, method=Method.COMBINED if spring or damper else Method.DISCRETE,
+    k, c = full_scale(contact.constants, contact.torques)
+    out = contact.with_computer(
+        method=Method.COMBINED if spring or damper else Method.DISCRETE,
         analog_stiffness_n_per_m=0.0, analog_damping_n_s_per_m=0.0, discrete_stiffness_n_per_m=0.0,
     )  # fmt: skip
     for key, wanted, cap in (
@@ -163,12 +138,12 @@ def displayed(
         ("discrete_stiffness_n_per_m", True, math.inf),
     ):
         if wanted:
-            found = largest(out, constants, circuit, key, cap=cap, q=pose)
-            share = margin if found.by == "stability" else 1.0
-            out = with_computer(out, **{key: share * found.value})
-    if margin < 1.0 and not stability(held(out, constants, circuit, pose)).stable:
+            end = largest(out, key, cap=cap)
+            share = margin if end.by == "stability" else 1.0
+            out = out.with_computer(**{key: share * end.value})
+    if margin < 1.0 and not stability(held(out)).stable:
         fail(
             f"at {margin:g} of its border the wall is not stable: its stable range does not begin at zero",
-            file=scene.file_name, key="computer",
+            file=contact.scene.file_name, key="computer",
         )  # fmt: skip
     return out

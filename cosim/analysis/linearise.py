@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.analysis.control_law import LawPoint, external_force, law_point, rests
-from cosim.circuits.design_constants import DesignConstants
+from cosim.analysis.held_contact import HeldContact
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.effects.dac_skew import skew_s
 from cosim.effects.linkage import LINKAGE
@@ -22,7 +22,7 @@ from cosim.effects.sampling import COMPUTER
 from cosim.effects.sensing import SENSING
 from cosim.loop.dac_channels import is_geometric
 from cosim.scene import Onset, Scene
-from cosim.scene.mechanism import mechanism, operator
+from cosim.scene.mechanism import operator
 from cosim.types import Array
 from mech import Chain
 from mech.linkage import Linkage
@@ -84,16 +84,8 @@ class System:
     notes: tuple[str, ...]
 
 
-def linearise(
-    scene: Scene,
-    constants: DesignConstants,
-    circuit: LinearCircuit,
-    q: Array,
-    *,
-    preload: bool = True,
-    t: float | None = None,
-) -> System:
-    """Return the scene about the pose `q` [rad], in contact that never ends.
+def linearise(contact: HeldContact, *, preload: bool = True, t: float | None = None) -> System:
+    """Return the scene about the pose of a contact, which never ends.
 
     Parameters
     ----------
@@ -106,8 +98,9 @@ def linearise(
     InputError
         For a scene without a wall, or with a law or an operator in Python.
     """
+    scene, constants, circuit = contact.scene, contact.constants, contact.circuit
+    linkage, q = contact.linkage, contact.q
     n, m = scene.joints, len(circuit.gain)
-    linkage = mechanism(scene, constants.gear)
     person = operator(scene)
     op = person.pack()[0]
     law = law_point(scene, constants, linkage, q)
@@ -116,7 +109,7 @@ def linearise(
     current = np.zeros(n)
     inner = np.zeros(m)
     if preload:
-        _, _, current = rests(scene, constants, circuit, linkage, q, at)
+        _, _, current = rests(contact, q, at)
         inner = circuit.before(0.0)[0].real @ np.concatenate([q, law.volts[:n]]) + circuit.x_offset
     a, b, e, c, d, feed = _electric(circuit, constants.gear, law.volts[n : n + m], inner)
     per_amp = constants.torques_per_amp(n)[:, None]

@@ -10,18 +10,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
 
 from cosim.analysis.control_law import law_point, resting_pose
 from cosim.analysis.covariance_steps import integral, repeated, stationary, summed
+from cosim.analysis.held_contact import HeldContact
 from cosim.analysis.linearise import linearise
 from cosim.analysis.period_map import Lifted, Stretch, lift
-from cosim.analysis.stability import touching
-from cosim.circuits.design_constants import DesignConstants
-from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import InputError, Problem, fail
 from cosim.scene import PotNoise, Scene
 from cosim.types import Array
@@ -286,21 +284,17 @@ def _static(lifted: Lifted, variance: float) -> NoiseCovariance:
     )
 
 
-def noise_covariance(
-    scene: Scene, constants: DesignConstants, circuit: LinearCircuit, near: Array | None = None
-) -> NoiseCovariance:
+def noise_covariance(contact: HeldContact) -> NoiseCovariance:
     """Return the exact second moments of a scene at rest in contact, under its potentiometers' noise.
 
-    Parameters
-    ----------
-    near
-        Pose [rad] from which the pose of rest is searched; by default the one that touches the wall's point.
+    The pose of rest is searched from that of the contact.
 
     Raises
     ------
     InputError
         Where noise or scene are not linear about the contact, with the reason.
     """
+    scene = contact.scene
     kind, file = scene.effects.pot_noise, scene.file_name
     reasons = {
         PotNoise.NONE: "the scene has no noise of its potentiometers",
@@ -313,9 +307,8 @@ def noise_covariance(
                 "Coulomb friction is not linear about rest: small noise moves nothing",
                 file=file, key="effects.coulomb", value=True, allowed="false",
             )  # fmt: skip
-    start = touching(scene, constants) if near is None else near
-    q = resting_pose(scene, constants, circuit, start)
-    lifted = lift(linearise(scene, constants, circuit, q), noise=True)
+    at_rest = contact.at(resting_pose(contact))
+    lifted = lift(linearise(at_rest), noise=True)
     if kind is PotNoise.STATIC:
         return _static(lifted, scene.device.potentiometer.noise_rad**2)
     grid = noise_grid(scene)
@@ -326,27 +319,20 @@ def noise_covariance(
         notes.append(
             f"the noise's bandwidth was shifted by {grid.shift:.2g} of itself, to meet the samples again"
         )
-    found = covariance(lifted, grid, kind.value, tuple(notes))
-    return _checked(found, scene, constants, circuit, lifted)
+    return _checked(covariance(lifted, grid, kind.value, tuple(notes)), at_rest, lifted)
 
 
-def _checked(
-    found: NoiseCovariance, scene: Scene, constants: DesignConstants, circuit: LinearCircuit, lifted: Lifted
-) -> NoiseCovariance:
+def _checked(moments: NoiseCovariance, at_rest: HeldContact, lifted: Lifted) -> NoiseCovariance:
     """Add what noise of this size meets: the wall's surface, the driver's limit."""
-    from dataclasses import replace
-
-    from cosim.scene.mechanism import mechanism
-
-    said = list(found.notes)
-    depth = law_point(scene, constants, mechanism(scene, constants.gear), found.q).penetration_m
-    if depth < _ROOM * found.rms("penetration"):
-        said.append(
-            f"the contact is only {1e3 * depth:.3g} mm deep, {depth / found.rms('penetration'):.2g} standard "
-            "deviations: the tip leaves the wall now and then"
+    notes = list(moments.notes)
+    depth = law_point(at_rest.scene, at_rest.constants, at_rest.linkage, at_rest.q).penetration_m
+    if depth < _ROOM * moments.rms("penetration"):
+        notes.append(
+            f"the contact is only {1e3 * depth:.3g} mm deep, {depth / moments.rms('penetration'):.2g} "
+            "standard deviations: the tip leaves the wall now and then"
         )
-    swing = _ROOM * np.sqrt(np.diag(found.mean["currents"]).clip(0.0))
-    current = lifted.system.current_a
-    if ((current + swing > circuit.limit[:, 1]) | (current - swing < circuit.limit[:, 0])).any():
-        said.append("the noise reaches the driver's current limit, which a linear system does not know")
-    return replace(found, notes=tuple(said))
+    swing = _ROOM * np.sqrt(np.diag(moments.mean["currents"]).clip(0.0))
+    current, limit = lifted.system.current_a, at_rest.circuit.limit
+    if ((current + swing > limit[:, 1]) | (current - swing < limit[:, 0])).any():
+        notes.append("the noise reaches the driver's current limit, which a linear system does not know")
+    return replace(moments, notes=tuple(notes))

@@ -9,19 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from cosim.analysis.floquet import exponents
+from cosim.analysis.held_contact import HeldContact
 from cosim.analysis.linearise import linearise
 from cosim.analysis.period_map import Lifted, lift
-from cosim.circuits.design_constants import DesignConstants
-from cosim.circuits.linear_circuit import LinearCircuit
-from cosim.errors import InputError, Problem, fail
-from cosim.scene import Scene
+from cosim.errors import fail
 from cosim.types import Array
 
 __all__ = [
@@ -32,8 +29,6 @@ __all__ = [
     "held",
     "monodromy",
     "stability",
-    "touching",
-    "with_computer",
 ]
 
 
@@ -125,44 +120,9 @@ class Border:
     stability: Stability | None
 
 
-def held(scene: Scene, constants: DesignConstants, circuit: LinearCircuit, q: Array | None = None) -> Lifted:
-    """Return the map of a scene whose contact is held at a wall that is just touched.
-
-    Parameters
-    ----------
-    q
-        Pose [rad]; by default the one that puts the tip on the wall's point, reached from the start.
-    """
-    at = touching(scene, constants) if q is None else np.asarray(q, float)
-    return lift(linearise(scene, constants, circuit, at, preload=False))
-
-
-def touching(scene: Scene, constants: DesignConstants) -> Array:
-    """Return the angles [rad] that put the tip on the wall's point; of one joint, on the wall.
-
-    Raises
-    ------
-    InputError
-        Without a wall, or where it is out of reach.
-    """
-    from cosim.scene.mechanism import mechanism
-
-    file = scene.file_name
-    if scene.wall is None:
-        fail("there is no contact to be held without a wall", file=file, key="wall")
-    linkage = mechanism(scene, constants.gear)
-    normal, point = np.array(scene.wall.normal), np.array(scene.wall.point_m)
-    if scene.is_slider:
-        along = float(normal @ linkage.jacobian(np.zeros(1))[:, 0])
-        if along == 0.0:
-            fail("the slider moves along the wall and never touches it", file=file, key="wall.normal")
-        return np.array([float(normal @ (point - linkage.forward(np.zeros(1)))) / along])
-    try:
-        return np.asarray(linkage.inverse(point, elbow=scene.device.start.elbow), float)
-    except ValueError as error:
-        raise InputError(
-            Problem(str(error), file=file, key="wall.point_m", value=scene.wall.point_m, unit="m")
-        ) from error
+def held(contact: HeldContact) -> Lifted:
+    """Return the map of a period of a contact that is held at a wall just touched."""
+    return lift(linearise(contact, preload=False))
 
 
 def stability(lifted: Lifted) -> Stability:
@@ -208,11 +168,6 @@ def monodromy(lifted: Lifted) -> Array:
             unit="s",
         )
     return found
-
-
-def with_computer(scene: Scene, **changes: Any) -> Scene:
-    """Return the scene with keys of ``[computer]`` changed."""
-    return scene.model_copy(update={"computer": scene.computer.model_copy(update=changes)})
 
 
 def border(at: Callable[[float], Lifted], low: float, high: float, *, rtol: float = 1e-12) -> Border:

@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 from cosim.analysis.board_range import board_range
 from cosim.analysis.closed_form_limits import gil_hulin
 from cosim.analysis.device_passivity import device_of, law_of
+from cosim.analysis.held_contact import HeldContact, with_computer
 from cosim.analysis.passivity import Device, least_damping, needed_damping, share_used
 from cosim.analysis.period_map import Lifted
 from cosim.analysis.stability import (
@@ -22,11 +23,7 @@ from cosim.analysis.stability import (
     held,
     monodromy,
     stability,
-    touching,
-    with_computer,
 )
-from cosim.circuits.design_constants import DesignConstants
-from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.scene import Method, Scene
 from cosim.types import Array
 
@@ -138,29 +135,22 @@ def varied(scene: Scene) -> str:
     return "analog_stiffness_n_per_m" if analog else "discrete_stiffness_n_per_m"
 
 
-def limits(
-    scene: Scene, constants: DesignConstants, circuit: LinearCircuit, q: Array | None = None
-) -> Limits:
-    """Return the limits of a scene, contact held at a wall that is just touched.
-
-    Parameters
-    ----------
-    q
-        Pose [rad]; by default that with the tip on the wall's point.
+def limits(contact: HeldContact) -> Limits:
+    """Return the limits of a contact that is held at a wall just touched.
 
     Raises
     ------
     InputError
-        For a scene without a wall, or with a law or an operator in Python.
+        For a scene with a law or an operator in Python.
     """
-    pose = touching(scene, constants) if q is None else q
+    scene = contact.scene
     c, key = scene.computer, varied(scene)
 
     def at(value: float) -> Lifted:
-        return held(with_computer(scene, **{key: value}), constants, circuit, pose)
+        return held(contact.with_computer(**{key: value}))
 
-    found = border(at, *RANGE, rtol=1e-9)
-    device = device_of(scene, constants, circuit, pose)
+    edge = border(at, *RANGE, rtol=1e-9)
+    device = device_of(contact)
     least, _ = least_damping(device)
     viscosity = device.viscosity(_SLOW)
     law = law_of(scene)
@@ -174,8 +164,8 @@ def limits(
     return Limits(
         key=key,
         stiffness=float(getattr(c, key)),
-        stability=stability(held(scene, constants, circuit, pose)),
-        border=found,
+        stability=stability(held(contact)),
+        border=edge,
         viscosity_n_s_per_m=viscosity,
         least_damping_n_m_s=least,
         needed_n_s_per_m=None if law.lag_s else needed_damping(law).value,
@@ -183,23 +173,23 @@ def limits(
         gil_hulin_n_per_m=gil_hulin(viscosity, c.period_s, damping, late)
         if key == "discrete_stiffness_n_per_m"
         else None,
-        board_n_per_m=board_range(scene, constants, pose)[0] if ranged else None,
+        board_n_per_m=board_range(scene, contact.constants, contact.q)[0] if ranged else None,
     )
 
 
-def largest_passive(scene: Scene, constants: DesignConstants, circuit: LinearCircuit, q: Array) -> float:
-    """Return the largest passive stiffness at a pose [N/m], of the part that `varied` names.
+def largest_passive(contact: HeldContact) -> float:
+    """Return the largest passive stiffness of a contact [N/m], of the part that `varied` names.
 
     0 where the device is active whatever that stiffness is; infinite for an analog spring that no lag makes
     active within `RANGE`.
     """
-    key = varied(scene)
+    key = varied(contact.scene)
 
     def left(k: float) -> float:
         """Return the least damping left, beyond what is nothing beside that at rest without a spring."""
-        moved = scene if key == "discrete_stiffness_n_per_m" else with_computer(scene, **{key: k})
-        device = device_of(moved, constants, circuit, q)
-        at_rest = device_of(with_computer(scene, analog_stiffness_n_per_m=0.0), constants, circuit, q)
+        moved = contact if key == "discrete_stiffness_n_per_m" else contact.with_computer(**{key: k})
+        device = device_of(moved)
+        at_rest = device_of(contact.with_computer(analog_stiffness_n_per_m=0.0))
         nothing = _NOTHING * float(np.linalg.norm(at_rest.damping(np.array([1.0]))))
         return least_damping(device, lowest=1.0)[0] + nothing
 
@@ -207,7 +197,7 @@ def largest_passive(scene: Scene, constants: DesignConstants, circuit: LinearCir
     if left(low) <= 0.0:
         return 0.0
     if key == "discrete_stiffness_n_per_m":
-        return _largest_passive(scene, device_of(scene, constants, circuit, q))
+        return _largest_passive(contact.scene, device_of(contact))
     if left(high) > 0.0:
         return math.inf
     return math.exp(brentq(lambda x: left(math.exp(x)), math.log(low), math.log(high), rtol=1e-12))
@@ -236,16 +226,11 @@ def _largest_passive(scene: Scene, device: Device) -> float:
     return float(brentq(lambda k: used(k) - 1.0, 1e-6, high, rtol=1e-6))
 
 
-def locus(
-    scene: Scene, constants: DesignConstants, circuit: LinearCircuit, values: Array, q: Array | None = None
-) -> list[NDArray[np.complex128]]:
+def locus(contact: HeldContact, values: Array) -> list[NDArray[np.complex128]]:
     """Return the eigenvalues above 1e-6 of the map of a period for each stiffness of `values` [N/m]."""
-    pose = touching(scene, constants) if q is None else q
-    key = varied(scene)
-    found = []
+    key = varied(contact.scene)
+    out = []
     for value in values:
-        z = np.linalg.eigvals(
-            monodromy(held(with_computer(scene, **{key: float(value)}), constants, circuit, pose))
-        )
-        found.append(z[np.abs(z) > 1e-6].astype(complex))
-    return found
+        z = np.linalg.eigvals(monodromy(held(contact.with_computer(**{key: float(value)}))))
+        out.append(z[np.abs(z) > 1e-6].astype(complex))
+    return out

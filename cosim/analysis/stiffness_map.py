@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from cosim.analysis.control_law import law_point
+from cosim.analysis.held_contact import HeldContact, touching
 from cosim.analysis.linearise import linearise
 from cosim.analysis.period_map import lift
-from cosim.analysis.stability import FREE, SCAN, touching, with_computer
+from cosim.analysis.stability import FREE, SCAN
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.scene import Scene
-from cosim.scene.mechanism import mechanism
 from cosim.scene.table import Table
 from cosim.storage.checkpoint import Points
 from cosim.types import Array
@@ -83,28 +83,26 @@ class Pencil:
         return float(brentq(lambda k: float(self.over(k)[0]), low, high, rtol=_RTOL, xtol=1e-300))
 
 
-def pencil(
-    scene: Scene, constants: DesignConstants, circuit: LinearCircuit, q: Array, *, scale: float = 100.0
-) -> Pencil:
-    """Return the map of a period over the discrete stiffness, contact held at the pose `q` [rad].
+def pencil(contact: HeldContact, *, scale: float = 100.0) -> Pencil:
+    """Return the map of a period of a held contact over the discrete stiffness.
 
     Parameters
     ----------
     scale
         A stiffness [N/m] of the borders' size: the two at which the map is made are this and its double.
     """
-    first, second = (with_computer(scene, **{KEY: k}) for k in (scale, 2.0 * scale))
-    system = linearise(first, constants, circuit, q, preload=False)
-    law = law_point(second, constants, mechanism(second, constants.gear), q)
+    first, second = (contact.with_computer(**{KEY: k}) for k in (scale, 2.0 * scale))
+    system = linearise(first, preload=False)
+    law = law_point(second.scene, second.constants, second.linkage, second.q)
     one = lift(system)
     two = replace(lift(replace(system, law=law)), _steps=one._steps)
     m1, m2 = one.period(), two.period()
     kept = _remembered(m1, m2)
     m1, m2 = m1[np.ix_(kept, kept)], m2[np.ix_(kept, kept)]
-    found = Pencil(2.0 * m1 - m2, (m2 - m1) / scale, 0)
-    low = np.linalg.eigvals(found.fixed + np.multiply.outer((1e-3, 1.5e-3), scale * found.slope))
+    out = Pencil(2.0 * m1 - m2, (m2 - m1) / scale, 0)
+    low = np.linalg.eigvals(out.fixed + np.multiply.outer((1e-3, 1.5e-3), scale * out.slope))
     free = int((np.abs(low - 1.0) <= FREE).sum(axis=1).min())
-    return replace(found, free=free)
+    return replace(out, free=free)
 
 
 def _remembered(*maps: Array) -> NDArray[np.intp]:
@@ -203,8 +201,9 @@ def _row(job: _Row) -> list[float | None]:
     """Return the borders of a row, JSON-ready: None is infinite."""
     base = changed(job.scene, *job.row)
     q = touching(base, job.constants)
-    found: list[float] = []
+    borders: list[float] = []
     for value in job.columns.values:
         moved = changed(base, job.columns.key, value)
-        found.append(pencil(moved, job.constants, job.circuit, q).first(job.low, job.high))
-    return [k if math.isfinite(k) else None for k in found]
+        contact = HeldContact(moved, job.constants, job.circuit, q)
+        borders.append(pencil(contact).first(job.low, job.high))
+    return [k if math.isfinite(k) else None for k in borders]

@@ -8,31 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from cosim.analysis.extracted import circuit_of
-from cosim.analysis.stability import touching
-from cosim.circuits.design_constants import DesignConstants
-from cosim.circuits.linear_circuit import LinearCircuit
+from cosim.analysis.held_contact import HeldContact
 from cosim.errors import fail
 from cosim.ngspice.child import Child
 from cosim.plan import resolve
 from cosim.scene import CircuitModelName, Scene
-from cosim.scene.mechanism import mechanism
-from cosim.scene.parameters import Field, Parameters
 from cosim.types import Array, Complex
 from mech import Chain
 
-__all__ = ["Case", "Tip", "Wanted", "joint_area", "reached", "row", "tip_of"]
+__all__ = ["Tip", "Wanted", "joint_area", "reached", "row", "tip_of"]
 
 
 #: Points of the path round a circle: its integrand is smooth and periodic, the rule exact to rounding.
 _CIRCLE = 64
-
-
-class Case(Parameters):
-    """``[[parameters.cases]]`` of a study: what is changed in its scene."""
-
-    name: str = Field(min_length=1)
-    set: tuple[str, ...] = ()
 
 
 def row(columns: dict[str, list[Any]], values: dict[str, Any]) -> None:
@@ -50,36 +38,13 @@ class Wanted:
 
 
 @dataclass(frozen=True)
-class Tip:
-    """A scene's circuit, looked at from the tip on its wall.
-
-    Attributes
-    ----------
-    scene, constants, circuit
-        The scene, its board's constants and linear circuit.
-    q
-        Pose [rad].
-    """
-
-    scene: Scene
-    constants: DesignConstants
-    circuit: LinearCircuit
-    q: Array
-
-    @cached_property
-    def torques(self) -> Array:
-        """Joint torques of a unit force along the normal, w = J^T n [n] m/rad."""
-        assert self.scene.wall is not None
-        jac = mechanism(self.scene, self.constants.gear).jacobian(self.q)
-        out: Array = jac.T @ np.array(self.scene.wall.normal)
-        return out
+class Tip(HeldContact):
+    """A held contact with its `linear` circuit, looked at from the fingertip."""
 
     @cached_property
     def motion(self) -> Array:
         """Joint motion for a unit of motion along the normal, none along the wall [n] rad/m."""
-        assert self.scene.wall is not None
-        jac = mechanism(self.scene, self.constants.gear).jacobian(self.q)
-        out: Array = np.linalg.pinv(jac) @ np.array(self.scene.wall.normal)
+        out: Array = np.linalg.pinv(self.linkage.jacobian(self.q)) @ self.normal
         return out
 
     @cached_property
@@ -110,7 +75,7 @@ class Tip:
         """Return bearings and back-EMF at low frequency [n, n] N m s/rad."""
         n, c = self.circuit.joints, self.constants
         back = self.circuit.after(0.0)[0].real[:, len(self.circuit.gain) + n :]
-        bearings = np.diag(mechanism(self.scene, c.gear).pack()[0]["viscous"][:n])
+        bearings = np.diag(self.linkage.pack()[0]["viscous"][:n])
         back = c.motor_ratios(n)[:, None] * back
         out: Array = bearings - c.torque_per_amp * c.gear * 0.5 * (back + back.T)
         return out
@@ -135,10 +100,6 @@ class Tip:
                 )  # fmt: skip
         return float(1.0 / (w @ np.linalg.solve(inner, w)))
 
-    def at(self, q: Array) -> Tip:
-        """Return the same at another pose."""
-        return Tip(self.scene, self.constants, self.circuit, np.asarray(q, float))
-
 
 def tip_of(scene: Scene, child: Child | None = None) -> Tip:
     """Return the scene with its `linear` circuit at the pose that touches its wall.
@@ -157,8 +118,7 @@ def tip_of(scene: Scene, child: Child | None = None) -> Tip:
     if scene.solver.model is not CircuitModelName.SPICE:
         solver = scene.solver.model_copy(update={"model": CircuitModelName.LINEAR})
         linear = scene.model_copy(update={"solver": solver})
-    circuit, constants = circuit_of(resolve(linear), child=child)
-    return Tip(linear, constants, circuit, touching(linear, constants))
+    return Tip.of(resolve(linear), child=child)
 
 
 def reached(tip: Tip, points: int, margin_rad: float) -> list[Tip]:

@@ -14,6 +14,7 @@ from cosim.scene.load import SceneLike, load_scene
 from cosim.variants import Setting, variants
 
 if TYPE_CHECKING:  # each function loads what it needs: a map of stability checks no board
+    from cosim.analysis.held_contact import HeldContact
     from cosim.analysis.noise_covariance import NoiseCovariance
     from cosim.analysis.stiffness_limits import Limits
     from cosim.checking.check import Check
@@ -33,6 +34,18 @@ class Contact:
     plan: Plan
     circuit: LinearCircuit
     constants: DesignConstants
+
+    def held(self) -> HeldContact:
+        """Return it with the tip on the wall's point.
+
+        Raises
+        ------
+        InputError
+            Without a wall, or where it is out of reach.
+        """
+        from cosim.analysis.held_contact import HeldContact
+
+        return HeldContact.at_wall(self.plan.scene, self.constants, self.circuit)
 
 
 #: What theory of a held contact can be asked about.
@@ -110,8 +123,7 @@ def stability(scene: ContactLike, *, trust: bool = False, child: Child | None = 
     from cosim.analysis.stiffness_limits import limits
 
     with doubts():
-        here = contact(scene, trust=trust, child=child)
-        return limits(here.plan.scene, here.constants, here.circuit)
+        return limits(contact(scene, trust=trust, child=child).held())
 
 
 def noise(scene: ContactLike, *, trust: bool = False, child: Child | None = None) -> Noise:
@@ -141,7 +153,7 @@ def noise(scene: ContactLike, *, trust: bool = False, child: Child | None = None
         scene, effects = here.plan.scene, here.plan.scene.effects
         covariance = rms = None
         if effects.pot_noise is not PotNoise.NONE or not effects.component_noise:
-            covariance = noise_covariance(scene, here.constants, here.circuit)
+            covariance = noise_covariance(here.held())
         if effects.component_noise:
             rms = component_force(scene, here.plan.board, child)
         return Noise(covariance, rms, scene.device.component_noise_bandwidth_hz)
@@ -165,8 +177,7 @@ def device(scene: ContactLike, *, trust: bool = False, child: Child | None = Non
     from cosim.studies.device import device_numbers
 
     with doubts():
-        here = contact(scene, trust=trust, child=child)
-        return device_numbers(here.plan.scene, here.constants, here.circuit)
+        return device_numbers(contact(scene, trust=trust, child=child).held())
 
 
 def check(

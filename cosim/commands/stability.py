@@ -37,7 +37,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
                 if folder is not None:
                     from reports.stability import write_stability
 
-                    plot = write_stability(found, held.plan.scene, held.constants, held.circuit, folder)
+                    plot = write_stability(found, held.held(), folder)
                     texts.append(f"wrote {plot}")
     return {"cases": cases}, "\n".join(texts)
 

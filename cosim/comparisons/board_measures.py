@@ -15,7 +15,7 @@ import numpy as np
 
 from cosim.analysis.control_law import law_point
 from cosim.analysis.extracted import circuit_of
-from cosim.analysis.stability import border, held, touching, with_computer
+from cosim.analysis.stability import border, held
 from cosim.analysis.stiffness_limits import RANGE, largest_passive, varied
 from cosim.analysis.stiffness_map import pencil
 from cosim.analysis.tip import Tip, joint_area
@@ -78,7 +78,7 @@ class BoardMeasures:
     @cached_property
     def _tip(self) -> Tip:
         circuit, constants = self._circuit
-        return Tip(self._scene, constants, circuit, touching(self._scene, constants))
+        return Tip.at_wall(self._scene, constants, circuit)
 
     @cached_property
     def _standing(self) -> Standing:
@@ -88,8 +88,8 @@ class BoardMeasures:
     def _ksp(self) -> Array:
         """Stiffness that the board renders at the joints for the gains that the law writes [N m/rad]."""
         tip, n = self._tip, self._scene.joints
-        linkage = mechanism(self._scene, tip.constants.gear)
-        control = law_point(self._scene, tip.constants, linkage, tip.q).volts[n : n + len(tip.circuit.gain)]
+        law = law_point(self._scene, tip.constants, tip.linkage, tip.q)
+        control = law.volts[n : n + len(tip.circuit.gain)]
         still = tip.circuit.response(0.0, control)[0].real
         found: Array = -tip.constants.torques_per_amp(n)[:, None] * still[:, :n]
         return found
@@ -104,23 +104,19 @@ class BoardMeasures:
         """Largest stable stiffness: the discrete one, or the analog one where there is no other [N/m]."""
         tip, key = self._tip, varied(self._scene)
         if key == "discrete_stiffness_n_per_m":
-            found = pencil(self._scene, tip.constants, tip.circuit, tip.q).first(*RANGE)
+            most = pencil(tip).first(*RANGE)
         else:
-            found = border(
-                lambda k: held(with_computer(self._scene, **{key: k}), tip.constants, tip.circuit, tip.q),
-                *RANGE, rtol=1e-9,
-            ).value  # fmt: skip
-        if not math.isfinite(found):
+            most = border(lambda k: held(tip.with_computer(**{key: k})), *RANGE, rtol=1e-9).value
+        if not math.isfinite(most):
             raise Lacking(f"stable up to {RANGE[1]:g} N/m")
-        return found
+        return most
 
     def passive_stiffness(self) -> float:
         """Largest passive stiffness of the same part; 0 where nothing is passive [N/m]."""
-        tip = self._tip
-        found = largest_passive(self._scene, tip.constants, tip.circuit, tip.q)
-        if not math.isfinite(found):
+        most = largest_passive(self._tip)
+        if not math.isfinite(most):
             raise Lacking("passive at every stiffness")
-        return found
+        return most
 
     def eta(self) -> float:
         """Share of the viscosity along the normal that the slowest spring path eats."""

@@ -12,11 +12,18 @@ from cosim.scene.explain import explain, is_real
 from cosim.scene.quantities import Unit
 from cosim.scene.table import Table
 
-__all__ = ["Field", "Parameters", "Unit", "read_parameters"]
+__all__ = ["Field", "Parameters", "Unit", "Variation", "read_parameters"]
 
 
 class Parameters(Table):
     """Base of such a table: frozen and strict; an unknown key, NaN and infinity are refused."""
+
+
+class Variation(Parameters):
+    """One of several scenes of a study: its name, and what it changes in the study's scene."""
+
+    name: str = Field(min_length=1)
+    set: tuple[str, ...] = ()
 
 
 def read_parameters(

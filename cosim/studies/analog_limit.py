@@ -17,18 +17,18 @@ import numpy as np
 from scipy.optimize import brentq
 
 from cosim.analysis.device_passivity import device_of
-from cosim.analysis.extracted import circuit_of
+from cosim.analysis.held_contact import HeldContact
 from cosim.analysis.linearise import linearise
 from cosim.analysis.noise_covariance import noise_covariance
 from cosim.analysis.passivity import least_damping
-from cosim.analysis.stability import border, held, touching, with_computer
+from cosim.analysis.stability import border, held
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import InputError, fail
 from cosim.plan import resolve
 from cosim.scene import Method, PotNoise, Scene
-from cosim.scene.mechanism import mechanism, operator
-from cosim.scene.parameters import Field, Parameters, Unit
+from cosim.scene.mechanism import operator
+from cosim.scene.parameters import Field, Parameters, Unit, Variation
 from cosim.storage.checkpoint import Points
 from cosim.studies.grid import geometric
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
@@ -43,17 +43,10 @@ _SPRINGS, _DAMPERS, _SOFT = (1.0, 1e9), (1e-2, 1e6), 1e-6
 _SLOW = 1e-2
 
 
-class Board(Parameters):
-    """A variant of the board: its name and what it changes in the scene."""
-
-    name: str
-    set: tuple[str, ...] = ()
-
-
 class CeilingParameters(Parameters):
     """``[parameters]`` of the practical upper limit."""
 
-    boards: tuple[Board, ...] = Field(min_length=1)
+    boards: tuple[Variation, ...] = Field(min_length=1)
     damper_with_n_per_m: Annotated[float, Field(gt=0, le=1e6), Unit("N/m")] = 100.0
     noise_with_n_per_m: Annotated[float, Field(gt=0, le=1e6), Unit("N/m")] = 20.0
     depth_m: Annotated[float, Field(gt=0, le=1), Unit("m")] = 0.01
@@ -105,7 +98,7 @@ def lag(constants: DesignConstants, circuit: LinearCircuit) -> float:
     return float(-(through[1] / through[0]).imag / _SLOW)
 
 
-def delay(scene: Scene, constants: DesignConstants, circuit: LinearCircuit, beside: float) -> Delay:
+def delay(contact: HeldContact, beside: float) -> Delay:
     """Return the borders that a circuit's delay sets to a wall of analog springs or dampers.
 
     Parameters
@@ -113,52 +106,50 @@ def delay(scene: Scene, constants: DesignConstants, circuit: LinearCircuit, besi
     beside
         Stiffness [N/m] of the spring with which the damper is tried.
     """
-    q = touching(scene, constants)
 
-    def wall(spring: float, damper: float) -> Scene:
-        return with_computer(scene, **{SPRING: spring, DAMPER: damper})
+    def wall(spring: float, damper: float) -> HeldContact:
+        return contact.with_computer(**{SPRING: spring, DAMPER: damper})
 
-    def end(at: Callable[[float], Scene], span: tuple[float, float]) -> tuple[float, float]:
-        found = border(lambda x: held(at(x), constants, circuit, q), *span, rtol=1e-9).value
-        if not 0.0 < found < math.inf:
-            return found, math.nan
-        poles = np.linalg.eigvals(linearise(at(found), constants, circuit, q, preload=False).a)
-        return found, float(abs(poles[int(np.argmax(poles.real))].imag)) / (2.0 * math.pi)
+    def end(at: Callable[[float], HeldContact], span: tuple[float, float]) -> tuple[float, float]:
+        edge = border(lambda x: held(at(x)), *span, rtol=1e-9).value
+        if not 0.0 < edge < math.inf:
+            return edge, math.nan
+        poles = np.linalg.eigvals(linearise(at(edge), preload=False).a)
+        return edge, float(abs(poles[int(np.argmax(poles.real))].imag)) / (2.0 * math.pi)
 
-    def passive(at: Callable[[float], Scene], span: tuple[float, float]) -> float:
+    def passive(at: Callable[[float], HeldContact], span: tuple[float, float]) -> float:
         def least(x: float) -> float:
-            return least_damping(device_of(at(math.exp(x)), constants, circuit, q))[0]
+            return least_damping(device_of(at(math.exp(x))))[0]
 
         low, high = (math.log(x) for x in span)
         if least(high) >= 0.0:
             return math.inf
         return math.exp(brentq(least, low, high, xtol=1e-9)) if least(low) > 0.0 else 0.0
 
-    soft = wall(_SOFT, 0.0)
-    linkage = mechanism(scene, constants.gear)
-    w = linkage.jacobian(q).T @ np.array(scene.wall.normal if scene.wall else (0.0, 1.0))
-    free = device_of(soft, constants, circuit, q)
-    mass = 1.0 / float(w @ np.linalg.solve(linkage.mass_matrix(q, operator(scene)), w))
+    w = contact.torques
+    free = device_of(wall(_SOFT, 0.0))
+    inertia = contact.linkage.mass_matrix(contact.q, operator(contact.scene))
+    mass = 1.0 / float(w @ np.linalg.solve(inertia, w))
 
-    def springs(k: float) -> Scene:
+    def springs(k: float) -> HeldContact:
         return wall(k, 0.0)
 
-    def dampers(c: float) -> Scene:
+    def dampers(c: float) -> HeldContact:
         return wall(beside, c)
 
     spring, spring_hz = end(springs, _SPRINGS)
     damper, damper_hz = end(dampers, _DAMPERS)
     return Delay(
-        lag(constants, circuit), mass,
+        lag(contact.constants, contact.circuit), mass,
         free.viscosity(_SLOW), spring, spring_hz,
         passive(springs, _SPRINGS), damper, damper_hz, passive(dampers, _DAMPERS),
     )  # fmt: skip
 
 
-def noise_force(scene: Scene, constants: DesignConstants, circuit: LinearCircuit) -> float | None:
+def noise_force(contact: HeldContact) -> float | None:
     """Return the rms force [N] of the motors along the normal at rest, None where the contact is unstable."""
     try:
-        return noise_covariance(scene, constants, circuit).rms("motor_normal")
+        return noise_covariance(contact).rms("motor_normal")
     except InputError as error:
         if "no stationary noise" in str(error):
             return None
@@ -174,23 +165,17 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     if scene.computer.method is not Method.CONTINUOUS or not scene.is_slider:
         fail("the limits are those of method continuous on a slider", file=str(spec.file), key="scene")
     for board in given.boards:
-        plan = resolve(spec.scene(*board.set))
-        circuit, constants = circuit_of(plan)
+        contact = HeldContact.of(resolve(spec.scene(*board.set)))
 
-        def ask(
-            scene: Scene = plan.scene,
-            constants: DesignConstants = constants,
-            circuit: LinearCircuit = circuit,
-        ) -> dict[str, Any]:
-            found = asdict(delay(scene, constants, circuit, given.damper_with_n_per_m))
-            return {k: v if math.isfinite(v) else None for k, v in found.items()}
+        def ask(contact: HeldContact = contact) -> dict[str, Any]:
+            numbers = asdict(delay(contact, given.damper_with_n_per_m))
+            return {k: v if math.isfinite(v) else None for k, v in numbers.items()}
 
         got = points.get(board.name, ask)
         delays[board.name] = Delay(**{k: math.inf if v is None else v for k, v in got.items()})
-    first = resolve(scene)
-    circuit, constants = circuit_of(first)
-    noise = _noise(first.scene, constants, circuit, given, delays[given.boards[0].name], points)
-    limits = _limits(first.scene, constants, given, delays[given.boards[0].name], noise)
+    first = HeldContact.of(resolve(scene))
+    noise = _noise(first, given, delays[given.boards[0].name], points)
+    limits = _limits(first.scene, first.constants, given, delays[given.boards[0].name], noise)
     columns: dict[str, list[Any]] = {"board": list(delays)}
     for name, read in _COLUMNS.items():
         values = [read(each) for each in delays.values()]
@@ -218,14 +203,11 @@ _COLUMNS: dict[str, Callable[[Delay], float]] = {
 }
 
 
-def _noise(
-    scene: Scene, constants: DesignConstants, circuit: LinearCircuit, given: CeilingParameters,
-    delays: Delay, points: Points,
-) -> Table:  # fmt: skip
+def _noise(contact: HeldContact, given: CeilingParameters, delays: Delay, points: Points) -> Table:
     """Return the force of white potentiometer noise over stiffness, and over damping."""
-    noisy = scene.model_copy(
-        update={"effects": scene.effects.model_copy(update={"pot_noise": PotNoise.WHITE})}
-    )
+    scene = contact.scene
+    white = scene.effects.model_copy(update={"pot_noise": PotNoise.WHITE})
+    noisy = contact.of_scene(scene.model_copy(update={"effects": white}))
     columns: dict[str, list[Any]] = {
         name: [] for name in ("varied", "value [N/m or N s/m]", "force in the loop, rms [N]", "threshold [N]")
     }
@@ -239,19 +221,16 @@ def _noise(
         def curve(
             key: str = key, other: dict[str, float] = other, values: list[float] = values
         ) -> list[float | None]:
-            return [
-                noise_force(with_computer(noisy, **other, **{key: x}), constants, circuit) for x in values
-            ]
+            return [noise_force(noisy.with_computer(**other, **{key: x})) for x in values]
 
-        found = points.get(f"noise over the {name}", curve)
-        if (grid_end := _bracket(values, found, given.noise_n)) is not None:
+        forces = points.get(f"noise over the {name}", curve)
+        if (grid_end := _bracket(values, forces, given.noise_n)) is not None:
 
             def limit(
                 key: str = key, other: dict[str, float] = other, ends: tuple[float, float] = grid_end
             ) -> float:
                 def over(x: float) -> float:
-                    scene = with_computer(noisy, **other, **{key: math.exp(x)})
-                    force = noise_force(scene, constants, circuit)
+                    force = noise_force(noisy.with_computer(**other, **{key: math.exp(x)}))
                     return math.log(force / given.noise_n) if force else math.nan
 
                 return math.exp(brentq(over, *(math.log(x) for x in ends), xtol=1e-6))
@@ -259,10 +238,10 @@ def _noise(
             at = points.get(f"noise limit of the {name}", limit)
             place = next(i for i, x in enumerate(values) if x >= at)
             values = [*values[:place], at, *values[place:]]
-            found = [*found[:place], given.noise_n, *found[place:]]
+            forces = [*forces[:place], given.noise_n, *forces[place:]]
         columns["varied"] += [name] * len(values)
         columns["value [N/m or N s/m]"] += values
-        columns["force in the loop, rms [N]"] += found
+        columns["force in the loop, rms [N]"] += forces
         columns["threshold [N]"] += [given.noise_n] * len(values)
     pot = scene.device.potentiometer
     return Table(

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from cosim.analysis.noise_covariance import noise_covariance
-from cosim.analysis.tip import Case, Tip, Wanted, row, tip_of
+from cosim.analysis.tip import Tip, Wanted, row, tip_of
 from cosim.analysis.tip_noise import pot_density, pot_form
 from cosim.circuits.design_constants import Stated
 from cosim.circuits.extraction.alter import nominal_value
@@ -18,8 +18,7 @@ from cosim.errors import InputError
 from cosim.ngspice.child import Child, call, on_demand
 from cosim.plan import resolve
 from cosim.scene import Method, PotNoise
-from cosim.scene.parameters import Field, Parameters, Unit
-from cosim.storage.checkpoint import Points
+from cosim.scene.parameters import Field, Parameters, Unit, Variation
 from cosim.studies.case_effects import holds_table
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 
@@ -122,7 +121,7 @@ def _forces(
         rows.append(("potentiometer", f"{words}, tip held", float(pot_form(tip, density).rms(k, c))))
         try:
             scene = spec.scene("solver.model=linear", f"effects.pot_noise={kind.value}")
-            closed = noise_covariance(scene, tip.constants, tip.circuit).rms("motor_normal")
+            closed = noise_covariance(tip.of_scene(scene)).rms("motor_normal")
             rows.append(("potentiometer", f"{words}, hand in contact", closed))
         except InputError:
             pass  # nothing rests there: the tip held still is what there is
@@ -200,7 +199,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         Table("forces", "Force noise by source, at the scene's gains", forces,
               f"Along the normal; the components' up to {given.noise_band_hz:g} Hz."),
         holds_table(
-            spec, (Case(name="the circuit that carries them"),),
+            spec, (Variation(name="the circuit that carries them"),),
             "The sources in the tables are added one by one, whether the scene holds them or not: the "
             "errors of potentiometer and computer by their data, components at their data sheets' density.",
         ),

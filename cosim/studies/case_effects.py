@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cosim.analysis.tip import Case, row
+from cosim.analysis.tip import row
 from cosim.effects import EFFECTS
 from cosim.scene import Scene
+from cosim.scene.parameters import Variation
 from cosim.studies.study import StudyFile, Table
 
 __all__ = ["holds_table", "in_words"]
@@ -23,7 +24,7 @@ def in_words(name: str, value: object) -> str:
     return name if value is True else f"{name} {value}"
 
 
-def holds_table(spec: StudyFile, cases: Sequence[Case], adds: str) -> Table:
+def holds_table(spec: StudyFile, cases: Sequence[Variation], adds: str) -> Table:
     """Return the effects of every case, which is a linear model about rest, one row a case.
 
     Parameters

@@ -14,13 +14,13 @@ from scipy.optimize import brentq
 
 from cosim.analysis.device_passivity import device_of
 from cosim.analysis.passivity import least_damping
-from cosim.analysis.stability import border, held, with_computer
-from cosim.analysis.tip import Case, Tip, reached, row, tip_of
+from cosim.analysis.stability import border, held
+from cosim.analysis.tip import Tip, reached, row, tip_of
 from cosim.circuits.extraction.block_delays import SpringDelay, slowest_s, spring_delays
 from cosim.ngspice.child import Child, on_demand
 from cosim.plan import resolve
-from cosim.scene import Method, Scene
-from cosim.scene.parameters import Field, Parameters, Unit
+from cosim.scene import Method
+from cosim.scene.parameters import Field, Parameters, Unit, Variation
 from cosim.scene.quantities import Stiffness
 from cosim.storage.checkpoint import Points
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
@@ -38,7 +38,7 @@ HOLDS = (
 class EtaParameters(Parameters):
     """``[parameters]`` of the headline; the first case is drawn block by block."""
 
-    cases: tuple[Case, ...] = Field(default=(Case(name="as built"),), min_length=1)
+    cases: tuple[Variation, ...] = Field(default=(Variation(name="as built"),), min_length=1)
     stiffness_n_per_m: Stiffness = 100.0
     largest_eta: Annotated[float, Field(gt=0, le=1)] = 0.05
     points: int = Field(default=41, ge=3, le=401)
@@ -51,10 +51,10 @@ def block_delays(paths: list[SpringDelay]) -> dict[str, float]:
     return {name: max(path.of(name) for path in paths) for name in names}
 
 
-def with_spring(scene: Scene, stiffness: float) -> Scene:
-    """Return the scene with an analog wall alone."""
-    return with_computer(
-        scene, method=Method.CONTINUOUS, analog_stiffness_n_per_m=stiffness,
+def with_spring(tip: Tip, stiffness: float) -> Tip:
+    """Return the tip at an analog wall alone."""
+    return tip.with_computer(
+        method=Method.CONTINUOUS, analog_stiffness_n_per_m=stiffness,
         analog_damping_n_s_per_m=0.0, discrete_stiffness_n_per_m=0.0, discrete_damping_n_s_per_m=0.0,
     )  # fmt: skip
 
@@ -66,8 +66,7 @@ def active_from(tip: Tip, low: float = 1.0, high: float = 1e9) -> float:
     """
 
     def left(k: float) -> float:
-        device = device_of(with_spring(tip.scene, k), tip.constants, tip.circuit, tip.q)
-        return least_damping(device, lowest=1.0)[0]
+        return least_damping(device_of(with_spring(tip, k)), lowest=1.0)[0]
 
     if left(high) > 0.0:
         return float("inf")
@@ -76,9 +75,7 @@ def active_from(tip: Tip, low: float = 1.0, high: float = 1e9) -> float:
 
 def unstable_from(tip: Tip, low: float = 10.0, high: float = 1e8) -> float:
     """Return the analog stiffness at which the scene with its operator loses stability [N/m]."""
-    return border(
-        lambda k: held(with_spring(tip.scene, k), tip.constants, tip.circuit, tip.q), low, high, rtol=1e-9
-    ).value
+    return border(lambda k: held(with_spring(tip, k)), low, high, rtol=1e-9).value
 
 
 def analyse(spec: StudyFile, points: Points) -> StudyResult:
@@ -130,7 +127,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     return spec.result(
         Table("blocks", "Delay block by block", columns,
               "From the netlist by ngspice at low frequency; the slowest path of every block."),
-        Table("limits", "Case by case", limits, HOLDS),
+        Table("limits", "Variation by case", limits, HOLDS),
         Table("viscosity", "The device's viscosity along the normal over its poses",
               {**band, "practical limit [N/m]": limit}),
         Table("workspace", "The device's viscosity over the workspace", spread),
@@ -145,7 +142,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     )  # fmt: skip
 
 
-def _case(spec: StudyFile, case: Case, with_poses: bool, child: Child) -> dict[str, Any]:
+def _case(spec: StudyFile, case: Variation, with_poses: bool, child: Child) -> dict[str, Any]:
     given: EtaParameters = spec.parameters
     scene = spec.scene("solver.model=linear", *case.set)
     paths = spring_delays(resolve(scene).board, child, time_limit_s=scene.solver.time_limit_s)

@@ -12,11 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from cosim.analysis.extracted import circuit_of
+from cosim.analysis.held_contact import HeldContact
 from cosim.analysis.impedance import Displayed, full_scale, largest
-from cosim.analysis.stability import touching, with_computer
 from cosim.circuits.design_constants import DesignConstants
-from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import fail
 from cosim.plan import resolve
 from cosim.scene import Method, Scene
@@ -193,41 +191,38 @@ class DeviceNumbers:
         return {head: [row[k] for row in (own, *others)] for k, head in enumerate(heads)}
 
 
-def device_numbers(scene: Scene, constants: DesignConstants, circuit: LinearCircuit) -> DeviceNumbers:
-    """Return the four numbers of a scene's device.
+def device_numbers(contact: HeldContact) -> DeviceNumbers:
+    """Return the four numbers of the device of a contact.
 
     Raises
     ------
     InputError
         For a scene without a wall, with a law or an operator in Python, or of more than two joints.
     """
-    pose = touching(scene, constants)
-    linkage = mechanism(scene, constants.gear)
+    scene, constants, linkage = contact.scene, contact.constants, contact.linkage
     room, poses = workspace(scene)
     rated, most = (constants.torque_per_amp * i for i in (constants.i_rated, constants.i_limit))
-    jac = linkage.jacobian(pose)
-    here = forces(jac, rated)
+    here = forces(linkage.jacobian(contact.q), rated)
     worst = min(forces(linkage.jacobian(q), rated).any_n for q in poses)
-    assert scene.wall is not None
-    stiff, damp = full_scale(constants, jac.T @ np.array(scene.wall.normal))
-    none = with_computer(
-        scene, method=Method.COMBINED, analog_stiffness_n_per_m=0.0, analog_damping_n_s_per_m=0.0,
+    stiff, damp = full_scale(constants, contact.torques)
+    none = contact.with_computer(
+        method=Method.COMBINED, analog_stiffness_n_per_m=0.0, analog_damping_n_s_per_m=0.0,
         discrete_stiffness_n_per_m=0.0, discrete_damping_n_s_per_m=0.0,
     )  # fmt: skip
 
-    def find(base: Scene, quantity: str, cap: float) -> tuple[Displayed, Displayed, float]:
+    def find(base: HeldContact, quantity: str, cap: float) -> tuple[Displayed, Displayed, float]:
         analog, discrete = f"analog_{quantity}", f"discrete_{quantity}"
-        alone = largest(base, constants, circuit, discrete, q=pose)
-        by_circuit = largest(base, constants, circuit, analog, cap=cap, q=pose)
-        held = with_computer(base, **{analog: by_circuit.value * (1.0 - 1e-6)})
-        both = by_circuit.value + largest(held, constants, circuit, discrete, q=pose).value
+        alone = largest(base, discrete)
+        by_circuit = largest(base, analog, cap=cap)
+        stiffest = base.with_computer(**{analog: by_circuit.value * (1.0 - 1e-6)})
+        both = by_circuit.value + largest(stiffest, discrete).value
         return alone, by_circuit, max(both, alone.value)
 
     stiffness = find(none, "stiffness_n_per_m", stiff)
     damping = find(none, "damping_n_s_per_m", damp)
     return DeviceNumbers(
         here.any_n, here.any_n * most / rated, worst, worst * most / rated, here.best_n,
-        *stiffness, *damping, room, scene.computer.period_s, circuit.model,
+        *stiffness, *damping, room, scene.computer.period_s, contact.circuit.model,
     )  # fmt: skip
 
 
@@ -243,8 +238,8 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     kept: list[DeviceNumbers] = []
     for model in ("linear", "ideal"):
         plan = resolve(spec.scene(*(IDEAL if model == "ideal" else ()), "solver.model=auto"))
-        circuit, constants = circuit_of(plan, reduced=True)
-        numbers = device_numbers(plan.scene, constants, circuit)
+        contact = HeldContact.of(plan, reduced=True)
+        numbers = device_numbers(contact)
         kept.append(numbers)
         for name, value in flat(numbers).items():
             columns.setdefault(name, []).append(value)
@@ -267,7 +262,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     )  # fmt: skip
     tables = [Table("presets", "Beside published devices", full.rows(), note), table]
     if not spec.scene().is_slider:
-        tables.append(_force_map(spec, constants))
+        tables.append(_force_map(spec, contact.constants))
     fits = full.analog_n_per_m
     return spec.result(
         *tables,

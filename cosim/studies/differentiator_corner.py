@@ -7,6 +7,7 @@ higher frequencies, so that a stiffer sampled wall is passive.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import partial
 from typing import Annotated, Any
 
@@ -17,16 +18,16 @@ from cosim.analysis.linearise import linearise
 from cosim.analysis.noise_covariance import covariance, noise_grid
 from cosim.analysis.passivity import least_damping, share_used
 from cosim.analysis.period_map import lift
-from cosim.analysis.stability import border, held, with_computer
-from cosim.analysis.tip import Case, Tip, row, tip_of
+from cosim.analysis.stability import border, held
+from cosim.analysis.tip import Tip, row, tip_of
 from cosim.analysis.tip_noise import position_density, pot_density, pot_form
 from cosim.circuits.extraction.alter import nominal_value
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import CosimError, InputError, fail
 from cosim.ngspice.child import Child, call, start_early
 from cosim.plan import resolve
-from cosim.scene import Method, PotNoise, Scene
-from cosim.scene.parameters import Field, Parameters, Unit
+from cosim.scene import Method, PotNoise
+from cosim.scene.parameters import Field, Parameters, Unit, Variation
 from cosim.scene.quantities import Damping, Frequency, Stiffness
 from cosim.storage.checkpoint import Points
 from cosim.studies.case_effects import holds_table
@@ -51,9 +52,9 @@ class CornerParameters(Parameters):
     largest_noise_n: Annotated[float, Field(gt=0, lt=100), Unit("N")] = 0.05
 
 
-def _held(tip: Tip, given: CornerParameters, stiffness: float) -> Scene:
-    return with_computer(
-        tip.scene, method=Method.COMBINED, analog_stiffness_n_per_m=given.stiffness_n_per_m,
+def _held(tip: Tip, given: CornerParameters, stiffness: float) -> Tip:
+    return tip.with_computer(
+        method=Method.COMBINED, analog_stiffness_n_per_m=given.stiffness_n_per_m,
         analog_damping_n_s_per_m=given.damping_n_s_per_m, discrete_stiffness_n_per_m=stiffness,
         discrete_damping_n_s_per_m=0.0,
     )  # fmt: skip
@@ -64,11 +65,11 @@ def passive(tip: Tip, given: CornerParameters) -> float | None:
 
     None where the analog part alone is active: its damping is negative at some frequency.
     """
-    scene = _held(tip, given, 1.0)
-    device = device_of(scene, tip.constants, tip.circuit, tip.q)
+    contact = _held(tip, given, 1.0)
+    device = device_of(contact)
     if not least_damping(device, lowest=1.0)[0] > 0.0:
         return None
-    used = share_used(law_of(scene), device, points=_LOOKS).value
+    used = share_used(law_of(contact.scene), device, points=_LOOKS).value
     return 1.0 / used if used > 0.0 and math.isfinite(used) else 0.0
 
 
@@ -85,9 +86,7 @@ def _looked_at(tip: Tip, given: CornerParameters) -> dict[str, Any]:
     noise[PotNoise.STATIC.value] = k * tip.scene.device.potentiometer.noise_rad * float(
         np.linalg.norm(tip.torques)
     )  # fmt: skip
-    limit = border(
-        lambda value: held(_held(tip, given, value), tip.constants, tip.circuit, tip.q), 0.5, 1e5, rtol=1e-9
-    ).value
+    limit = border(lambda value: held(_held(tip, given, value)), 0.5, 1e5, rtol=1e-9).value
     return {
         "noise": noise, "passive": passive(tip, given), "border": limit if math.isfinite(limit) else None,
         "closed": _closed(tip, given),
@@ -96,10 +95,11 @@ def _looked_at(tip: Tip, given: CornerParameters) -> dict[str, Any]:
 
 def _closed(tip: Tip, given: CornerParameters) -> float | None:
     """Return the rms force on the normal of the held contact under white noise; None where it is unstable."""
-    scene = _held(tip, given, given.discrete_n_per_m)
+    contact = _held(tip, given, given.discrete_n_per_m)
+    scene = contact.scene
     effects = scene.effects.model_copy(update={"pot_noise": PotNoise.WHITE})
     scene = scene.model_copy(update={"effects": effects})
-    system = linearise(scene, tip.constants, tip.circuit, tip.q, preload=False)
+    system = linearise(contact.of_scene(scene), preload=False)
     try:
         return covariance(lift(system, noise=True), noise_grid(scene)).rms("motor_normal")
     except InputError:
@@ -125,7 +125,7 @@ def _extracted(spec: StudyFile, child: Child) -> tuple[float, list[dict[str, Any
     )  # fmt: skip
     looked = [
         None if isinstance(circuit, CosimError)
-        else _looked_at(Tip(tip.scene, tip.constants, circuit, tip.q), given)
+        else _looked_at(replace(tip, circuit=circuit), given)
         for circuit in circuits
     ]  # fmt: skip
     return 1.0 / (2.0 * math.pi * own * capacitor), looked
@@ -172,7 +172,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
               "exact covariance."),
         Table("board", "The board as it is", {"corner [Hz]": [own]}),
         holds_table(
-            spec, (Case(name="every corner"),),
+            spec, (Variation(name="every corner"),),
             "The force noise holds each kind of potentiometer noise by itself, and none of the components.",
         ),
         verdicts=(

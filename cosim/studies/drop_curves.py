@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from cosim.scene import Scene
-from cosim.scene.parameters import Field, Parameters
+from cosim.scene.parameters import Field, Variation
 from cosim.scene.quantities import Period
 from cosim.studies.study import Verdict
 
@@ -20,12 +20,10 @@ REFINED = 6
 _SMALL = 0.1
 
 
-class Family(Parameters):
-    """One curve: its name and what it changes in the scene."""
+class Family(Variation):
+    """One curve; its own periods and phases, where it has some, stand for the study's."""
 
-    name: str
     kind: Literal["curve", "sensitivity"] = "curve"
-    set: tuple[str, ...] = ()
     periods_s: tuple[Period, ...] = ()
     phases: int | None = Field(default=None, ge=1, le=1024)
 

@@ -18,8 +18,8 @@ from typing import Annotated, Any
 import numpy as np
 
 from cosim.analysis.extracted import circuit_of
+from cosim.analysis.held_contact import HeldContact
 from cosim.analysis.impedance import impedance
-from cosim.analysis.stability import touching, with_computer
 from cosim.analysis.stiffness_limits import limits as limits_of
 from cosim.analysis.stiffness_map import pencil
 from cosim.circuits.design_constants import DesignConstants
@@ -88,6 +88,10 @@ class Job:
     circuit: LinearCircuit
     rest: Rest
 
+    def contact(self) -> HeldContact:
+        """Return the contact that the mass falls to, held at the wall."""
+        return HeldContact.at_wall(self.scene, self.constants, self.circuit)
+
 
 @dataclass(frozen=True)
 class Dropped:
@@ -114,14 +118,14 @@ class Dropped:
     samples: int
 
 
-def limit(scene: Scene, constants: DesignConstants, circuit: LinearCircuit) -> float:
+def limit(contact: HeldContact) -> float:
     """Return the largest stable discrete stiffness of the held contact [N/m]; see `stability.border`."""
-    return pencil(scene, constants, circuit, touching(scene, constants)).first(1.0, 1e5)
+    return pencil(contact).first(1.0, 1e5)
 
 
 def passive_limit(job: Job) -> float | None:
     """Return the largest passive discrete stiffness [N/m]; None where the analog part alone is active."""
-    return limits_of(job.scene, job.constants, job.circuit).passive_n_per_m
+    return limits_of(job.contact()).passive_n_per_m
 
 
 class Falls:
@@ -204,7 +208,7 @@ def scan(job: Job) -> Dropped:
     Where linear theory knows none (a device without viscosity) the scan is about `friction_balance`, and
     where there is no friction either, nothing is scanned.
     """
-    exact = limit(job.scene, job.constants, job.circuit)
+    exact = limit(job.contact())
     about = exact if 0.0 < exact < math.inf else friction_balance(job)
     if not about > 0.0:
         return Dropped(exact, math.nan, math.nan, math.nan, [], [], 0, 0)
@@ -360,8 +364,8 @@ def displayed(job: Job, stiffness: float) -> float:
 
     From the law and the circuit's response to a slow motion of the tip, nothing added up here.
     """
-    scene = with_computer(job.scene, discrete_stiffness_n_per_m=stiffness)
-    force_over_speed = impedance(scene, job.constants, job.circuit, np.array([_SLOW_HZ]))[0]
+    contact = job.contact().with_computer(discrete_stiffness_n_per_m=stiffness)
+    force_over_speed = impedance(contact, np.array([_SLOW_HZ]))[0]
     return float((2j * np.pi * _SLOW_HZ * force_over_speed).real)
 
 
@@ -373,8 +377,7 @@ def _ideal_gain(spec: StudyFile, family: Family, found: Found) -> float:
     for one in (family, first):
         changes = (*one.set, f"computer.period_s={period!r}")
         plan = resolve(spec.scene(*changes, *without_dynamics(spec.scene(*changes))))
-        circuit, constants = circuit_of(plan)
-        ends.append(limit(plan.scene, constants, circuit))
+        ends.append(limit(HeldContact.of(plan)))
     return ends[0] - ends[1]
 
 

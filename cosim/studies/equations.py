@@ -16,8 +16,7 @@ import numpy as np
 
 from cosim.analysis.control_law import law_point, rests
 from cosim.analysis.extracted import circuit_of
-from cosim.circuits.design_constants import DesignConstants
-from cosim.circuits.linear_circuit import LinearCircuit
+from cosim.analysis.held_contact import HeldContact
 from cosim.errors import fail
 from cosim.measures import time_mean, wall_frame
 from cosim.ngspice.child import start_early
@@ -25,7 +24,7 @@ from cosim.plan import resolve
 from cosim.runner import run
 from cosim.scene import Scene
 from cosim.scene.mechanism import mechanism
-from cosim.scene.parameters import Field, Parameters, Unit
+from cosim.scene.parameters import Field, Parameters, Unit, Variation
 from cosim.storage.checkpoint import Points
 from cosim.storage.staging import scratch_folder
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
@@ -45,17 +44,10 @@ _MARGIN_RAD = 0.15
 _JACOBIAN, _GAIN, _NORMAL, _TANGENT, _SLOPE = 1e-8, 1e-3, 0.01, 1e-3, 5e-3
 
 
-class Level(Parameters):
-    """A way to build the board: its name and what it changes in the scene."""
-
-    name: str
-    set: tuple[str, ...] = ()
-
-
 class AcceptanceParameters(Parameters):
-    """``[parameters]`` of the checks on an arm; the first level is the ideal board."""
+    """``[parameters]`` of the checks on an arm; levels are ways to build the board, the first the ideal."""
 
-    levels: tuple[Level, ...] = Field(min_length=1)
+    levels: tuple[Variation, ...] = Field(min_length=1)
     poses_rad: tuple[tuple[float, float], ...] = Field(min_length=1)
     sink_m: Annotated[float, Field(gt=0, le=0.1), Unit("m")] = 0.01
     points: int = Field(default=41, ge=5, le=401)
@@ -70,18 +62,14 @@ def jacobian_error(chain: Chain, q: Array) -> float:
     return float(np.abs(chain.jacobian(q) - np.column_stack(columns)).max())
 
 
-def gains(
-    scene: Scene, constants: DesignConstants, circuit: LinearCircuit, q: Array
-) -> list[tuple[Any, ...]]:
-    """Return (pin, unit, commanded, measured) of every spring, damper and equilibrium at a pose [rad].
+def gains(contact: HeldContact) -> list[tuple[Any, ...]]:
+    """Return (pin, unit, commanded, measured) of every spring, damper and equilibrium at a pose.
 
     Commanded: J^T k n n^T J of the scene. Measured: what the circuit makes of the volts that the law writes.
     """
+    scene, constants, circuit, w = contact.scene, contact.constants, contact.circuit, contact.torques
     n, m = scene.joints, len(circuit.gain)
-    chain = mechanism(scene, constants.gear)
-    assert scene.wall is not None
-    w = chain.jacobian(q).T @ np.array(scene.wall.normal)
-    volts = law_point(scene, constants, chain, q).volts[n : n + m]
+    volts = law_point(scene, constants, contact.linkage, contact.q).volts[n : n + m]
     still = circuit.response(0.0, volts)[0].real * constants.torque_per_amp
     slow = circuit.response(1j * _SLOW, np.concatenate([np.zeros(n * n), volts[n * n :]]))[0]
     per_speed = slow.imag / _SLOW * constants.torque_per_amp
@@ -99,19 +87,17 @@ def gains(
     return out
 
 
-def static_force(
-    scene: Scene, constants: DesignConstants, circuit: LinearCircuit, wall_q: Array, sink: float
-) -> Array:
-    """Return normal and tangential force [N] of law, board and motors at `sink` [m] below the pose [rad]."""
-    chain = mechanism(scene, constants.gear)
+def static_force(contact: HeldContact, sink: float) -> Array:
+    """Return normal and tangential force [N] of law, board and motors at `sink` [m] below the pose."""
+    scene, chain, wall_q, normal = contact.scene, contact.linkage, contact.q, contact.normal
     assert scene.wall is not None
-    place, normal = chain.forward(wall_q), np.array(scene.wall.normal)
+    place = chain.forward(wall_q)
     moved = scene.model_copy(
         update={"wall": scene.wall.model_copy(update={"point_m": (float(place[0]), float(place[1]))})}
     )
     q = np.asarray(chain.inverse(place - sink * normal, elbow=1, seed=wall_q))
-    _, _, current = rests(moved, constants, circuit, chain, q, 0.0)
-    force = np.linalg.solve(chain.jacobian(q).T, constants.torque_per_amp * current)
+    _, _, current = rests(contact.of_scene(moved), q, 0.0)
+    force = np.linalg.solve(chain.jacobian(q).T, contact.constants.torque_per_amp * current)
     return np.array([normal @ force, normal[1] * force[0] - normal[0] * force[1]])
 
 
@@ -222,13 +208,13 @@ def _measured(spec: StudyFile, poses: list[Array]) -> tuple[dict[str, list[Any]]
         circuit, constants = circuit_of(resolve(scene))
         wanted = scene.computer.analog_stiffness_n_per_m * given.sink_m
         for q in poses:
-            found = gains(scene, constants, circuit, q)
-            for name, unit, commanded, measured in found:
+            contact = HeldContact(scene, constants, circuit, q)
+            for name, unit, commanded, measured in gains(contact):
                 off = 100.0 * (measured / commanded - 1.0) if commanded else None
                 row = (level.name, *q.tolist(), name, unit, commanded, measured, off)
                 for column, value in zip(rows.values(), row, strict=True):
                     column.append(value)
-            normal, tangent = static_force(scene, constants, circuit, q, given.sink_m).tolist()
+            normal, tangent = static_force(contact, given.sink_m).tolist()
             row = (level.name, *q.tolist(), normal, 100.0 * (normal / wanted - 1.0), tangent / normal)
             for column, value in zip(forces.values(), row, strict=True):
                 column.append(value)

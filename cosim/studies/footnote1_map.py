@@ -8,12 +8,13 @@ bandwidth and every corner of the differentiator; stiffness and damping are gain
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
 
-from cosim.analysis.tip import Case, Tip, Wanted, row, tip_of
+from cosim.analysis.tip import Tip, Wanted, row, tip_of
 from cosim.analysis.tip_noise import NoiseForm, component_form, pot_density, pot_form
 from cosim.circuits.extraction.alter import altered, nominal_value
 from cosim.circuits.linear_circuit import LinearCircuit
@@ -22,7 +23,7 @@ from cosim.ngspice.child import Child, call, start_early
 from cosim.ngspice.deck import Deck
 from cosim.plan import resolve
 from cosim.scene import PotNoise
-from cosim.scene.parameters import Field, Parameters, Unit
+from cosim.scene.parameters import Field, Parameters, Unit, Variation
 from cosim.scene.quantities import Damping, Frequency, Stiffness
 from cosim.storage.checkpoint import Points
 from cosim.studies.case_effects import holds_table
@@ -54,7 +55,7 @@ class FootnoteParameters(Parameters):
     largest_noise_n: Annotated[float, Field(gt=0, lt=100), Unit("N")] = 0.05
     motion_hz: Frequency = 10.0
     noise_band_hz: Frequency = 1000.0
-    opamps: tuple[Case, ...] = Field(default=(Case(name="as built"),), min_length=1)
+    opamps: tuple[Variation, ...] = Field(default=(Variation(name="as built"),), min_length=1)
     corner_parameter: str = "r_der_in"
     corner_capacitor: str = "c_der_in"
     corners_hz: tuple[Frequency, ...] = (10.0, 100.0, 1000.0)
@@ -129,7 +130,7 @@ def _noise(tip: Tip, board: Deck, band_hz: float, child: Child) -> NoiseForm:
     return component_form(tip, found, band_hz)
 
 
-def _opamp(spec: StudyFile, case: Case, child: Child) -> dict[str, Any]:
+def _opamp(spec: StudyFile, case: Variation, child: Child) -> dict[str, Any]:
     """Extract the board with one op-amp for all drivers and corners; components' noise for all corners."""
     given: FootnoteParameters = spec.parameters
     scene = spec.scene("solver.model=linear", *case.set)
@@ -159,7 +160,7 @@ def _opamp(spec: StudyFile, case: Case, child: Child) -> dict[str, Any]:
         if isinstance(circuit, CosimError):
             looked.append(None)  # such as an unstable loop: there is nothing to be neglected
             continue
-        there = Tip(tip.scene, tip.constants, circuit, tip.q)
+        there = replace(tip, circuit=circuit)
         looked.append(_looked_at(given, there, noises[number % len(resistors)], _KINDS))
     return {
         "own": _looked_at(given, tip, _noise(tip, board, given.noise_band_hz, child), _KINDS),

@@ -15,13 +15,12 @@ import numpy as np
 from cosim.analysis.linearise import Output, linearise
 from cosim.analysis.noise_covariance import covariance, noise_grid
 from cosim.analysis.period_map import lift
-from cosim.analysis.stability import border, held, with_computer
-from cosim.analysis.tip import Case, Tip, row, tip_of
+from cosim.analysis.stability import border, held
+from cosim.analysis.tip import Tip, row, tip_of
 from cosim.errors import fail
 from cosim.ngspice.child import Child, on_demand
-from cosim.scene import Method, PotNoise, Scene
-from cosim.scene.mechanism import mechanism
-from cosim.scene.parameters import Field, Parameters, Unit
+from cosim.scene import Method, PotNoise
+from cosim.scene.parameters import Field, Parameters, Unit, Variation
 from cosim.scene.quantities import Damping, Period, Stiffness
 from cosim.storage.checkpoint import Points
 from cosim.studies.case_effects import holds_table
@@ -48,17 +47,17 @@ class Gains(Parameters):
 class ShiftParameters(Parameters):
     """``[parameters]``: the first case is the board with everything, the others leave something out."""
 
-    cases: tuple[Case, ...] = Field(min_length=2)
+    cases: tuple[Variation, ...] = Field(min_length=2)
     gains: tuple[Gains, ...] = Field(min_length=1)
     periods_s: tuple[Period, ...] = Field(default=(0.003, 0.01, 0.025, 0.1), min_length=1)
     rest_speed_m_per_s: Annotated[float, Field(gt=0, le=1), Unit("m/s")] = 1e-3
     sigmas: float = Field(default=3.0, gt=0, le=10)
 
 
-def _with(scene: Scene, gains: Gains, period: float, stiffness: float) -> Scene:
+def _with(tip: Tip, gains: Gains, period: float, stiffness: float) -> Tip:
     analog = gains.stiffness_n_per_m > 0.0 or gains.damping_n_s_per_m > 0.0
-    return with_computer(
-        scene, method=Method.COMBINED if analog else Method.DISCRETE, period_s=period,
+    return tip.with_computer(
+        method=Method.COMBINED if analog else Method.DISCRETE, period_s=period,
         analog_stiffness_n_per_m=gains.stiffness_n_per_m, analog_damping_n_s_per_m=gains.damping_n_s_per_m,
         discrete_stiffness_n_per_m=stiffness, discrete_damping_n_s_per_m=0.0,
     )  # fmt: skip
@@ -68,25 +67,26 @@ def largest(tip: Tip, gains: Gains, period: float) -> float:
     """Return the exact largest discrete stiffness [N/m], contact held."""
     rough = 2.0 * (tip.viscosity() + gains.damping_n_s_per_m) / period
     return border(
-        lambda k: held(_with(tip.scene, gains, period, k), tip.constants, tip.circuit, tip.q),
+        lambda k: held(_with(tip, gains, period, k)),
         _SPAN[0] * rough, _SPAN[1] * rough, rtol=1e-9,
     ).value  # fmt: skip
 
 
 def speed_rms(tip: Tip, gains: Gains, period: float, stiffness: float, kind: PotNoise) -> float:
     """Return the tip's rms speed in a held contact under its potentiometer's noise [m/s]."""
-    scene = _with(tip.scene, gains, period, stiffness)
+    scene = _with(tip, gains, period, stiffness).scene
     scene = scene.model_copy(update={"effects": scene.effects.model_copy(update={"pot_noise": kind})})
-    system = linearise(scene, tip.constants, tip.circuit, tip.q, preload=False)
+    contact = tip.of_scene(scene)
+    system = linearise(contact, preload=False)
     n = system.joints
     rows = np.zeros((2, len(system.a)))
-    rows[:, n : 2 * n] = mechanism(scene, tip.constants.gear).jacobian(tip.q)
+    rows[:, n : 2 * n] = contact.linkage.jacobian(contact.q)
     nothing = np.zeros((2, system.b.shape[1])), np.zeros((2, n))
     system.outputs["tip_speed"] = Output(rows, *nothing, "m/s")
     return covariance(lift(system, noise=True), noise_grid(scene), kind.value).rms("tip_speed")
 
 
-def _case(spec: StudyFile, case: Case, noisy: bool, child: Child) -> dict[str, Any]:
+def _case(spec: StudyFile, case: Variation, noisy: bool, child: Child) -> dict[str, Any]:
     given: ShiftParameters = spec.parameters
     tip = tip_of(spec.scene("solver.model=linear", *case.set), child)
     if not tip.scene.is_slider:

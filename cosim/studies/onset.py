@@ -19,15 +19,12 @@ from scipy.optimize import brentq
 
 from cosim.analysis.control_law import external_force
 from cosim.analysis.device_passivity import device_of
-from cosim.analysis.extracted import circuit_of
-from cosim.analysis.stability import touching, with_computer
-from cosim.circuits.design_constants import DesignConstants
-from cosim.circuits.linear_circuit import LinearCircuit
+from cosim.analysis.held_contact import HeldContact
 from cosim.errors import fail
 from cosim.loop.columns import sample_columns
 from cosim.plan import resolve
 from cosim.scene import Method, Scene
-from cosim.scene.mechanism import mechanism, operator, start
+from cosim.scene.mechanism import operator, start
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.quantities import Period
 from cosim.storage.checkpoint import Points
@@ -88,16 +85,16 @@ class Fall:
         return 0.5 * stiffness * float(np.mean([self.depth(t) ** 2 for t in late]))
 
 
-def fall(scene: Scene, constants: DesignConstants, circuit: LinearCircuit) -> Fall:
-    """Return the free flight of a slider's drop, its circuit's braking included."""
-    linkage, person = mechanism(scene, constants.gear), operator(scene)
+def fall(contact: HeldContact) -> Fall:
+    """Return the free flight of a slider's drop to a contact, its circuit's braking included."""
+    scene, linkage, q = contact.scene, contact.linkage, contact.q
+    person = operator(scene)
     q0, _ = start(scene, linkage)
-    q = touching(scene, constants)
     reach = _reach(scene)
     mass = float(linkage.mass_matrix(q, person)[0, 0]) / reach**2
     jac = linkage.jacobian(q)
     weight = float((jac.T @ external_force(scene, linkage, q, 0.0) - linkage.bias(q, np.zeros(1)))[0])
-    free = device_of(with_computer(scene, analog_stiffness_n_per_m=_SOFT), constants, circuit, q)
+    free = device_of(contact.with_computer(analog_stiffness_n_per_m=_SOFT))
     viscosity = 1.0 / float(free.mobility(np.array([1e-2]))[0])
     height = abs(float(q[0] - q0[0])) * reach
     still = Fall(mass, viscosity, abs(weight) / reach, 0.0, 0.0)
@@ -197,14 +194,14 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         if plan.model == "spice":
             fail("thousands of drops need the circuit model ideal or linear", file=str(spec.file),
                  key=f"parameters.ways.{way.name}", value="spice")  # fmt: skip
-        circuit, constants = circuit_of(plan, reduced=True)
-        flight = flight or fall(plan.scene, constants, circuit)
+        contact = HeldContact.of(plan, reduced=True)
+        flight = flight or fall(contact)
         rest = Rest(given.window_s, given.rest_speed_m_per_s, given.rest_time_s, given.rest_share,
                     way.phases or given.phases, 0.5, 1.05)  # fmt: skip
         for period in way.periods_s or given.periods_s:
             scene = spec.scene(*changes, f"computer.period_s={period!r}")
             work[f"{way.name}, {1e3 * period:.4g} ms"] = _Work(
-                Job(scene, constants, circuit, rest), given.stiffness_n_per_m
+                Job(scene, contact.constants, contact.circuit, rest), given.stiffness_n_per_m
             )
     assert flight is not None
     found = dict(zip(work, points.map(sweep, work), strict=True))

@@ -16,9 +16,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from cosim.analysis.device_passivity import delivered, device_of
-from cosim.analysis.extracted import circuit_of
+from cosim.analysis.held_contact import HeldContact
 from cosim.analysis.passivity import least_damping, needed_damping, share_used, wall
-from cosim.analysis.stability import touching
 from cosim.errors import fail
 from cosim.measures import wall_frame
 from cosim.ngspice.child import start_early
@@ -138,8 +137,7 @@ def _dampers(spec: StudyFile) -> Table:
             f"computer.method={method}", "computer.analog_stiffness_n_per_m=0",
             f"computer.analog_damping_n_s_per_m={damper!r}",
         )  # fmt: skip
-        circuit, constants = circuit_of(resolve(scene))
-        device = device_of(scene, constants, circuit, touching(scene, constants))
+        device = device_of(HeldContact.of(resolve(scene)))
         least, most = (1.0 / device.mobility(np.array([omega]))[0] for omega in _BAND)
         if abs(most / least - 1.0) > _EXACT:
             fail("(21) is about damping that does not change with frequency: ask for the ideal circuit",

@@ -12,10 +12,10 @@ from typing import Annotated, Any
 import numpy as np
 
 from cosim.analysis.extracted import circuit_of
-from cosim.analysis.tip import Case, Tip, Wanted, row, tip_of
+from cosim.analysis.tip import Tip, Wanted, row, tip_of
 from cosim.ngspice.child import Child, on_demand
 from cosim.plan import resolve
-from cosim.scene.parameters import Field, Parameters, Unit
+from cosim.scene.parameters import Field, Parameters, Unit, Variation
 from cosim.scene.quantities import Damping, Frequency, Stiffness
 from cosim.storage.checkpoint import Points
 from cosim.studies.grid import geometric, percent
@@ -30,7 +30,7 @@ Share = Annotated[float, Field(gt=0, lt=10)]
 class RenderingParameters(Parameters):
     """``[parameters]``: what is commanded, and what a hand notices of it (least and usual share)."""
 
-    cases: tuple[Case, ...] = Field(default=(Case(name="as built"),), min_length=1)
+    cases: tuple[Variation, ...] = Field(default=(Variation(name="as built"),), min_length=1)
     stiffness_n_per_m: Stiffness = 100.0
     damping_n_s_per_m: Damping = 2.0
     low_hz: Frequency = 0.1
@@ -135,7 +135,7 @@ def _span(shares: tuple[float, float]) -> str:
     return f"{100 * shares[0]:g} to {100 * shares[1]:g} %"
 
 
-def _case(spec: StudyFile, case: Case, hz: Array, child: Child) -> dict[str, Any]:
+def _case(spec: StudyFile, case: Variation, hz: Array, child: Child) -> dict[str, Any]:
     given: RenderingParameters = spec.parameters
     scene = spec.scene("solver.model=linear", *case.set)
     tip = tip_of(scene, child)

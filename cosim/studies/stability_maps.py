@@ -16,14 +16,14 @@ import numpy as np
 
 from cosim.analysis import closed_form_limits
 from cosim.analysis.extracted import circuit_of
+from cosim.analysis.held_contact import HeldContact
 from cosim.analysis.impedance import displayed, impedance
-from cosim.analysis.stability import with_computer
 from cosim.analysis.stiffness_limits import limits
 from cosim.errors import fail
 from cosim.plan import resolve
 from cosim.scene import Scene
 from cosim.scene.mechanism import encoder_step, mechanism, operator
-from cosim.scene.parameters import Field, Parameters, Unit
+from cosim.scene.parameters import Field, Parameters, Unit, Variation
 from cosim.scene.quantities import Damping, Frequency, Period, Stiffness
 from cosim.storage.checkpoint import Points
 from cosim.studies.drop_test import Falls, Job, Rest
@@ -33,18 +33,9 @@ from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 __all__ = ["STUDY", "Column", "Tip", "column", "tip"]
 
 
-class Panel(Parameters):
-    """One picture of each plane: its name and what it changes in the scene."""
-
-    name: str
-    set: tuple[str, ...] = ()
-
-
-class Width(Parameters):
+class Width(Variation):
     """One curve of the Z-width: what of the analog path displays the wall besides the computer."""
 
-    name: str
-    set: tuple[str, ...] = ()
     spring: bool = False
     damper: bool = False
 
@@ -52,7 +43,7 @@ class Width(Parameters):
 class MapParameters(Parameters):
     """``[parameters]`` of the maps; `stiffness_shares` are of the exact border, for the simulated points."""
 
-    panels: tuple[Panel, ...] = Field(min_length=1, max_length=6)
+    panels: tuple[Variation, ...] = Field(min_length=1, max_length=6)
     widths: tuple[Width, ...] = ()
     periods_s: tuple[Period, ...] = Field(min_length=2)
     stiffness_shares: tuple[Annotated[float, Field(gt=0, le=100)], ...] = ()
@@ -116,7 +107,7 @@ class Column:
 def column(asked: Column) -> dict[str, Any]:
     """Return limits [N/m] and simulated points of a column, JSON-ready; limits that do not exist are None."""
     scene, constants = asked.job.scene, asked.job.constants
-    found = limits(scene, constants, asked.job.circuit)
+    found = limits(asked.job.contact())
     device, c = tip(scene, constants.gear), scene.computer
     late = (c.delay_periods + c.delay_fraction) * c.period_s if scene.effects.delay else 0.0
     b, damping = found.viscosity_n_s_per_m, c.discrete_damping_n_s_per_m
@@ -250,25 +241,23 @@ def _widths(spec: StudyFile) -> tuple[Table, Table]:
     }
     for width in given.widths:
         plan = resolve(spec.scene(*width.set))
-        circuit, constants = circuit_of(plan, reduced=True)
-        wall = displayed(
-            plan.scene, constants, circuit, spring=width.spring, damper=width.damper, margin=given.margin
-        )
-        c = wall.computer
-        none = with_computer(
-            wall, analog_stiffness_n_per_m=0.0, analog_damping_n_s_per_m=0.0, discrete_stiffness_n_per_m=0.0,
+        contact = HeldContact.of(plan, reduced=True)
+        wall = displayed(contact, spring=width.spring, damper=width.damper, margin=given.margin)
+        c = wall.scene.computer
+        none = wall.with_computer(
+            analog_stiffness_n_per_m=0.0, analog_damping_n_s_per_m=0.0, discrete_stiffness_n_per_m=0.0,
             discrete_damping_n_s_per_m=0.0,
         )  # fmt: skip
-        free = np.abs(impedance(none, constants, circuit, hz))
-        stiff = impedance(wall, constants, circuit, hz)
+        free = np.abs(impedance(none, hz))
+        stiff = impedance(wall, hz)
         slow = 1e-3
-        still = impedance(wall, constants, circuit, np.array([slow]))[0] * 2j * math.pi * slow
+        still = impedance(wall, np.array([slow]))[0] * 2j * math.pi * slow
         rows = zip(hz, free, np.abs(stiff), 20.0 * np.log10(np.abs(stiff) / free), strict=True)
         for each in rows:
             for heading, value in zip(curves, (width.name, *map(float, each)), strict=True):
                 curves[heading].append(value)
         row = (
-            width.name, circuit.model, milli(c.period_s), c.discrete_stiffness_n_per_m,
+            width.name, contact.circuit.model, milli(c.period_s), c.discrete_stiffness_n_per_m,
             c.analog_stiffness_n_per_m, c.analog_damping_n_s_per_m, float(still.real),
         )  # fmt: skip
         for key, value in zip(walls, row, strict=True):

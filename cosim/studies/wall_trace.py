@@ -20,8 +20,7 @@ from cosim.plan import resolve
 from cosim.results import Run
 from cosim.runner import run
 from cosim.scene.mechanism import mechanism
-from cosim.scene.parameters import Field, Parameters, Unit
-from cosim.storage.checkpoint import Points
+from cosim.scene.parameters import Field, Parameters, Unit, Variation
 from cosim.storage.staging import scratch_folder
 from cosim.studies.case_effects import in_words
 from cosim.studies.grid import steps
@@ -40,15 +39,13 @@ _DRAGS = 0.1
 _SHOWN = ("time [s]", "normal force [N]", "tangential force [N]", "depth [mm]", "along the wall [mm]")
 
 
-class Traced(Parameters):
-    """One run: its name, and what it changes in the scene.
+class Traced(Variation):
+    """One run.
 
     `ideal_of` is the run whose circuit it makes ideal, `all_of` the one to which it adds effects: neither is
     a method of its own.
     """
 
-    name: str
-    set: tuple[str, ...] = ()
     ideal_of: str | None = None
     all_of: str | None = None
 
