@@ -173,8 +173,8 @@ def _outcome(args: argparse.Namespace) -> tuple[int, str, TextIO]:
             lines = [f"cosim {args.command}: {error}", *caution_lines(cautions)]
             return error.exit_code, "\n".join(lines), sys.stderr
         except KeyboardInterrupt:
-            said = f"cosim {args.command}: interrupted; finished results are whole"
-            return EXIT_INTERRUPTED, said, sys.stderr
+            message = f"cosim {args.command}: interrupted; finished results are whole"
+            return EXIT_INTERRUPTED, message, sys.stderr
     code = args.exit_code(args, result)
     if args.strict and cautions:
         code = EXIT_REFUSED

@@ -47,16 +47,16 @@ def growing(
     n = len(mass)
     h = response.at(volts)
     stiff = torque[:, None] * (h[:, :, :n] + gear * s[:, None, None] * h[:, :, n:])
-    whole = s[:, None, None] ** 2 * mass + s[:, None, None] * viscosity - stiff
-    shown = pivots(whole)
+    mechanics = s[:, None, None] ** 2 * mass + s[:, None, None] * viscosity - stiff
+    shown = pivots(mechanics)
     if round(-sum(winding(response.hz, shown[:, k]) for k in range(n))) <= 0:
         return []
-    mobility = (s[:, None, None] * np.linalg.inv(whole)).reshape(len(s), n * n)
+    mobility = (s[:, None, None] * np.linalg.inv(mechanics)).reshape(len(s), n * n)
     f = mobility[:, np.abs(mobility).max(axis=0) > 0.0]  # joints may not reach each other
     f /= np.abs(f).max(axis=0)
     first, second = (
-        found[(found.real > 0.0) & (np.abs(found) < np.abs(s[-1]))]
-        for found in (poles_of(s, f, 1e-6, True), poles_of(s[::2], f[::2], 1e-10, False))
+        poles[(poles.real > 0.0) & (np.abs(poles) < np.abs(s[-1]))]
+        for poles in (poles_of(s, f, 1e-6, True), poles_of(s[::2], f[::2], 1e-10, False))
     )
     sure = [p for p in first.tolist() if second.size and np.abs(second - p).min() <= _AGREE * abs(p)]
     return sorted(sure, key=lambda p: -p.real)

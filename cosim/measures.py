@@ -210,7 +210,7 @@ def tolerances(scene: Scene) -> dict[str, Tolerance]:
     InputError
         For every measure that there is not, and every amount that is not one of its measure.
     """
-    found, problems = {}, []
+    asked, problems = {}, []
     for name, stated in scene.tolerance.measures.items():
         key = f"tolerance.{name}"
         if name not in UNITS:
@@ -231,10 +231,10 @@ def tolerances(scene: Scene) -> dict[str, Tolerance]:
                 )
             )
         else:
-            found[name] = size
+            asked[name] = size
     if problems:
         raise InputError(problems)
-    return found
+    return asked
 
 
 def amount(text: str, unit: str) -> Tolerance | None:

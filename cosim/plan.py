@@ -157,12 +157,12 @@ class Plan:
 
 def slower_paths(scene: Scene) -> list[str]:
     """Say what runs in Python instead of compiled code, said in words."""
-    said = []
+    notes = []
     if scene.computer.law is not None:
-        said.append(f"control law {scene.computer.law} runs in Python, once per sample")
+        notes.append(f"control law {scene.computer.law} runs in Python, once per sample")
     if scene.operator.type == "python":
-        said.append(f"operator {scene.operator.file} runs in Python, about three times per time point")
-    return said
+        notes.append(f"operator {scene.operator.file} runs in Python, about three times per time point")
+    return notes
 
 
 def _recorded(scene: Scene) -> tuple[str, ...]:
@@ -330,9 +330,9 @@ def _check_stops(scene: Scene, model: str) -> None:
     table = scene.device.chain if kind == "chain" else scene.device.slider
     if table is None or table.stop_restitution is None or not scene.effects.end_stops:
         return
-    said = "there is no stop: give stops_rad" if not table.stops_rad else ""
+    reason = "there is no stop: give stops_rad" if not table.stops_rad else ""
     if model == "spice":
-        said = "the model spice does not locate impacts: leave it out, or use the models ideal or linear"
-    if said:
+        reason = "the model spice does not locate impacts: leave it out, or use the models ideal or linear"
+    if reason:
         file, key = scene.file_name, f"device.{kind}.stop_restitution"
-        fail(said, file=file, key=key, value=table.stop_restitution)
+        fail(reason, file=file, key=key, value=table.stop_restitution)

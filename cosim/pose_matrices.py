@@ -89,8 +89,8 @@ def at_poses(scene: Scene, gear: float, poses: Sequence[Array], child: Child | N
     """Return the mechanics about `poses` ([n] rad each), asked of the child, which has the compiled code."""
     asked = {"scene": scene, "gear": gear, "poses": list(poses)}
     limit = scene.solver.time_limit_s
-    found: list[Pose] = call("cosim.pose_matrices:computed", asked, time_limit_s=limit, child=child)
-    return found
+    computed_poses: list[Pose] = call("cosim.pose_matrices:computed", asked, time_limit_s=limit, child=child)
+    return computed_poses
 
 
 def computed(payload: dict[str, Any], report: object) -> list[Pose]:
@@ -101,8 +101,8 @@ def computed(payload: dict[str, Any], report: object) -> list[Pose]:
 def _name(scene: Scene, gear: float) -> str:
     """Return the digest of the mechanics' code and of every table that it is told of."""
     tables = (scene.device, scene.wall, scene.operator, scene.effects)
-    told = [f"{_VERSION}", code_folder("mech.kernels").name, f"{gear!r}", *(repr(table) for table in tables)]
-    return "start-" + hashlib.sha256("\n".join(told).encode()).hexdigest()
+    parts = [f"{_VERSION}", code_folder("mech.kernels").name, f"{gear!r}", *(repr(table) for table in tables)]
+    return "start-" + hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
 def _about(scene: Scene, gear: float, q: Array) -> Pose:

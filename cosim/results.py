@@ -232,8 +232,8 @@ class Run:
         try:
             scene = scene_from_dict(record["scene"])
         except InputError as error:  # written when a scene had other keys
-            told = [replace(problem, file=str(place / RECORD)) for problem in error.problems]
-            raise InputError(told) from error
+            problems = [replace(problem, file=str(place / RECORD)) for problem in error.problems]
+            raise InputError(problems) from error
         signals, samples = read_raw(place / RAW), read_csv(place / SAMPLES)
         _check_times(place / RAW, signals)
         _check_times(place / SAMPLES, samples)
@@ -260,8 +260,8 @@ def _check_times(file: Path, table: Mapping[str, NDArray[np.float64]]) -> None:
     times = np.asarray(table["time"]) if "time" in table else np.zeros(0)
     if ("time" not in table and len(table)) or (isinstance(table, Signals) and not times.size):
         fail("holds nothing of a run over time", file=str(file), key="time")
-    whole = [table.table] if isinstance(table, Signals) else [*table.values()]
-    for block in (part[at : at + _CHUNK] for part in whole for at in range(0, len(part), _CHUNK)):
+    tables = [table.table] if isinstance(table, Signals) else [*table.values()]
+    for block in (part[at : at + _CHUNK] for part in tables for at in range(0, len(part), _CHUNK)):
         if not np.isfinite(block).all():
             fail("holds what is no finite number", file=str(file))
     if (np.diff(times) < 0.0).any():

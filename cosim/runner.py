@@ -269,7 +269,7 @@ def _own(
     if not names:
         return {"rows": {}, "said": []}
     asked = {"scene": plan.scene, "constants": constants, "raw": raw, "samples": samples, "names": names}
-    found: dict[str, Any] = call(
+    answer: dict[str, Any] = call(
         "cosim.loop.usermeasure:measured",
         asked,
         time_limit_s=plan.scene.solver.time_limit_s,
@@ -277,7 +277,7 @@ def _own(
         child=child,
         reads=[raw.parent, *_python_folders(plan.scene)],
     )
-    return found
+    return answer
 
 
 def _check_duration(plan: Plan) -> None:

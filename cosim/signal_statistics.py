@@ -236,8 +236,8 @@ class Trace:
 
     def mean_over(self, spans: Spans) -> float:
         """Mean over spans of time; not a number over none."""
-        whole = self.cubics.integral
-        total = float(np.sum(whole(spans.end) - whole(spans.begin)))
+        integral = self.cubics.integral
+        total = float(np.sum(integral(spans.end) - integral(spans.begin)))
         return total / spans.length if spans.length > 0.0 else float("nan")
 
     def mean_square(self) -> float:

@@ -84,17 +84,17 @@ def verdict(
     asked: Question, path: Path, child: Child | None = None, time_limit_s: float = TIME_LIMIT_S
 ) -> Verdict:
     """Return the verdict: from the cache, or reached in ngspice's child process."""
-    found = known(asked)
-    if found is None:
-        found = call(
+    answer = known(asked)
+    if answer is None:
+        answer = call(
             "cosim.circuits.instability.search:judge",
             {"question": asked},
             time_limit_s=time_limit_s,
             deck=str(path),
             child=child,
         )
-        keep(asked, found)
-    return found
+        keep(asked, answer)
+    return answer
 
 
 def coupled(plan: Plan, child: Child | None = None, poses: Sequence[Array] = ()) -> list[Caution]:
@@ -111,9 +111,9 @@ def coupled(plan: Plan, child: Child | None = None, poses: Sequence[Array] = ())
             time_limit_s=scene.solver.time_limit_s, deck=str(plan.board.path), child=child,
         )  # fmt: skip
         motor_response.keep(board, response)
-    told = at_poses(scene, constants.gear, poses, child) if poses else [at_start(scene, constants.gear)]
-    found: dict[Caution, None] = {}
-    for pose in told:
+    reached = at_poses(scene, constants.gear, poses, child) if poses else [at_start(scene, constants.gear)]
+    cautions: dict[Caution, None] = {}
+    for pose in reached:
         where = f" at the angles {', '.join(f'{q:.3g}' for q in pose.q)} rad" if poses else ""
         for volts in ({}, pose.gain_volts(scene, constants)):
             poles = growing(
@@ -124,10 +124,10 @@ def coupled(plan: Plan, child: Child | None = None, poses: Sequence[Array] = ())
                 constants.torques_per_amp(scene.joints),
                 constants.gear,
             )
-            found |= dict.fromkeys(hidden(poles, scene.solver.max_step_s, where))
-        if found:
+            cautions |= dict.fromkeys(hidden(poles, scene.solver.max_step_s, where))
+        if cautions:
             break
-    return list(found)
+    return list(cautions)
 
 
 def reached(plan: Plan, q: Array) -> list[Array]:
@@ -164,20 +164,20 @@ def latched(
         The run's process.
     """
     paths = _undeclared(plan)
-    found = []
+    cautions = []
     for each in end.get("hung", ()):
         stuck = {each["node"]: each["volts"]} if each["node"] in paths else {}
         when = f"from {quantity(each['since_s'], 's', 4)} on"
-        found += _unasked(plan, stuck, each["pins"], when, paths, child)
-    known = {node for node, _ in found}
+        cautions += _unasked(plan, stuck, each["pins"], when, paths, child)
+    known = {node for node, _ in cautions}
     stuck = {}
     if end["speed_rad_per_s"] <= REST_RAD_PER_S:
         for node in paths.keys() - known:
             limit, volts = limits.get(node), end["nodes"].get(node, 0.0)
             if abs(volts) >= (AT_LIMIT * limit if limit else AT_SUPPLY * SUPPLY_V):
                 stuck[node] = volts
-    found += _unasked(plan, stuck, end["pins"], "at the end of the run", paths, child)
-    return [caution for _, caution in found]
+    cautions += _unasked(plan, stuck, end["pins"], "at the end of the run", paths, child)
+    return [caution for _, caution in cautions]
 
 
 def left(plan: Plan, end: Mapping[str, Any]) -> list[Caution]:

@@ -139,17 +139,17 @@ def variants(settings: Sequence[Setting]) -> list[Variant]:
     ['R12=1k seed=3', 'R12=1k seed=4', 'R12=2k seed=3', 'R12=2k seed=4']
     """
     several = {s.name for s in settings if len(s.values) > 1} or {s.name for s in settings}
-    found = []
+    every = []
     for chosen in product(*(s.values for s in settings)):
         pairs = list(zip(settings, chosen, strict=True))
-        found.append(
+        every.append(
             Variant(
                 values=tuple((s.name, value) for s, value in pairs),
                 overrides=tuple(s.override(value) for s, value in pairs),
                 label=" ".join(f"{s.name}={value}" for s, value in pairs if s.name in several),
             )
         )
-    return found
+    return every
 
 
 def overrides(texts: Iterable[str]) -> tuple[str, ...]:

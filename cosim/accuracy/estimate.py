@@ -105,7 +105,7 @@ def estimator(plan: Plan, child: Child | None) -> Errors:
             try:
                 twin = twin_of(plan, own=own)
                 with collected(forward=False):
-                    found, others = measures_of(twin.plan, child)
+                    nominal, others = measures_of(twin.plan, child)
                 break
             except CosimError as error:
                 why = error.in_brief
@@ -114,7 +114,9 @@ def estimator(plan: Plan, child: Child | None) -> Errors:
         if contacts != others:
             warn(_other_sequence(contacts, others))
         share = doubt(circuit)
-        return {name: _with_error(name, row, found.get(name), twin, share) for name, row in measures.items()}
+        return {
+            name: _with_error(name, row, nominal.get(name), twin, share) for name, row in measures.items()
+        }
 
     return errors
 
@@ -135,9 +137,12 @@ def _other_sequence(contacts: tuple[int, ...], others: tuple[int, ...]) -> Cauti
 
 def doubt(circuit: LinearCircuit | None) -> float:
     """Return what a linear circuit may be wrong by, as a share: the worst that its certificate states."""
-    told = circuit.certificate if circuit is not None else {}
+    certificate = circuit.certificate if circuit is not None else {}
     names = ("error", "measured_error", "fit_error", "control_nonlinearity", "not_through_multipliers")
-    return max((float(told[name]) for name in names if isinstance(told.get(name), int | float)), default=0.0)
+    return max(
+        (float(certificate[name]) for name in names if isinstance(certificate.get(name), int | float)),
+        default=0.0,
+    )
 
 
 def _with_error(

@@ -112,20 +112,20 @@ def summary(run: Run, times: Array | None = None) -> dict[str, Any]:
     }
 
 
-def trace_errors(found: Mapping[str, list[float]], truth: Mapping[str, list[float]]) -> dict[str, float]:
+def trace_errors(traces: Mapping[str, list[float]], truth: Mapping[str, list[float]]) -> dict[str, float]:
     """Return the largest errors of 'position' and 'force', as shares of the farthest way and largest force.
 
     What does not move, and what neither side holds, has no error.
     """
     out = {}
     for name, pair in (("position", ("x", "y")), ("force", ("fx", "fy"))):
-        if not all(axis in found and axis in truth for axis in pair):
+        if not all(axis in traces and axis in truth for axis in pair):
             continue
         right = np.array([truth[axis] for axis in pair])
         size = right - right[:, :1] if name == "position" else right
         largest = float(np.hypot(*size).max())
         if largest > 0.0:
-            out[name] = float(np.hypot(*(np.array([found[axis] for axis in pair]) - right)).max()) / largest
+            out[name] = float(np.hypot(*(np.array([traces[axis] for axis in pair]) - right)).max()) / largest
     return out
 
 
@@ -133,7 +133,7 @@ def peers(
     decks: Mapping[str, str], plan: Plan, times: Array, repeats: int, child: Child | None
 ) -> dict[str, Any]:
     """Run whole decks in plain ngspice: label -> 'motion', 'wall_s' and 'cpu_s' by repetition, 'points'."""
-    found: dict[str, Any] = call(
+    answer: dict[str, Any] = call(
         "cosim.accuracy.run_outcome:run_decks",
         {"decks": dict(decks), "times": times, "repeats": repeats, "end_s": plan.scene.duration_s},
         time_limit_s=plan.scene.solver.time_limit_s,
@@ -141,7 +141,7 @@ def peers(
         child=child,
         reads=[Path(plan.board.path).parent],
     )
-    return found
+    return answer
 
 
 def run_decks(payload: dict[str, Any], report: Any) -> dict[str, Any]:

@@ -83,20 +83,20 @@ def _of_model(scene: Scene, model: str) -> list[Setting]:
     def step(share: float) -> float:
         return float(f"{min(max(share * solver.max_step_s, _SHORTEST_S), _LONGEST_S):.6g}")
 
-    found = [made("as the scene states it")]
+    settings = [made("as the scene states it")]
     if model == "spice":
-        found += [made("relative tolerance", rtol=value) for value in _RTOL]
-        found += [made("charge tolerance", charge_tolerance_c=value) for value in _CHARGE]
-        found += [
+        settings += [made("relative tolerance", rtol=value) for value in _RTOL]
+        settings += [made("charge tolerance", charge_tolerance_c=value) for value in _CHARGE]
+        settings += [
             made("all together", rtol=rtol, max_step_s=step(share), coupling_tolerance_rad=coupling,
                  charge_tolerance_c=charge)
             for rtol, share, coupling, charge in _TOGETHER
         ]  # fmt: skip
     if model == "linear":
-        found += [made("order of the circuit", reduction_tolerance=value) for value in _ORDER]
+        settings += [made("order of the circuit", reduction_tolerance=value) for value in _ORDER]
     tolerances = _COUPLING["spice" if model == "spice" else "own"]
-    found += [made("coupling tolerance", coupling_tolerance_rad=value) for value in tolerances]
-    return [*found, *(made("longest step", max_step_s=step(share)) for share in _STEP)]
+    settings += [made("coupling tolerance", coupling_tolerance_rad=value) for value in tolerances]
+    return [*settings, *(made("longest step", max_step_s=step(share)) for share in _STEP)]
 
 
 def _base(scene: Scene, model: str) -> tuple[str, ...]:
@@ -124,9 +124,9 @@ def _own_loop(scene: Scene) -> Setting:
 
 def _lockstep(scene: Scene, share: float, method: str, rtol: float) -> Setting:
     step = max(scene.solver.max_step_s * share, _SHORTEST_S)
-    told = (
+    changes = (
         "solver.model=spice", f"solver.method={method}", f"solver.rtol={rtol!r}",
         f"solver.max_step_s={step:.6g}", "solver.coupling_tolerance_rad=1e-12",
         "solver.charge_tolerance_c=1e-13",
     )  # fmt: skip
-    return Setting("spice", "reference", f"spice, tight, {method}", told)
+    return Setting("spice", "reference", f"spice, tight, {method}", changes)

@@ -89,21 +89,21 @@ def parse_tolerances(texts: Sequence[str]) -> Wanted:
     for text in texts:
         name, given, written = text.rpartition("=")
         name = name.strip()
-        found = _amount(written, UNITS.get(name, ""))
+        amount = _amount(written, UNITS.get(name, ""))
         if not given:
-            if found is None or not found.relative or found.size > 1.0:
+            if amount is None or not amount.relative or amount.size > 1.0:
                 problems.append(_problem("is no share", text))
             else:
-                every = found.size
+                every = amount.size
         elif name not in OF_A_RUN or name in _WITHOUT:
             near = nearest(name, OF_A_RUN)
             problems.append(
                 _problem(f"no such measure of a run{f'; nearest is {near}' if near else ''}", text)
             )
-        elif found is None:
+        elif amount is None:
             problems.append(_problem("is no amount of this measure", text))
         else:
-            by_name[name] = found
+            by_name[name] = amount
     if problems:
         raise InputError(problems)
     return Wanted(by_name, every)
@@ -145,8 +145,8 @@ def run_within(
     """
 
     def attempt(tried: Plan, errors: Errors) -> tuple[Run, Measures]:
-        found = run_with_measures(tried, out, child=child, errors=errors, **more)
-        return found, found.measures
+        result = run_with_measures(tried, out, child=child, errors=errors, **more)
+        return result, result.measures
 
     result, cautions = _refined(plan, wanted, free, child, attempt)
     warn(*cautions)
@@ -163,11 +163,11 @@ def measurer_within(wanted: Wanted, *, free: bool = True) -> Measurer:
         plan: Plan, names: Collection[str], *, child: Child | None = None, lenient: bool = False
     ) -> Measured:
         def attempt(tried: Plan, errors: Errors) -> tuple[Measured, Measures]:
-            found = measure(tried, names, child=child, lenient=lenient, errors=errors)
-            return found, found.of_a_run
+            outcome = measure(tried, names, child=child, lenient=lenient, errors=errors)
+            return outcome, outcome.of_a_run
 
-        found, cautions = _refined(plan, wanted, free, child, attempt)
-        return replace(found, warnings=(*found.warnings, *(c for c in cautions if c not in found.warnings)))
+        best, cautions = _refined(plan, wanted, free, child, attempt)
+        return replace(best, warnings=(*best.warnings, *(c for c in cautions if c not in best.warnings)))
 
     return measured
 
@@ -226,11 +226,11 @@ def _at_level(plan: Plan, wanted: Wanted, level: int, free: bool) -> Plan:
     names = scene.measures.names
     if names and wanted.every is None:
         names = tuple(dict.fromkeys([*names, *wanted.by_name]))
-    told = {
+    changes = {
         "solver": solver.model_copy(update=update if level else {"model": update.get("model", solver.model)}),
         "measures": scene.measures.model_copy(update={"names": names}),
     }
-    tried = resolve(scene.model_copy(update=told), trust=plan.trust, board=plan.board)
+    tried = resolve(scene.model_copy(update=changes), trust=plan.trust, board=plan.board)
     return replace(tried, cautions=plan.cautions, choice=plan.choice)
 
 

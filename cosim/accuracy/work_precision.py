@@ -153,7 +153,7 @@ def accuracy(
         try:
             first = runner.reference(reference(scene))
             second = runner.with_peers(second_reference(scene), repeats if peer else 0)
-            found = [[runner.point(setting, k) for setting in settings] for k in range(repeats)]
+            rounds = [[runner.point(setting, k) for setting in settings] for k in range(repeats)]
         finally:
             runner.close()
         quantities = _quantities(first, measures, scene)
@@ -163,7 +163,7 @@ def accuracy(
         for name, share in judged(second["decks"].get(_TIGHT_PEER, {})).items():
             floor[name] = max(floor.get(name, 0.0), share)
         rows = [
-            _row(setting, [part[i] for part in found], judged) for i, setting in enumerate(settings)
+            _row(setting, [part[i] for part in rounds], judged) for i, setting in enumerate(settings)
         ] + _peer_rows(second["decks"], judged)
         rows = marked([clipped(row, floor) for row in rows], quantities)
         left = {model: _left_out(scene, model) for model in models if not carries(scene, model)}
@@ -234,9 +234,9 @@ class _Runner:
             times = instants(result)
             return {**summary(result, times), "times": times.tolist()}
 
-        found = self._points.get(setting.label, lambda: self._run(setting, then), First)
-        self._times = found["times"]
-        return dict(found)
+        answer = self._points.get(setting.label, lambda: self._run(setting, then), First)
+        self._times = answer["times"]
+        return dict(answer)
 
     def with_peers(self, setting: Setting, repeats: int) -> dict[str, Any]:
         """Run the second reference, and from its DACs the decks of the peer."""
@@ -268,8 +268,10 @@ class _Runner:
         decks = {_TIGHT_PEER: replace(plan, tolerances=Tolerances(1e-7, "gear", 1e-13))}
         for method in _PEER_METHODS:
             for rtol in _PEER_RTOL:
-                told = Tolerances(rtol, method, given.charge_tolerance_c)
-                decks[f"{_PEER}, {method}, rtol {rtol:g}"] = replace(plan, scene=coarse, tolerances=told)
+                given_tolerances = Tolerances(rtol, method, given.charge_tolerance_c)
+                decks[f"{_PEER}, {method}, rtol {rtol:g}"] = replace(
+                    plan, scene=coarse, tolerances=given_tolerances
+                )
         return {label: "\n".join(deck_lines(each, result)) + "\n" for label, each in decks.items()}
 
     def point(self, setting: Setting, repetition: int) -> dict[str, Any]:
@@ -344,5 +346,5 @@ def _left_out(scene: Scene, model: str) -> tuple[str, ...]:
 def _neglected(plan: Plan, first: Mapping[str, Any]) -> dict[str, float]:
     """Return the a-priori sizes of the effects that the scene leaves out, the largest first."""
     peak = first["measures"].get("peak_force", 0.0)
-    told = [row for row in plan.as_dict()["left_out"] if not row["not_applicable"]]
-    return {str(row["name"]): float(row["size"]["force_n"]) / peak for row in told} if peak else {}
+    rows = [row for row in plan.as_dict()["left_out"] if not row["not_applicable"]]
+    return {str(row["name"]): float(row["size"]["force_n"]) / peak for row in rows} if peak else {}

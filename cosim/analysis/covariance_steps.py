@@ -113,19 +113,19 @@ def stationary(step: Array, added: Array) -> Array:
 def repeated(step: Array, added: Array, count: int) -> tuple[Array, Array, Array]:
     """Return S^count, P_count and the sum over k < count of P_k, for P_k+1 = S P_k S^T + Q from P_0 = 0."""
     size = len(step)
-    whole, cover, sums = np.eye(size), np.zeros_like(added), np.zeros_like(added)
+    product, cover, sums = np.eye(size), np.zeros_like(added), np.zeros_like(added)
     power, run, run_sums, length = step, added, np.zeros_like(added), 1
     while count:
         if count & 1:
             sums = sums + run_sums + summed(step, cover, length)
             cover = run + power @ cover @ power.T
-            whole = power @ whole
+            product = power @ product
         count >>= 1
         if count:
             run_sums = 2.0 * run_sums + summed(step, run, length)
             run = run + power @ run @ power.T
             power, length = power @ power, 2 * length
-    return whole, cover, sums
+    return product, cover, sums
 
 
 def summed(step: Array, p: Array, count: int) -> Array:

@@ -145,8 +145,8 @@ def delivered(
     bounds = [float(event["time_s"]) for event in events if event["kind"] in ("contact", "release")]
     if len(bounds) % 2:
         bounds.append(float(t[-1]))
-    found = []
+    contacts = []
     for start, end in zip(bounds[::2], bounds[1::2], strict=True):
         a, b = np.interp([start, end], t, given)
-        found.append((start, end - start, float(b - a)))
-    return Delivered(float(given[best]) - held, float(t[best]), exact, doubt, tuple(found))
+        contacts.append((start, end - start, float(b - a)))
+    return Delivered(float(given[best]) - held, float(t[best]), exact, doubt, tuple(contacts))

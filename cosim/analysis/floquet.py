@@ -57,22 +57,22 @@ def exponents(
     # whole turns that can be: none, those that a lasting pole makes, and their neighbours
     around = np.unique(np.rint(np.abs(lasting) * period / (2.0 * math.pi)).astype(int))
     near = {int(k) + step for k in (0, *around) for step in (-1, 0, 1)}
-    whole = np.array(sorted({sign * k for k in near for sign in (-1, 1)}))
+    shifts = np.array(sorted({sign * k for k in near for sign in (-1, 1)}))
     scale = np.diag(matrix_balance(system.a, permute=False)[1])
     means, power = _content(
-        lifted, principal, vectors, whole, scale, max(_FEWEST, math.ceil(_A_TURN * turns))
+        lifted, principal, vectors, shifts, scale, max(_FEWEST, math.ceil(_A_TURN * turns))
     )
     content = np.abs(means) ** 2
-    told = np.sum(content, axis=1)  # [turns, M]
+    weight = np.sum(content, axis=1)  # [turns, M]
     total = np.maximum(np.sum(power, axis=0), 1e-300)
-    best = np.argmax(told, axis=0)
-    s = principal + 2j * math.pi * whole[best] / period
-    share = told[best, np.arange(len(z))] / total
+    best = np.argmax(weight, axis=0)
+    s = principal + 2j * math.pi * shifts[best] / period
+    share = weight[best, np.arange(len(z))] / total
     # a real motion holds exp(s t) and its conjugate: of a real z both are the same mode
     real = np.abs(z.imag) <= 1e-12 * np.abs(z)
     for m in np.flatnonzero(real & (np.abs(s.imag) > 0.0)):
-        twin = np.abs(principal[m] + 2j * math.pi * whole / period - np.conj(s[m])) < 1e-6 / period
-        share[m] += told[twin, m].sum() / total[m]
+        twin = np.abs(principal[m] + 2j * math.pi * shifts / period - np.conj(s[m])) < 1e-6 / period
+        share[m] += weight[twin, m].sum() / total[m]
     return s, np.minimum(share, 1.0)
 
 
@@ -80,13 +80,13 @@ def _content(
     lifted: Lifted,
     s: NDArray[np.complex128],
     vectors: NDArray[np.complex128],
-    whole: NDArray[np.int64],
+    shifts: NDArray[np.int64],
     scale: NDArray[np.float64],
     points: int,
 ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
     """Return means [turns, states, M] of exp(-s_k t) x(t) over a period, and [states, M] of its square."""
     states, period = lifted.states, lifted.system.period_s
-    means = np.zeros((len(whole), states, vectors.shape[1]), complex)
+    means = np.zeros((len(shifts), states, vectors.shape[1]), complex)
     power = np.zeros((states, vectors.shape[1]))
     x = vectors.astype(complex)
     for t, after in pairwise([*lifted.instants(), period]):
@@ -104,7 +104,7 @@ def _content(
             weight = np.where((at == 0) | (at == count), 0.5, 1.0) * h / period
             when = t + h * at
             path *= np.exp(-np.outer(when, s))[:, None, :]
-            turned = weight * np.exp(-2j * math.pi * np.outer(whole, when) / period)
+            turned = weight * np.exp(-2j * math.pi * np.outer(shifts, when) / period)
             means += np.tensordot(turned, path, axes=1)
             power += np.tensordot(weight, np.abs(path) ** 2, axes=1)
         x = stretch.leave @ x

@@ -233,18 +233,18 @@ def _left_out(
     scene: Scene, circuit: LinearCircuit, linkage: Linkage, q: Array, current: Array
 ) -> tuple[str, ...]:
     effects = (*LINKAGE, *SENSING, *COMPUTER)
-    said = [each.not_held for each in effects if each.not_held and each.is_in_force(scene)]
+    notes = [each.not_held for each in effects if each.not_held and each.is_in_force(scene)]
     if scene.computer.onset is Onset.ANCHORED:
-        said.append("that the springs are relaxed where the contact began, not at the wall")
+        notes.append("that the springs are relaxed where the contact began, not at the wall")
     if is_geometric(scene):
-        said.append("the geometric stiffness that the law adds")
+        notes.append("the geometric stiffness that the law adds")
     if scene.effects.pot_linearity or scene.effects.pot_calibration:
-        said.append("the potentiometers' errors over the angle")
+        notes.append("the potentiometers' errors over the angle")
     if scene.effects.coriolis and not scene.is_slider:
-        said.append("Coriolis forces, which are of second order about rest")
+        notes.append("Coriolis forces, which are of second order about rest")
     p = linkage.pack()[0]
     if p["stops_on"] and ((q <= p["stop_low"][: len(q)]) | (q >= p["stop_high"][: len(q)])).any():
-        said.append("an end stop that the pose lies in")
+        notes.append("an end stop that the pose lies in")
     if ((current <= circuit.limit[:, 0]) | (current >= circuit.limit[:, 1])).any():
-        said.append("the driver's current limit, which the pose is beyond")
-    return tuple(said)
+        notes.append("the driver's current limit, which the pose is beyond")
+    return tuple(notes)

@@ -213,7 +213,7 @@ def covariance(
     draw = np.zeros((size, size))
     draw[lifted.noise[1], lifted.noise[1]] = grid.variance * np.eye(lifted.system.joints)
     steps = []
-    whole, added = np.eye(size), np.zeros((size, size))
+    product, added = np.eye(size), np.zeros((size, size))
     for piece in pieces:
         leave = piece.stretch.leave
         step, more = leave @ piece.event, leave @ draw @ leave.T if piece.fresh else np.zeros((size, size))
@@ -221,11 +221,11 @@ def covariance(
         if piece.count > 1:
             step, more, _ = repeated(step, more, piece.count)
         added = step @ added @ step.T + more
-        whole = step @ whole
+        product = step @ product
     try:
-        state = stationary(whole, added)
+        state = stationary(product, added)
     except ValueError:
-        z = np.linalg.eigvals(whole)
+        z = np.linalg.eigvals(product)
         worst = z[int(np.argmax(np.abs(z)))]
         raise InputError(
             Problem(
@@ -259,7 +259,7 @@ def covariance(
         kind=kind, q=system.q,
         mean={name: row @ total @ row.T for name, row in rows.items()},
         at_samples={name: row @ state @ row.T for name, row in seen.items()},
-        step=whole, added=added, state=state, rows=seen, periods=grid.periods,
+        step=product, added=added, state=state, rows=seen, periods=grid.periods,
         notes=(*system.notes, *notes),
     )  # fmt: skip
 

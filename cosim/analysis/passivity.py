@@ -179,11 +179,11 @@ def needed_damping(law: Law) -> Certified:
 def _refined(at: Callable[[Array], Array], grid: Array, best: int) -> tuple[float, float]:
     """Return the maximum near a grid point, and where it is."""
     low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    found = minimize_scalar(
+    minimum = minimize_scalar(
         lambda x: -float(at(np.array([x]))[0]), bounds=(low, high), method="bounded", options={"xatol": 1e-12}
     )
     here = float(at(grid[best : best + 1])[0])
-    return (-float(found.fun), float(found.x)) if -found.fun > here else (here, float(grid[best]))
+    return (-float(minimum.fun), float(minimum.x)) if -minimum.fun > here else (here, float(grid[best]))
 
 
 def _on_circle(a: Array, b: Array, c: Array, level: float) -> Array:

@@ -182,13 +182,13 @@ class Lifted:
 
     def instants(self) -> list[float]:
         """Return the times within a period [s] at which something begins or ends, 0 first."""
-        period, found = self.system.period_s, [0.0]
+        period, times = self.system.period_s, [0.0]
         for group in self.groups:
-            found += [group.phase_s, (group.phase_s + self.system.settle_s) % period]
+            times += [group.phase_s, (group.phase_s + self.system.settle_s) % period]
             if self.system.settle_s >= period:
-                found.pop()
+                times.pop()
         kept: list[float] = []
-        for t in sorted(found):
+        for t in sorted(times):
             if t < period * (1.0 - _SAME) and (not kept or t - kept[-1] > _SAME * period):
                 kept.append(t)
         return kept

@@ -158,8 +158,8 @@ def monodromy(lifted: Lifted) -> Array:
     InputError
         Where it is beyond what numbers hold: something grows by more than 1e300 within a period.
     """
-    found = lifted.period()
-    if not np.isfinite(found).all():
+    product = lifted.period()
+    if not np.isfinite(product).all():
         fail(
             "the loop cannot be studied over a period: between two samples it grows beyond all numbers: "
             "shorten the period, or look for an unstable circuit (cosim check)",
@@ -167,7 +167,7 @@ def monodromy(lifted: Lifted) -> Array:
             value=lifted.system.period_s,
             unit="s",
         )
-    return found
+    return product
 
 
 def border(at: Callable[[float], Lifted], low: float, high: float, *, rtol: float = 1e-12) -> Border:
@@ -206,7 +206,7 @@ def border(at: Callable[[float], Lifted], low: float, high: float, *, rtol: floa
             if value != values[0]:
                 begin = float(brentq(over, last, float(value), rtol=rtol, xtol=1e-300))
         elif begin is not None and now >= 0.0:
-            found = float(brentq(over, last, float(value), rtol=rtol, xtol=1e-300))
-            return Border(found, begin, stability(at(found)))
+            edge = float(brentq(over, last, float(value), rtol=rtol, xtol=1e-300))
+            return Border(edge, begin, stability(at(edge)))
         last = float(value)
     return Border(math.inf, begin, None) if begin is not None else Border(0.0, math.nan, None)

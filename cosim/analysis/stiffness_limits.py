@@ -206,8 +206,8 @@ def largest_passive(contact: HeldContact) -> float:
 def _delay(scene: Scene) -> float:
     law = law_of(scene)
     c = scene.computer
-    whole = (c.delay_periods + c.delay_fraction) * c.period_s if scene.effects.delay else 0.0
-    return max(whole, law.lag_s)
+    delay = (c.delay_periods + c.delay_fraction) * c.period_s if scene.effects.delay else 0.0
+    return max(delay, law.lag_s)
 
 
 def _largest_passive(scene: Scene, device: Device) -> float:

@@ -59,8 +59,8 @@ class Pencil:
         if self.free:
             order = np.argsort(np.abs(z - 1.0), axis=1, kind="stable")[:, self.free :]
             z = np.take_along_axis(z, order, axis=1)
-        found: Array = np.abs(z).max(axis=1, initial=0.0) - 1.0
-        return found
+        excess: Array = np.abs(z).max(axis=1, initial=0.0) - 1.0
+        return excess
 
     def first(self, low: float, high: float) -> float:
         """Return the end of the first stable range of k between two values, as `stability.border` does.
@@ -191,10 +191,10 @@ def border_map(
     }
     if points is None:
         with Points(None) as none:
-            found = none.map(_row, jobs, workers)
+            borders = none.map(_row, jobs, workers)
     else:
-        found = points.map(_row, jobs, workers)
-    return np.array([[math.inf if k is None else k for k in row] for row in found], float)
+        borders = points.map(_row, jobs, workers)
+    return np.array([[math.inf if k is None else k for k in row] for row in borders], float)
 
 
 def _row(job: _Row) -> list[float | None]:

@@ -134,19 +134,19 @@ class Bench:
         """
         analysis = f"noise v({output}) {self._source[pin]} {sweep} 1"
         self._run(analysis)
-        found, none = by_element(self.simulator, "onoise_total_")
+        totals, none = by_element(self.simulator, "onoise_total_")
         if none:  # again without them: no sum has a number with them
             self.mute |= set(none)
             silence(self.simulator, none)
             self._run(analysis)
-            found, none = by_element(self.simulator, "onoise_total_")
+            totals, none = by_element(self.simulator, "onoise_total_")
         gain = None
         if not none:
             out, referred = (
                 float(self.simulator.vector(f"noise1.{name}_spectrum")[0]) for name in ("onoise", "inoise")
             )
             gain = out / referred if referred > 0.0 else 0.0
-        elements = {name.partition(".")[2] or name: float(rms[0]) for name, rms in found.items()}
+        elements = {name.partition(".")[2] or name: float(rms[0]) for name, rms in totals.items()}
         return Heard(math.sqrt(sum(rms**2 for rms in elements.values())), elements, gain)
 
     def _excited(self, source: str, sweep: str, names: tuple[str, ...]) -> dict[str, Complex]:

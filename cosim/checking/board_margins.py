@@ -32,11 +32,11 @@ def standing(board: Deck, time_limit_s: float, child: Child | None = None) -> St
     InputError
         When ngspice does not accept the board.
     """
-    found: Standing = call(
+    answer: Standing = call(
         "cosim.checking.board_margins:ask", {"board": board},
         time_limit_s=time_limit_s, deck=str(board.path), child=child,
     )  # fmt: skip
-    return found
+    return answer
 
 
 def ask(payload: dict[str, Any], report: Callable[[dict[str, Any]], None]) -> Standing:

@@ -87,5 +87,5 @@ def check(subject: Subject, *, child: Child | None = None) -> Check:
     warn(*missed(measured))
     judged = verdict(subject.stability, subject.board.path, child, limit)
     warn(*judged.cautions())
-    told = (*of_stability(judged), *findings(measured, coupling))
-    return Check(subject, measured, coupling, judged, told)
+    judgements = (*of_stability(judged), *findings(measured, coupling))
+    return Check(subject, measured, coupling, judged, judgements)

@@ -129,19 +129,19 @@ def _ways(joints: int) -> Iterator[tuple[int, int, float]]:
 
 def _known(bench: Bench, measured: Mapping[str, MeasuredSwing]) -> dict[str, MeasuredSwing]:
     """Return the output limits that are known, stated ones first, by instance path."""
-    found = dict(measured)
+    swings = dict(measured)
     for a in bench.board.amplifiers:
         limit = bench.constant(a.swing_param) if a.swing_param else None
         if limit is not None:
-            found[a.path] = MeasuredSwing(limit, SwingFrom.STATED)
-    return found
+            swings[a.path] = MeasuredSwing(limit, SwingFrom.STATED)
+    return swings
 
 
 def _speeds(
     bench: Bench, constants: DesignConstants, known: Mapping[str, MeasuredSwing]
 ) -> tuple[Speed, ...]:
     """Scale each amplifier's answer to a slow ramp, the quadrature part as w -> 0, up to its limit."""
-    found = []
+    speeds = []
     limits = {a.path: (a.out_node, known[a.path].limit_v) for a in bench.board.amplifiers if a.path in known}
     for j in range(1, bench.joints + 1):
         bench.hold({f"ksd{j}{j}": constants.v_fs})
@@ -152,30 +152,30 @@ def _speeds(
             if answer[node][0].imag != 0.0
         ]
         if reached:
-            found.append(min(reached, key=lambda speed: speed.speed_rad_per_s))
+            speeds.append(min(reached, key=lambda speed: speed.speed_rad_per_s))
     bench.hold({})
-    return tuple(found)
+    return tuple(speeds)
 
 
 def _swings(
     bench: Bench, peaks: dict[str, tuple[float, str]], known: Mapping[str, MeasuredSwing]
 ) -> tuple[Swing, ...]:
-    found = []
+    swings = []
     for a in bench.board.amplifiers:
         limit, source = (known[a.path].limit_v, known[a.path].source) if a.path in known else (None, "")
-        found.append(Swing(a.path, a.part, a.out_node, limit, *peaks[a.out_node], str(source)))
-    return tuple(found)
+        swings.append(Swing(a.path, a.part, a.out_node, limit, *peaks[a.out_node], str(source)))
+    return tuple(swings)
 
 
 def _limits(bench: Bench, constants: DesignConstants) -> tuple[float | None, ...]:
     """Return each motor's current with command and spring at the end of the DACs' range."""
-    found: list[float | None] = []
+    limits: list[float | None] = []
     for i in range(1, bench.joints + 1):
         full = constants.dac_v
         bench.hold({f"cmd{i}": full, f"ksp{i}{i}": constants.v_fs, f"u{i}": full})
         try:
-            found.append(bench.operating_point()[f"imot{i}"])
+            limits.append(bench.operating_point()[f"imot{i}"])
         except CosimError:  # a clipped board need not have an operating point that Newton finds
-            found.append(None)
+            limits.append(None)
     bench.hold({})
-    return tuple(found)
+    return tuple(limits)

@@ -90,7 +90,7 @@ def _instances(net: Netlist, block: Block, path: str) -> Iterator[tuple[str, Blo
 
 def _rewritten(lines: list[Line], chosen: dict[str, str]) -> list[Line]:
     """Put the probe's sources behind the header of each chosen subcircuit, between its pin and its body."""
-    found: list[Line] = []
+    rows: list[Line] = []
     depth = 0
     for line in lines:
         if line.keyword == ".subckt":
@@ -100,7 +100,7 @@ def _rewritten(lines: list[Line], chosen: dict[str, str]) -> list[Line]:
             if pin is not None:
                 at = next(k for k, word in enumerate(words) if k > 1 and word.lower() == pin)
                 words[at] = _OUTSIDE
-                found += [
+                rows += [
                     line.rewritten(join(words)),
                     replace(line, text=f"{_SERIES} {_OUTSIDE} {pin} 0", comment=""),
                     replace(line, text=f"{_SHUNT} 0 {_OUTSIDE} 0", comment=""),
@@ -108,5 +108,5 @@ def _rewritten(lines: list[Line], chosen: dict[str, str]) -> list[Line]:
                 continue
         elif line.keyword in (".ends", ".eom"):
             depth -= 1
-        found.append(line)
-    return found
+        rows.append(line)
+    return rows

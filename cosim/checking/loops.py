@@ -88,14 +88,14 @@ def phase_margins(f_hz: Real, t: Complex) -> tuple[list[float], list[float]]:
 def gain_margins(t: Complex) -> list[float]:
     """Return -20 log |T| [dB] wherever T crosses the negative real axis; negative: less gain is needed."""
     level, turned = np.log(np.abs(t)), np.unwrap(np.angle(-t))
-    found = []
+    margins = []
     for k in range(len(t) - 1):
         a, b = turned[k], turned[k + 1]
-        whole = 2 * math.pi * round(a / (2 * math.pi))
-        if a != b and abs(a - whole) < math.pi / 2 and (a - whole) * (b - whole) <= 0.0:
-            share = (whole - a) / (b - a)
-            found.append(float(-20 / math.log(10) * (level[k] + share * (level[k + 1] - level[k]))))
-    return found
+        turn = 2 * math.pi * round(a / (2 * math.pi))
+        if a != b and abs(a - turn) < math.pi / 2 and (a - turn) * (b - turn) <= 0.0:
+            share = (turn - a) / (b - a)
+            margins.append(float(-20 / math.log(10) * (level[k] + share * (level[k + 1] - level[k]))))
+    return margins
 
 
 def encirclements(t: Complex) -> int:

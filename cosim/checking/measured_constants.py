@@ -80,31 +80,31 @@ def measure_constants(
     joints = range(1, bench.joints + 1)
     narrow = min((p.bandwidth_hz for p in paths if p.bandwidth_hz is not None), default=None)
     f = low_hz(narrow)
-    found: Readings = {}
+    readings: Readings = {}
     for i in joints:
         for j in joints:
             pair = f"{i}{j}"
             bench.hold({f"ksp{i}{j}": constants.v_fs})
             k = -_real(bench, f"pot{j}", f"imot{i}", f) * per_ampere
-            found["k_fs", pair] = k, None
+            readings["k_fs", pair] = k, None
             if i == j:
                 by_u = _real(bench, f"u{j}", f"imot{i}", f) * per_ampere
-                found["v_rad", f"{j}"] = (k / by_u if by_u else None), None
+                readings["v_rad", f"{j}"] = (k / by_u if by_u else None), None
             bench.hold({f"ksd{i}{j}": constants.v_fs})
             c, c_above = (-_rate(bench, f"pot{j}", f"imot{i}", hz) * per_ampere for hz in (f, _APART * f))
-            found["c_fs", pair] = c, (100.0 * (c_above / c - 1.0) if c else None)
+            readings["c_fs", pair] = c, (100.0 * (c_above / c - 1.0) if c else None)
             try:
                 w = multiplier_volts(bench, constants, i, j)
             except NoOperatingPoint as reason:
                 notes.append(f"w_rated {pair} is not told: {reason}")
                 w = None
             if w is not None:
-                found["w_rated", pair] = w, None
+                readings["w_rated", pair] = w, None
     bench.hold({})
     for i in joints:
         by_cmd = _real(bench, f"cmd{i}", f"imot{i}", f) * per_ampere
-        found["v_nm", f"{i}"] = (1.0 / by_cmd if by_cmd else None), None
-    return found
+        readings["v_nm", f"{i}"] = (1.0 / by_cmd if by_cmd else None), None
+    return readings
 
 
 def multiplier_volts(bench: Bench, constants: DesignConstants, i: int, j: int) -> float | None:
@@ -128,8 +128,8 @@ def table(constants: DesignConstants, real: Readings, ideal: Readings) -> list[C
     return [
         Constant(name, unit, where, getattr(constants, name), value, ideal[name, where][0], spread)
         for name, unit in UNITS.items()
-        for (found, where), (value, spread) in real.items()
-        if found == name
+        for (measured, where), (value, spread) in real.items()
+        if measured == name
     ]
 
 

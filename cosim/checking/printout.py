@@ -108,12 +108,12 @@ def _rest(check: Check) -> list[str]:
 
 
 def _headroom(check: Check) -> list[str]:
-    found, stated = check.measured.headroom, check.measured.stated
+    headroom, stated = check.measured.headroom, check.measured.stated
     lines = [
         f"Headroom at rated torque ({_si(stated.i_rated, 'A')}, "
         f"{_si(stated.i_rated * stated.kt * stated.gear, 'N m')})"
     ]
-    for case in found.cases:
+    for case in headroom.cases:
         if case.deflection_rad is None or case.current_a is None:
             lines.append(f"  {case.name}: needs more than the full-scale gain")
         else:
@@ -133,7 +133,7 @@ def _headroom(check: Check) -> list[str]:
                 s.case,
             ],
         )
-        for s in found.swings
+        for s in headroom.swings
     ]
     head = ("amplifier", "part", "peak", "limit", "left", "at")
     lines += _table(head, _merged(rows), left=(0, 1, 5))
@@ -142,18 +142,18 @@ def _headroom(check: Check) -> list[str]:
         (SwingFrom.SUPPLIES, "its model has no limit within the supplies, which are taken for it"),
         ("", "not watched: its limit is neither stated nor to be measured"),
     ):
-        parts = sorted({s.part for s in found.swings if s.limit_from == source})
+        parts = sorted({s.part for s in headroom.swings if s.limit_from == source})
         if parts:
             lines.append(f"  {', '.join(parts)}: {words}")
     volts = [c.measured for c in check.measured.constants if c.name == "w_rated" and c.measured is not None]
     if volts:
         lines.append(f"  multiplier output at rated torque and k_fs: {_si(min(volts), 'V', 4)} or more")
-    for speed in found.speeds:
+    for speed in headroom.speeds:
         lines.append(
             f"  joint {speed.joint} with the damper at c_fs: {_short(speed.path)} reaches its limit at "
             f"{_si(speed.speed_rad_per_s, 'rad/s')}"
         )
-    limits = ", ".join(_si(limit, "A", 4) for limit in found.limits_a)
+    limits = ", ".join(_si(limit, "A", 4) for limit in headroom.limits_a)
     lines.append(f"  motor current with command and spring at the end of their range: {limits}")
     lines[-1] += f" (i_limit {_si(stated.i_limit, 'A')})"
     if _below_full(check, "driver"):
@@ -210,13 +210,13 @@ def _paths(check: Check) -> list[str]:
 def _brake(brake: Brake) -> str:
     if brake.eta is None:
         return "no back-EMF brakes it, so nothing on the board pays for the spring's delay"
-    said = (
+    text = (
         f"the back-EMF brakes with {_si(brake.viscosity_n_m_s, 'N m s/rad')}; "
         f"the spring's delay eats {brake.eta:.3g} of it at k_fs"
     )
     if brake.stiffness_n_per_m is not None:
-        said += f", all of it at {_si(brake.stiffness_n_per_m, 'N/m', 4)} at the tip"
-    return said
+        text += f", all of it at {_si(brake.stiffness_n_per_m, 'N/m', 4)} at the tip"
+    return text
 
 
 def _noise(check: Check) -> list[str]:
@@ -237,14 +237,15 @@ def _noise(check: Check) -> list[str]:
 
 
 def _components(check: Check) -> list[str]:
-    found = check.measured.components
+    components = check.measured.components
     lines = [
         "Noise by component (parts at their data sheet's density at any level), rms from "
         f"{_si(MECHANICAL_HZ[0], 'Hz')} to {_si(MECHANICAL_HZ[1], 'Hz')}",
-        f"  all of it: {_si(found.rest_n, 'N')} with all gains zero, {_si(found.spring_n, 'N')} with each "
-        f"joint's spring at k_fs, and {_si(found.above_n, 'N')} above, to {_si(found.top_hz, 'Hz')}",
+        f"  all of it: {_si(components.rest_n, 'N')} with all gains zero, "
+        f"{_si(components.spring_n, 'N')} with each joint's spring at k_fs, "
+        f"and {_si(components.above_n, 'N')} above, to {_si(components.top_hz, 'Hz')}",
     ]
-    loud = [d for d in found.devices if d.spring_n > _LOUD * found.spring_n]
+    loud = [d for d in components.devices if d.spring_n > _LOUD * components.spring_n]
     rows = [
         (
             _short(d.device),
@@ -254,10 +255,10 @@ def _components(check: Check) -> list[str]:
     ]
     head = ("device", "gains zero", "at the tip", "springs at k_fs", "at the tip")
     lines += _table(head, _merged(rows))
-    quiet = len(found.devices) - len(loud)
+    quiet = len(components.devices) - len(loud)
     if quiet:
         lines.append(f"  and {_count(quiet, 'device')} below {100 * _LOUD:g} % of the sum each")
-    return lines + [f"  note: {note}" for note in found.notes]
+    return lines + [f"  note: {note}" for note in components.notes]
 
 
 def _below_full(check: Check, *roles: str) -> bool:
@@ -280,14 +281,14 @@ def _pot(pot: PotNoise) -> str:
 
 
 def _coupling(check: Check) -> list[str]:
-    found = check.coupling
+    coupling = check.coupling
     if check.subject.scene is None:
         return ["Coupling: give a scene to see the step that its linkage allows"]
-    if found is None:
+    if coupling is None:
         return ["Coupling: no back-EMF, no bound on the step"]
     return [
-        f"Coupling: back-EMF and linkage at {_si(found.rate_per_s, '/s')} allow steps of 0.5 m_eff/b_eff = "
-        f"{_si(found.step_s, 's')}; solver.max_step_s is {_si(found.max_step_s, 's')}"
+        f"Coupling: back-EMF and linkage at {_si(coupling.rate_per_s, '/s')} allow steps of "
+        f"0.5 m_eff/b_eff = {_si(coupling.step_s, 's')}; solver.max_step_s is {_si(coupling.max_step_s, 's')}"
     ]
 
 
@@ -316,10 +317,10 @@ def _si(value: float | None, unit: str, digits: int = 3) -> str:
 
 def _grouped(rows: Iterable[Row]) -> list[tuple[list[str], list[str]]]:
     """Put the labels of equal rows together, in the order of their first."""
-    found: dict[tuple[str, ...], list[str]] = {}
+    groups: dict[tuple[str, ...], list[str]] = {}
     for label, cells in rows:
-        found.setdefault(tuple(cells), []).append(label)
-    return [(labels, list(cells)) for cells, labels in found.items()]
+        groups.setdefault(tuple(cells), []).append(label)
+    return [(labels, list(cells)) for cells, labels in groups.items()]
 
 
 def _merged(rows: Iterable[Row]) -> list[Row]:

@@ -97,7 +97,7 @@ def bandwidth(f_hz: Real, h: Complex) -> float | None:
 
 def measure_paths(bench: Bench, constants: DesignConstants) -> list[Path]:
     """Sweep every path of every joint with its own gain at full scale and all others at zero."""
-    found = []
+    paths = []
     for j in range(1, bench.joints + 1):
         spring, damper = {f"ksp{j}{j}": constants.v_fs}, {f"ksd{j}{j}": constants.v_fs}
         for kind, pin, held in (
@@ -106,8 +106,8 @@ def measure_paths(bench: Bench, constants: DesignConstants) -> list[Path]:
             ("rate", f"pot{j}", damper),
             ("cmd", f"cmd{j}", {}),
         ):
-            found.append(_path(bench, j, kind, pin, held))
-    return found
+            paths.append(_path(bench, j, kind, pin, held))
+    return paths
 
 
 def _path(bench: Bench, j: int, kind: str, pin: str, held: Mapping[str, float]) -> Path:
@@ -140,8 +140,8 @@ def _per_input(kind: str, f_hz: Real, h: Complex) -> Complex:
 
 
 def _at(bench: Bench, pin: str, f_hz: float) -> dict[str, complex]:
-    found = bench.response(pin, f"lin 1 {f_hz!r} {f_hz!r}")
-    return {name: complex(values[0]) for name, values in found.items()}
+    response = bench.response(pin, f"lin 1 {f_hz!r} {f_hz!r}")
+    return {name: complex(values[0]) for name, values in response.items()}
 
 
 def steps_of(delays: Iterable[SpringDelay]) -> list[Step]:
@@ -169,14 +169,14 @@ def brakes(
     paths: list[Path], admittance: list[list[float]], constants: DesignConstants, k_fs: Mapping[int, float]
 ) -> list[Brake]:
     """Compare each joint's spring delay with the viscosity of its motor (theory: eta = k sum(tau)/b)."""
-    found = []
+    rows = []
     for path in paths:
         if path.kind != "pot" or path.delay_s is None:
             continue
         j = path.joint
         b = admittance[j - 1][j - 1] * constants.kt * constants.gear**2
         tau = path.delay_s
-        found.append(
+        rows.append(
             Brake(
                 joint=j,
                 viscosity_n_m_s=b,
@@ -185,4 +185,4 @@ def brakes(
                 stiffness_n_per_m=b / tau / constants.r_tip**2 if tau > 0.0 and b > 0.0 else None,
             )
         )
-    return found
+    return rows

@@ -71,7 +71,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         out = Path(args.out) if args.out else Path("out/accuracy")
         refuse_foreign(out, FILES, MANIFEST)  # told before anything is run
         with progress("accuracy") as show:
-            found = accuracy(
+            study = accuracy(
                 args.scene, out,
                 overrides=tuple(setting.override(setting.values[0]) for setting in fixed),
                 measures=list(dict.fromkeys(args.measure)),
@@ -79,31 +79,31 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
                 tolerance=args.tol, repeats=args.repeat, peer=not args.no_peer, trust=args.trust,
                 child=child, on_progress=show,
             )  # fmt: skip
-    page = write_accuracy(found, out)
-    return found.as_dict() | {"page": str(page)}, "\n".join(
-        [*_table(found), "", *words(found), f"wrote {page}"]
+    page = write_accuracy(study, out)
+    return study.as_dict() | {"page": str(page)}, "\n".join(
+        [*_table(study), "", *words(study), f"wrote {page}"]
     )
 
 
-def _table(found: "Accuracy") -> list[str]:
+def _table(study: "Accuracy") -> list[str]:
     """Return the front, the cheapest setting first, and what the scene states now."""
     from cosim.units import quantity
 
     shown = sorted(
-        (row for row in found.rows if row.front or row.setting.series == "as the scene states it"),
+        (row for row in study.rows if row.front or row.setting.series == "as the scene states it"),
         key=lambda row: row.seconds,
     )
-    rows = [["", "setting", "wall", "cpu", *found.quantities]]
+    rows = [["", "setting", "wall", "cpu", *study.quantities]]
     for row in shown:
         if row.failed:
             continue
         cpu = sorted(row.cpu_s)[len(row.cpu_s) // 2]
-        errors = (row.errors.get(name, math.nan) for name in found.quantities)
+        errors = (row.errors.get(name, math.nan) for name in study.quantities)
         cells = ["-" if math.isnan(e) else f"{e:.1e}" for e in errors]
         mark = "*" if row.front else ""
         rows.append([mark, row.setting.label, quantity(row.seconds, "s"), quantity(cpu, "s"), *cells])
     rows.append(["", "floor: the references disagree by", "", "",
-                 *(f"{found.floor.get(name, math.nan):.1e}" for name in found.quantities)])  # fmt: skip
+                 *(f"{study.floor.get(name, math.nan):.1e}" for name in study.quantities)])  # fmt: skip
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     return [
         "  ".join(c.ljust(w) if k < 2 else c.rjust(w) for k, (c, w) in enumerate(zip(r, widths, strict=True)))

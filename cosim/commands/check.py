@@ -57,8 +57,8 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         label = [done.subject.label] if done.subject.label else []
         texts.append("\n".join([*label, sections, lines, counts]))
     text = "\n\n".join(texts)
-    told = [done.as_dict() | found for done, (found, _) in zip(checks, varies, strict=True)]
-    return {"checks": told}, text
+    records = [done.as_dict() | rows for done, (rows, _) in zip(checks, varies, strict=True)]
+    return {"checks": records}, text
 
 
 def _varies(subject: "Subject") -> tuple[dict[str, Any], str]:
@@ -68,15 +68,15 @@ def _varies(subject: "Subject") -> tuple[dict[str, Any], str]:
     from cosim.tolerance.scene_variables import tolerances
 
     try:
-        found = tolerances(subject.scene, board=subject.board)
+        varied = tolerances(subject.scene, board=subject.board)
     except InputError as error:
         wrong = [problem.as_dict() for problem in error.problems]
         lines = [f"  problem: {problem}" for problem in error.problems]
         return {"tolerances": [], "tolerance_problems": wrong}, "\n".join(["tolerances", *lines])
-    rows = {"tolerances": component_rows(found), "tolerance_problems": []}
-    if not found.components:
+    rows = {"tolerances": component_rows(varied), "tolerance_problems": []}
+    if not varied.components:
         return rows, "tolerances\n  none stated"
-    return rows, "\n".join(["tolerances", *(f"  {line}" for line in (*table(found), CONVENTION))])
+    return rows, "\n".join(["tolerances", *(f"  {line}" for line in (*table(varied), CONVENTION))])
 
 
 def _exit_code(args: argparse.Namespace, result: dict[str, Any]) -> int:

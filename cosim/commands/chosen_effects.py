@@ -21,11 +21,11 @@ def plan_of(args: argparse.Namespace, scene: "Scene", child: "Child") -> "Plan":
     from cosim.api.simulation import plan
 
     begun = time.perf_counter()
-    found = plan(scene, child=child, trust=args.trust, on_choice=_told)
-    if found.choice:
+    chosen = plan(scene, child=child, trust=args.trust, on_choice=_told)
+    if chosen.choice:
         took = quantity(time.perf_counter() - begun, "s")
-        remark(f"effects chosen in {found.choice['runs']} runs, {took}")
-    return found
+        remark(f"effects chosen in {chosen.choice['runs']} runs, {took}")
+    return chosen
 
 
 def open_choice(args: argparse.Namespace, variant: "Variant") -> dict[str, Any]:
@@ -59,31 +59,31 @@ def open_choice(args: argparse.Namespace, variant: "Variant") -> dict[str, Any]:
     }
 
 
-def open_lines(scene: "Scene", found: Mapping[str, Any]) -> list[str]:
+def open_lines(scene: "Scene", choice: Mapping[str, Any]) -> list[str]:
     """Return the same in words."""
-    stated = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in found["tolerance"].items())
+    stated = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in choice["tolerance"].items())
     head = ("effect", "setting", "model", "predicted", "a priori")
 
     def table(wanted: bool) -> list[str]:
         rows = [
             (c["effect"], _word(c["value"]), c["model"], f"{quantity(c['seconds'], 's', 2)}", c["size"])
-            for c in found["candidates"]
+            for c in choice["candidates"]
             if c["to_be_run"] is wanted
         ]
         return [f"    {row}" for row in _aligned([head, *rows])] if rows else ["    none"]
 
-    fixed = [f"{name} = {_word(value)} ({why})" for name, (value, why) in found["fixed"].items()]
+    fixed = [f"{name} = {_word(value)} ({why})" for name, (value, why) in choice["fixed"].items()]
     return [
         f"{scene.title}: effects to be chosen for a tolerance of {stated}",
         f"  before anything has run, forces are taken to be of the order of "
-        f"{quantity(found['force_n'], 'N', 2)}, and "
-        f"{quantity(found['tolerance_n'], 'N', 2)} to matter",
+        f"{quantity(choice['force_n'], 'N', 2)}, and "
+        f"{quantity(choice['tolerance_n'], 'N', 2)} to matter",
         "  may matter: `cosim run` tries them by size per predicted second and keeps what does",
         *table(True),
         "  too small by themselves: the largest of them is tried, and all of them at once",
         *table(False),
         *([f"  not chosen: {', '.join(fixed)}"] if fixed else []),
-        *(f"  not possible here: {name} = {_word(value)}: {why}" for name, value, why in found["refused"]),
+        *(f"  not possible here: {name} = {_word(value)}: {why}" for name, value, why in choice["refused"]),
     ]
 
 
@@ -105,7 +105,7 @@ def choice_lines(choice: Mapping[str, Any]) -> list[str]:
         for d in sorted(choice["decisions"], key=lambda d: not d["in_force"])
     ]
     lines += [f"    {row}" for row in _aligned(rows)]
-    return [*lines, *(f"  verified: {said}" for said in choice["verified"])]
+    return [*lines, *(f"  verified: {verified}" for verified in choice["verified"])]
 
 
 def _word(value: Any) -> str:

@@ -124,10 +124,10 @@ def load_variants(args: argparse.Namespace) -> "list[tuple[Variant, Scene]]":
 def caution_lines(cautions: Sequence[Caution]) -> list[str]:
     """Return cautions as lines for people, those of one kind together."""
     lines = []
-    for told, more in grouped(cautions, most=None if verbose() else MOST_ALIKE):
-        lines += [f"warning: {caution} [{caution.code}]" for caution in told]
+    for caution, more in grouped(cautions, most=None if verbose() else MOST_ALIKE):
+        lines += [f"warning: {caution} [{caution.code}]" for caution in caution]
         if more:
-            lines.append(f"warning: and {more} more [{told[0].code}] (all with --verbose or --json)")
+            lines.append(f"warning: and {more} more [{caution[0].code}] (all with --verbose or --json)")
     return lines
 
 

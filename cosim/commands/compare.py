@@ -75,13 +75,13 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         out = Path(args.out) if args.out else _USUAL / "compare"
         refuse_foreign(out / "report", [PAGE_NAME], MANIFEST)
         with progress("comparing") as show:
-            found = compare(
+            comparison = compare(
                 args.scene, args.boards, values, last, out,
                 child=child, trust=args.trust, on_progress=show,
             )  # fmt: skip
     from reports.boards import write_comparison
 
-    sides, rows = found.sides, found.changes
+    sides, rows = comparison.sides, comparison.changes
     page = write_comparison(sides, rows, out / "report")
     text = "\n".join([*_table(sides, rows, args.most), *_told(sides), f"wrote {page}"])
     result = {
@@ -119,8 +119,10 @@ def _measures(
     names, asked = list(dict.fromkeys(args.measure)), sides_of(args.boards, values, last)
     with progress("comparing") as show:
         sides = compare_measures(args.scene, asked, names, child=child, trust=args.trust, on_progress=show)
-    rows = [(label, {n: found.rows[n] for n in names if n in found.rows}) for label, found in sides]
-    why = [f"{label}, no {name}: {why}" for label, found in sides for name, why in found.lacking.items()]
+    rows = [(label, {n: measured.rows[n] for n in names if n in measured.rows}) for label, measured in sides]
+    why = [
+        f"{label}, no {name}: {why}" for label, measured in sides for name, why in measured.lacking.items()
+    ]
     result = {"boards": [label for label, _ in rows], "measures": [dict(row) for _, row in rows]}
     return result, "\n".join([*([measure_table(rows)] if any(r for _, r in rows) else []), *why])
 
@@ -163,7 +165,7 @@ def _told(sides: "Sequence[Side]") -> list[str]:
         if len(set(words)) == 1:
             lines.append(f"{name}: {words[0]} (all)")
         else:
-            lines += [f"{name}, {side.label}: {said}" for side, said in zip(sides, words, strict=True)]
+            lines += [f"{name}, {side.label}: {word}" for side, word in zip(sides, words, strict=True)]
     return lines
 
 

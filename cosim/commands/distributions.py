@@ -39,18 +39,18 @@ def by_distributions(
 
     refuse_foreign(out, [TABLE], manifest_of("distributions"))
     with progress("devices") as show:
-        found = sides(
+        results = sides(
             scene, designs, list(dict.fromkeys(args.measure)), parse_specs(args.spec), args.mc, out,
             trust=args.trust, on_progress=show,
         )  # fmt: skip
-    write_files(out, {TABLE: _csv(found).encode()}, manifest_of("distributions"))
+    write_files(out, {TABLE: _csv(results).encode()}, manifest_of("distributions"))
     result = {
         "devices": args.mc,
-        "model": found[0].study.model,
-        "sides": [_as_dict(side) for side in found],
+        "model": results[0].study.model,
+        "sides": [_as_dict(side) for side in results],
         "table": str(out / TABLE),
     }
-    return result, "\n".join([*_text(found), f"wrote {out / TABLE}"])
+    return result, "\n".join([*_text(results), f"wrote {out / TABLE}"])
 
 
 def _as_dict(side: "Side") -> dict[str, Any]:
@@ -70,36 +70,36 @@ def _as_dict(side: "Side") -> dict[str, Any]:
     }
 
 
-def _text(found: "Sequence[Side]") -> list[str]:
+def _text(designs: "Sequence[Side]") -> list[str]:
     from cosim.catalogue import UNITS
     from cosim.units import quantity
 
-    def told(of: "Estimate", unit: str, digits: int = 5) -> str:
+    def interval(of: "Estimate", unit: str, digits: int = 5) -> str:
         low, high = (quantity(end, unit, 4) for end in (of.low, of.high))
         return f"{quantity(of.value, unit, digits)} ({low} to {high})"
 
-    n, model = found[0].study.sampling.n, found[0].study.model
+    n, model = designs[0].study.sampling.n, designs[0].study.model
     lines = [f"{n} devices of each, the same draws, model {model}; in parentheses what holds with 95 %"]
-    for name in found[0].summaries:
+    for name in designs[0].summaries:
         unit = UNITS.get(name, "")
         rows = [[name, "nominal", "mean", "standard deviation", "change of the mean"]]
-        for side in found:
-            each, first = side.summaries[name], side is found[0]
-            change = "-" if first else told(side.changes[name], unit, 4)
+        for side in designs:
+            each, first = side.summaries[name], side is designs[0]
+            change = "-" if first else interval(side.changes[name], unit, 4)
             rows.append(
                 [
-                    side.label, quantity(each.nominal, unit, 5), told(each.mean, unit),
-                    told(each.spread, unit), change,
+                    side.label, quantity(each.nominal, unit, 5), interval(each.mean, unit),
+                    interval(each.spread, unit), change,
                 ]
             )  # fmt: skip
         lines += ["", *_aligned(rows)]
-    for text in found[0].yields:
+    for text in designs[0].yields:
         rows = [[f"yield, {text}", "", "change"]]
-        for side in found:
-            change = "-" if side is found[0] else _percent(side.gains[text])
+        for side in designs:
+            change = "-" if side is designs[0] else _percent(side.gains[text])
             rows.append([side.label, _percent(side.yields[text]), change])
         lines += ["", *_aligned(rows)]
-    failed = [f"{side.label}: {len(side.study.failures)} devices have no measures" for side in found
+    failed = [f"{side.label}: {len(side.study.failures)} devices have no measures" for side in designs
               if side.study.failures]  # fmt: skip
     return [*lines, *failed]
 
@@ -113,7 +113,7 @@ def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
     return ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
 
 
-def _csv(found: "Sequence[Side]") -> str:
+def _csv(designs: "Sequence[Side]") -> str:
     from cosim.catalogue import UNITS
     from cosim.units import heading
 
@@ -128,12 +128,12 @@ def _csv(found: "Sequence[Side]") -> str:
         "change low",
         "change high",
     )
-    names = list(found[0].summaries)
+    names = list(designs[0].summaries)
     columns = [f"{heading(name, UNITS.get(name, ''))} {part}" for name in names for part in parts]
-    texts = list(found[0].yields)
+    texts = list(designs[0].yields)
     yields = [f"yield {text} {part}" for text in texts for part in ("", "low", "high", "change")]
     writer.writerow(["design", *columns, *(each.replace("  ", " ").strip() for each in yields)])
-    for side in found:
+    for side in designs:
         row: list[Any] = [side.label]
         for name in names:
             each, change = side.summaries[name], side.changes[name]

@@ -35,11 +35,11 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.storage.owned_files import own_file
     from cosim.storage.staging import scratch_folder
 
-    found = load_variants(args)
-    if len(found) > 1:
+    every = load_variants(args)
+    if len(every) > 1:
         fail("one deck holds one scene: give each name one value", key="--set", value=args.set)
     own_file(args.file)  # before the scene runs
-    plan = resolve(found[0][1], trust=args.trust)
+    plan = resolve(every[0][1], trust=args.trust)
     with scratch_folder("export") as folder:
         # The computer's outputs have to be known first: the scene runs once.
         result = run(plan, folder / "run", formats=())

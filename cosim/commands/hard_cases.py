@@ -29,34 +29,34 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
         refuse_foreign(Path(args.out), FILES, MANIFEST)  # told before the first case
     with progress("hard cases") as show:
-        found = list(run_cases(cases, show))
-    lines = _table(found)
+        outcomes = list(run_cases(cases, show))
+    lines = _table(outcomes)
     if args.out:
-        lines.append(f"wrote {write_hard_cases(found, Path(args.out))}")
-    return {"cases": [_as_dict(each) for each in found]}, "\n".join(lines)
+        lines.append(f"wrote {write_hard_cases(outcomes, Path(args.out))}")
+    return {"cases": [_as_dict(each) for each in outcomes]}, "\n".join(lines)
 
 
-def _as_dict(found: "Outcome") -> dict[str, Any]:
-    case = found.case
+def _as_dict(outcome: "Outcome") -> dict[str, Any]:
+    case = outcome.case
     return {
         "case": case.name,
         "row": case.row,
-        "model": found.model,
+        "model": outcome.model,
         "what": case.what,
         "expected": case.expected,
-        "got": found.got if found.number else None,
-        "bound": case.bound[found.model],
+        "got": outcome.got if outcome.number else None,
+        "bound": case.bound[outcome.model],
         "reason": case.reason,
         "broken": case.broken,
-        "held": found.held,
-        "failed": found.failed,
-        "seconds": found.seconds,
+        "held": outcome.held,
+        "failed": outcome.failed,
+        "seconds": outcome.seconds,
     }
 
 
-def _table(found: "list[Outcome]") -> list[str]:
+def _table(outcomes: "list[Outcome]") -> list[str]:
     rows = [["", "#", "case", "model", "expected", "got", "bound", "time"]]
-    for each in found:
+    for each in outcomes:
         case = each.case
         rows.append(
             [
@@ -71,9 +71,9 @@ def _table(found: "list[Outcome]") -> list[str]:
                   for k, (c, w) in enumerate(zip(row, widths, strict=True))).rstrip()
         for row in rows
     ]  # fmt: skip
-    lines += [f"failed: {each.case.name}, {each.model}: {each.failed}" for each in found if each.failed]
-    missed = sum(not each.held for each in found)
-    return [*lines, f"{len(found) - missed} of {len(found)} hold"]
+    lines += [f"failed: {each.case.name}, {each.model}: {each.failed}" for each in outcomes if each.failed]
+    missed = sum(not each.held for each in outcomes)
+    return [*lines, f"{len(outcomes) - missed} of {len(outcomes)} hold"]
 
 
 def _exit_code(args: argparse.Namespace, result: dict[str, Any]) -> int:

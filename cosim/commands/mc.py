@@ -101,17 +101,17 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     processes = _processes(args, out)
     if args.shard:
         with progress("mc") as show:
-            said = measure_shard(prepared, processes, _shard(args.shard), show)
-        return {"folder": str(out), "done": said}, f"wrote {out}: {said}"
+            done = measure_shard(prepared, processes, _shard(args.shard), show)
+        return {"folder": str(out), "done": done}, f"wrote {out}: {done}"
     from cosim.storage.owned_files import refuse_foreign
     from reports.monte_carlo import FILES, MANIFEST, write_monte_carlo
 
     refuse_foreign(out, FILES, MANIFEST)  # told before the first sample
     with collected() as cautions, progress("mc") as show:
-        found = monte_carlo(prepared, show, processes)
-    page = write_monte_carlo(found, out, replay(args), digest, cautions, record_of(prepared))
-    result = found.as_dict() | {"page": str(page)}
-    return result, "\n".join([*_text(found), f"wrote {page}"])
+        findings = monte_carlo(prepared, show, processes)
+    page = write_monte_carlo(findings, out, replay(args), digest, cautions, record_of(prepared))
+    result = findings.as_dict() | {"page": str(page)}
+    return result, "\n".join([*_text(findings), f"wrote {page}"])
 
 
 def _check_together(args: argparse.Namespace) -> None:
@@ -191,11 +191,11 @@ def replay(args: argparse.Namespace) -> str:
     return f"{shlex.join(words)} --sample"
 
 
-def _listed(found: "Tolerances") -> tuple[dict[str, Any], str]:
+def _listed(tolerances: "Tolerances") -> tuple[dict[str, Any], str]:
     from cosim.tolerance.listing import CONVENTION, component_rows, table
 
-    result = {"components": component_rows(found), "variables": list(found.variables)}
-    return result, "\n".join([*table(found), CONVENTION])
+    result = {"components": component_rows(tolerances), "variables": list(tolerances.variables)}
+    return result, "\n".join([*table(tolerances), CONVENTION])
 
 
 def _one(prepared: "Prepared", number: int) -> tuple[dict[str, Any], str]:
@@ -218,30 +218,30 @@ def _one(prepared: "Prepared", number: int) -> tuple[dict[str, Any], str]:
     return {"sample": number, "values": keyed, "measures": measures}, "\n".join([*_aligned(rows), *lines])
 
 
-def _text(found: "Findings") -> list[str]:
+def _text(findings: "Findings") -> list[str]:
     from cosim.catalogue import UNITS
     from cosim.tolerance.bill import grade_text
     from cosim.units import quantity
 
-    study = found.study
+    study = findings.study
     how = study.sampling
     lines = [f"{how.n} devices, {how.method} sampling, seed {how.seed}, model {study.model}"]
     rows = [["measure", "nominal", "mean", "standard deviation", "1 % below", "1 % above"]]
-    for name, each in found.summaries.items():
+    for name, each in findings.summaries.items():
         unit = UNITS.get(name, "")
-        told = (each.mean, each.spread, each.quantiles[0.01], each.quantiles[0.99])
-        rows.append([name, quantity(each.nominal, unit, 5), *(_with_interval(one, unit) for one in told)])
+        values = (each.mean, each.spread, each.quantiles[0.01], each.quantiles[0.99])
+        rows.append([name, quantity(each.nominal, unit, 5), *(_with_interval(one, unit) for one in values)])
     lines += _aligned(rows)
-    lines += [f"yield, {text}: {_percent(share)}" for text, share in found.yields.items()]
-    for name, corner in found.corners.items():
+    lines += [f"yield, {text}: {_percent(share)}" for text, share in findings.yields.items()]
+    for name, corner in findings.corners.items():
         unit = UNITS.get(name, "")
         low, high = quantity(corner.low, unit, 5), quantity(corner.high, unit, 5)
         outside = f"; {corner.outside} samples lie outside the limits" if corner.outside else ""
         lines.append(f"worst case, {name}: {low} to {high} ({corner.evaluations} devices looked at{outside})")
-    if found.bill and found.surfaces:
-        names = list(found.surfaces)
+    if findings.bill and findings.surfaces:
+        names = list(findings.surfaces)
         table = [["component", "tolerance", *(f"share of {n}" for n in names), "loosest", "better", "adds"]]
-        for line in found.bill[:_MOST_LINES]:
+        for line in findings.bill[:_MOST_LINES]:
             table.append(
                 [
                     line.name, line.tolerance, *(_percent(line.share[n]) for n in names),
@@ -251,9 +251,10 @@ def _text(found: "Findings") -> list[str]:
             )  # fmt: skip
         lines += ["", *_aligned(table)]
         lines += [
-            f"R^2 of samples that were not fitted, {n}: {s.held_out:.5g}" for n, s in found.surfaces.items()
+            f"R^2 of samples that were not fitted, {n}: {s.held_out:.5g}"
+            for n, s in findings.surfaces.items()
         ]
-    return [*lines, *found.notes]
+    return [*lines, *findings.notes]
 
 
 def _with_interval(of: "Estimate", unit: str) -> str:

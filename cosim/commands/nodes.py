@@ -15,10 +15,10 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         from cosim.plan import resolve
         from cosim.units import heading, sample_unit, signal_unit
 
-        found = load_variants(args)
-        if len(found) > 1:
+        every = load_variants(args)
+        if len(every) > 1:
             fail("names are of one scene: give each name one value", key="--set", value=args.set)
-        scene = found[0][1]
+        scene = every[0][1]
         # whatever it chooses later, the nodes are those of the effects that it states
         stated = scene.effects.model_copy(update={"auto": False})
         plan = resolve(scene.model_copy(update={"effects": stated}), trust=args.trust)

@@ -23,16 +23,16 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     for variant, scene in every:
         with collected(about(variant, every)):
             if scene.effects.auto:
-                found = open_choice(args, variant)
-                text = "\n".join(open_lines(scene, found))
+                choice = open_choice(args, variant)
+                text = "\n".join(open_lines(scene, choice))
             else:
                 plan = resolve(scene, trust=args.trust)
                 if plan.circuit_states() is None:
                     plan.extracted()
-                text, found = describe(plan), plan.as_dict()
+                text, choice = describe(plan), plan.as_dict()
                 warn(*of_asked(scene, plan.stated()))
         texts.append((f"{variant.label}\n" if variant.label else "") + text)
-        facts.append({"set": dict(variant.values), **found})
+        facts.append({"set": dict(variant.values), **choice})
     return {"plans": facts}, "\n\n".join(texts)
 
 

@@ -59,10 +59,10 @@ def _report_runs(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         with collected(folder.name if len(runs) > 1 else ""):
             warn(*run.warnings)
     trials = [Trial(folder.name, run.measures, run) for folder, run in zip(folders, runs, strict=True)]
-    told = differing(runs, [_board(folder) for folder in folders]) if len(runs) > 1 else []
-    inputs = inputs_table([folder.name for folder in folders], told) if len(runs) > 1 else None
+    differences = differing(runs, [_board(folder) for folder in folders]) if len(runs) > 1 else []
+    inputs = inputs_table([folder.name for folder in folders], differences) if len(runs) > 1 else None
     page = write_report(runs[0], out, trials if len(trials) > 1 else (), inputs)
-    lines = [f"{name}: {', '.join('-' if v is None else v for v in values)}" for name, values in told]
+    lines = [f"{name}: {', '.join('-' if v is None else v for v in values)}" for name, values in differences]
     shown = [f"  {line}" for line in lines[:_MOST_INPUTS]]
     if len(lines) > len(shown):
         shown.append(f"  and {len(lines) - len(shown)} more, on the page")
@@ -70,7 +70,7 @@ def _report_runs(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     data = {
         "page": str(page),
         "runs": [str(folder) for folder in folders],
-        "inputs": [{"input": name, "values": list(values)} for name, values in told],
+        "inputs": [{"input": name, "values": list(values)} for name, values in differences],
     }
     return data, "\n".join([*head, *shown, f"wrote {page}"])
 
@@ -83,8 +83,8 @@ def _judged(run: "Run", texts: list[str]) -> "Run":
 
     missed = parse_tolerances(texts).missed(run.measures)
     again = f"simulate it with cosim run SCENE {' '.join(f'--tol {text!r}' for text in texts)}"
-    found = [replace(caution, advice=again) for caution in shortfalls(missed)]
-    return replace(run, warnings=(*run.warnings, *found))
+    shortfall_cautions = [replace(caution, advice=again) for caution in shortfalls(missed)]
+    return replace(run, warnings=(*run.warnings, *shortfall_cautions))
 
 
 def _board(folder: Path) -> "Deck | None":

@@ -60,24 +60,24 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
         check_measures(args.measure)
         _check_tolerances(args)
-        found = load_variants(args)
+        every = load_variants(args)
         if args.measure and not needs_a_run(args.measure):
-            return _without_run(args, [(v, plan_of(args, scene, child)) for v, scene in found], child)
+            return _without_run(args, [(v, plan_of(args, scene, child)) for v, scene in every], child)
         base = Path(args.out) if args.out else Path("out") / Path(args.scene).stem
-        _keep_apart(base, series=len(found) > 1)
-        names = folder_names([variant.label for variant, _ in found])
-        places = [base / name for name in names] if len(found) > 1 else [base]
+        _keep_apart(base, series=len(every) > 1)
+        names = folder_names([variant.label for variant, _ in every])
+        places = [base / name for name in names] if len(every) > 1 else [base]
         for out in places:
             require_ours(out, written_files)  # told before anything is computed
         announce_compilation()
         plans = []
-        for variant, scene in found:
-            with collected(about(variant, found)):
+        for variant, scene in every:
+            with collected(about(variant, every)):
                 plans.append((variant, plan_of(args, scene, child)))
         finished: list[tuple[Variant, Path, Run]] = []
         for (variant, plan), out in zip(plans, places, strict=True):
             title = variant.label or plan.scene.title
-            with collected(about(variant, found)), progress(plan.scene.duration_s, title) as show:
+            with collected(about(variant, every)), progress(plan.scene.duration_s, title) as show:
                 result = run(
                     plan, out, formats=tuple(args.format), tolerances=args.tol, free=not args.model,
                     estimate=not args.no_estimate, on_progress=show, child=child,
@@ -105,15 +105,17 @@ def _without_run(
     from cosim.comparisons.board_measures import board_measures
 
     rows: list[tuple[str, Mapping[str, Mapping[str, Any]]]] = []
-    told, lines = [], ["no run is needed for these measures: nothing was simulated or stored"]
+    results, lines = [], ["no run is needed for these measures: nothing was simulated or stored"]
     for variant, plan in plans:
-        found, lacking = board_measures(plan, args.measure, child=child)
-        rows.append((variant.label, found))
-        told.append({"set": dict(variant.values), "folder": None, "measures": found, "lacking": lacking})
+        measured, lacking = board_measures(plan, args.measure, child=child)
+        rows.append((variant.label, measured))
+        results.append(
+            {"set": dict(variant.values), "folder": None, "measures": measured, "lacking": lacking}
+        )
         head = f"{variant.label}: " if variant.label else ""
         lines += [f"  {head}no {name}: {why}" for name, why in lacking.items()]
     shown = [row for row in rows if row[1]]
-    return {"runs": told}, "\n".join([*lines, *(["", measure_table(shown)] if shown else [])])
+    return {"runs": results}, "\n".join([*lines, *(["", measure_table(shown)] if shown else [])])
 
 
 def _keep_apart(base: Path, *, series: bool) -> None:

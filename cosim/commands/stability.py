@@ -30,14 +30,14 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         for (variant, scene), folder in zip(every, folders, strict=True):
             with collected(about(variant, every)):
                 held = contact(scene, trust=args.trust, child=child)
-                found, model = stability(held), held.circuit.model
-                cases.append({"set": dict(variant.values), "model": model, **found.as_dict()})
+                limits, model = stability(held), held.circuit.model
+                cases.append({"set": dict(variant.values), "model": model, **limits.as_dict()})
                 head = variant.label or scene.title
-                texts.append(f"{head} (circuit model {model})\n{describe(found)}")
+                texts.append(f"{head} (circuit model {model})\n{describe(limits)}")
                 if folder is not None:
                     from reports.stability import write_stability
 
-                    plot = write_stability(found, held.held(), folder)
+                    plot = write_stability(limits, held.held(), folder)
                     texts.append(f"wrote {plot}")
     return {"cases": cases}, "\n".join(texts)
 
@@ -113,22 +113,22 @@ def _advice(limits: "Limits") -> str:
         return "nothing: no stiffness is stable with this circuit and period"
     if math.isinf(value):
         return "any stiffness up to 1e7 N/m"
-    said = f"{_stiff(value)}, {which}: "
+    text = f"{_stiff(value)}, {which}: "
     if which == "the board's range":
-        said += "no stiffness beyond it can be commanded, and up to it this scene is stable"
+        text += "no stiffness beyond it can be commanded, and up to it this scene is stable"
     elif which == "the largest passive stiffness":
-        said += "stable whoever holds the device, at rest or moving"
+        text += "stable whoever holds the device, at rest or moving"
     elif limits.passive_n_per_m is None:
-        said += "for this operator and pose, contact held; another hand or pose has another border"
+        text += "for this operator and pose, contact held; another hand or pose has another border"
     else:
-        said += "this operator or pose is worse than the device held by nobody"
+        text += "this operator or pose is worse than the device held by nobody"
     if which != "the exact border" and limits.border.value > value:
-        said += "; the exact border is for this operator and pose, contact held"
+        text += "; the exact border is for this operator and pose, contact held"
     if limits.gil_hulin_n_per_m is not None:
-        said += (
+        text += (
             "; Gil and Hulin's rule knows the device's damping and the delay alone, no mass and no circuit"
         )
-    return said
+    return text
 
 
 COMMAND = Command(

@@ -67,40 +67,40 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         refuse_foreign(out, FILES, MANIFEST)
         measures = list(dict.fromkeys(args.measure)) or ["peak_force", "max_penetration"]
         with progress("sweep") as show:
-            found = sweep(
+            swept = sweep(
                 load_scene(args.scene, overrides), settings, measures, out,
                 tolerances=args.tol, child=child, trust=args.trust, on_progress=show,
             )  # fmt: skip
-    picture = write_sweep(found, out)
+    picture = write_sweep(swept, out)
     result = {
-        "names": list(found.names),
-        "values": [list(row) for row in found.values],
-        "measures": {name: list(column) for name, column in found.measures.items()},
-        **({"errors": {name: list(column) for name, column in found.errors.items()}} if found.errors else {}),
-        "failed": found.failed,
+        "names": list(swept.names),
+        "values": [list(row) for row in swept.values],
+        "measures": {name: list(column) for name, column in swept.measures.items()},
+        **({"errors": {name: list(column) for name, column in swept.errors.items()}} if swept.errors else {}),
+        "failed": swept.failed,
         "table": str(out / TABLE),
         "picture": str(picture) if picture else None,
     }
-    return result, _text(found, out / TABLE, picture)
+    return result, _text(swept, out / TABLE, picture)
 
 
-def _text(found: "Sweep", table: Path, picture: Path | None) -> str:
+def _text(result: "Sweep", table: Path, picture: Path | None) -> str:
     from cosim.catalogue import UNITS
     from cosim.units import measured, quantity
 
     def cell(name: str, number: int) -> str:
-        value, unit = found.measures[name][number], UNITS.get(name, "")
-        error = found.errors[name][number] if name in found.errors else None
+        value, unit = result.measures[name][number], UNITS.get(name, "")
+        error = result.errors[name][number] if name in result.errors else None
         if value is None:
             return "-"
         return measured(value, error, unit) if error else quantity(value, unit, 5)
 
-    rows = [[*found.names, *found.measures]]
-    for number, values in enumerate(found.values):
-        rows.append([*values, *(cell(name, number) for name in found.measures)])
+    rows = [[*result.names, *result.measures]]
+    for number, values in enumerate(result.values):
+        rows.append([*values, *(cell(name, number) for name in result.measures)])
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     lines = ["  ".join(c.rjust(w) for c, w in zip(row, widths, strict=True)) for row in rows]
-    lines += [f"failed: {label}: {said}" for label, said in found.failed.items()]
+    lines += [f"failed: {label}: {reason}" for label, reason in result.failed.items()]
     return "\n".join([*lines, f"wrote {table}" + (f" and {picture}" if picture else "")])
 
 

@@ -26,19 +26,21 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     if args.seed < 0:
         fail("chooses samples", key="--seed", value=args.seed, allowed=">= 0")
     with progress("verify") as show:
-        found = verify(args.folder, samples=args.samples, seed=args.seed, trust=args.trust, on_progress=show)
+        verdict = verify(
+            args.folder, samples=args.samples, seed=args.seed, trust=args.trust, on_progress=show
+        )
     result = {
-        "what": found.what,
-        "repeated": list(found.repeated),
-        "different": list(found.different),
-        "same": not found.different,
+        "what": verdict.what,
+        "repeated": list(verdict.repeated),
+        "different": list(verdict.different),
+        "same": not verdict.different,
     }
-    if not found.different:
-        return result, f"{found.what} repeated: the same, bit for bit"
-    shown = list(found.different[:_MOST])
-    if len(found.different) > len(shown):
-        shown.append(f"and {len(found.different) - len(shown)} more (--json)")
-    return result, "\n".join([f"{found.what} repeated: not the same", *(f"  {line}" for line in shown)])
+    if not verdict.different:
+        return result, f"{verdict.what} repeated: the same, bit for bit"
+    shown = list(verdict.different[:_MOST])
+    if len(verdict.different) > len(shown):
+        shown.append(f"and {len(verdict.different) - len(shown)} more (--json)")
+    return result, "\n".join([f"{verdict.what} repeated: not the same", *(f"  {line}" for line in shown)])
 
 
 def _exit_code(args: argparse.Namespace, result: dict[str, Any]) -> int:

@@ -181,11 +181,11 @@ def part_name(path: str) -> str:
 
 def first_to_clip(check: Check, run: Run) -> list[tuple[str, str]]:
     """Return what clips first, in words: at rated torque, and in the run where it has seen the outputs."""
-    said = []
+    notes = []
     known = [s for s in check.measured.headroom.swings if s.headroom_percent is not None]
     if known:
         s = min(known, key=lambda each: each.headroom_percent or 0.0)
-        said.append(
+        notes.append(
             (
                 "clips first at rated torque",
                 f"{part_name(s.path)} ({s.part}), {s.headroom_percent:.3g} % left",
@@ -195,7 +195,7 @@ def first_to_clip(check: Check, run: Run) -> list[tuple[str, str]]:
     if seen:
         first = seen[0]
         left = 100.0 * float(first["headroom"])
-        said.append(
+        notes.append(
             ("clips first in this scene", f"{part_name(first['path'])} ({first['part']}), {left:.3g} % left")
         )
-    return said
+    return notes

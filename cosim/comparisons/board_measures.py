@@ -91,8 +91,8 @@ class BoardMeasures:
         law = law_point(self._scene, tip.constants, tip.linkage, tip.q)
         control = law.volts[n : n + len(tip.circuit.gain)]
         still = tip.circuit.response(0.0, control)[0].real
-        found: Array = -tip.constants.torques_per_amp(n)[:, None] * still[:, :n]
-        return found
+        stiffness: Array = -tip.constants.torques_per_amp(n)[:, None] * still[:, :n]
+        return stiffness
 
     def _arm(self) -> Chain:
         chain = mechanism(self._scene, 1.0)

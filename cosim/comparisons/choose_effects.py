@@ -93,19 +93,21 @@ class _Search:
         if key not in self.known:
             if self.on_progress is not None:
                 self.on_progress(name)
-            found = measure(self.candidates.plan(settings), (*OF_A_RUN, *self.tolerances), child=self.child)
-            self.known[key] = found.rows
-            self.cpu_s += found.cpu_s
+            measured = measure(
+                self.candidates.plan(settings), (*OF_A_RUN, *self.tolerances), child=self.child
+            )
+            self.known[key] = measured.rows
+            self.cpu_s += measured.cpu_s
         return self.known[key]
 
     def force_n(self, settings: Settings) -> float:
         """Return the tolerance as a force: the strictest share of a measure, of the largest force."""
-        found = self.measures(settings, "")
-        peak = float(found["peak_force"]["value"])
+        measures = self.measures(settings, "")
+        peak = float(measures["peak_force"]["value"])
         shares = [
             tolerance.allowed(value) / abs(value)
             for name, tolerance in self.tolerances.items()
-            if name in found and (value := float(found[name]["value"])) != 0.0
+            if name in measures and (value := float(measures[name]["value"])) != 0.0
         ]
         return min(shares, default=0.0) * peak
 
@@ -113,8 +115,8 @@ class _Search:
         """Switch a rung on over the settings and remember what it does."""
         before = self.measures(settings, "")
         after = self.measures(self.candidates.with_(settings, rung), f"with {rung.name}")
-        self.moves[rung.name] = found = self.move(before, after)
-        return found
+        self.moves[rung.name] = move = self.move(before, after)
+        return move
 
     def move(self, before: Measures, after: Measures) -> Move:
         moves = [self._move(name, before, after) for name in self.tolerances]
@@ -177,15 +179,15 @@ def choose(
     search = _Search(candidates, tolerances(candidates.scene), child, on_progress)
     search.measures(candidates.null, "with no effect")
     chosen = _add_by_size(search, candidates.null)
-    chosen, said = _verify_largest(search, chosen)
-    chosen, whole = _verify_all(search, chosen)
+    chosen, largest_error = _verify_largest(search, chosen)
+    chosen, error = _verify_all(search, chosen)
     _check_measures(search, chosen)
     plan = candidates.plan(chosen)
     digest = effects_digest(plan.scene)
     record = {
         "tolerance": {name: dict(vars(t)) for name, t in search.tolerances.items()},
         "decisions": [vars(decision) for decision in decisions(search, chosen)],
-        "verified": [said, whole],
+        "verified": [largest_error, error],
         "runs": len(search.known),
         "effects_digest": digest,
     }
@@ -270,8 +272,8 @@ def _add_until(search: _Search, settings: Settings, full: Measures) -> Settings:
 
 def _check_measures(search: _Search, settings: Settings) -> None:
     """Refuse a tolerance of a measure that the chosen run does not have: it was never looked at."""
-    found = search.measures(settings, "")
-    missing = [name for name in search.tolerances if name not in found]
+    measures = search.measures(settings, "")
+    missing = [name for name in search.tolerances if name not in measures]
     if missing:
         scene = search.candidates.scene
         raise InputError(
@@ -280,7 +282,7 @@ def _check_measures(search: _Search, settings: Settings) -> None:
                 file=scene.file_name,
                 key=f"tolerance.{name}",
                 value=str(scene.tolerance.measures[name]),
-                allowed=", ".join(found),
+                allowed=", ".join(measures),
             )
             for name in missing
         )
@@ -288,22 +290,22 @@ def _check_measures(search: _Search, settings: Settings) -> None:
 
 def decisions(search: _Search, chosen: Settings) -> list[Decision]:
     """Return why each setting of each effect is in or out, in the order of the registry."""
-    candidates, found = search.candidates, []
+    candidates, rows = search.candidates, []
     above = candidates.above(chosen)
     least_n = search.force_n(chosen)
     for effect in EFFECTS:
         if effect.name in candidates.fixed:
             value, why = chosen[effect.name], candidates.fixed[effect.name]
-            found.append(Decision(effect.name, value, value != effect.null, why))
+            rows.append(Decision(effect.name, value, value != effect.null, why))
         for rung in (r for r in candidates.rungs if r.effect is effect):
             if rung in above or chosen[effect.name] == rung.value:  # else a finer setting is in force
-                found.append(_decided(search, chosen, rung, rung not in above, least_n))
-        found += [
+                rows.append(_decided(search, chosen, rung, rung not in above, least_n))
+        rows += [
             Decision(name, value, False, f"not possible here: {why}")
             for (name, value), why in candidates.refused.items()
             if name == effect.name
         ]
-    return found
+    return rows
 
 
 def _decided(search: _Search, chosen: Settings, rung: Rung, in_force: bool, least_n: float) -> Decision:

@@ -146,15 +146,15 @@ def sides_of(boards: list[str], variants: list[Variant], last: Path | None) -> l
         names = [f"{Path(board).resolve().parent.name}/{Path(board).stem}" for board in boards]
     of_board = [(name, _board(board)) for name, board in zip(names, boards, strict=True)]
     of_board = of_board or [("as it stands", ())]
-    found: list[tuple[str, tuple[str, ...], Path | None]] = []
+    asked: list[tuple[str, tuple[str, ...], Path | None]] = []
     if last is not None:
-        found.append((f"run {last.name}", (), last))
+        asked.append((f"run {last.name}", (), last))
     if len(boards) == 2 or not tried or last is None:
-        found += [(name, overrides, None) for name, overrides in of_board]
-    found += [(_label(variant), (*of_board[0][1], *variant.overrides), None) for variant in tried]
+        asked += [(name, overrides, None) for name, overrides in of_board]
+    asked += [(_label(variant), (*of_board[0][1], *variant.overrides), None) for variant in tried]
     return [
         Asked(f"{chr(ord('A') + number)} {name}", overrides, folder)
-        for number, (name, overrides, folder) in enumerate(found)
+        for number, (name, overrides, folder) in enumerate(asked)
     ]
 
 
@@ -244,18 +244,18 @@ def _side(label: str, plan: Plan, subject: Subject, result: Run, child: Child | 
         *of_measures({**result.measures, **rows}), *of_check(measured),
         *of_dissipation(dissipation(result, stated)),
     ]  # fmt: skip
-    said = first_to_clip(measured, result)
-    said += [(MEASURES[name].text, why) for name, why in lacking.items()]
+    notes = first_to_clip(measured, result)
+    notes += [(MEASURES[name].text, why) for name, why in lacking.items()]
     circuit = None
     try:
         circuit = _circuit(plan, 0.0, child)
         reduced = _circuit(plan, plan.scene.solver.reduction_tolerance, child)
     except InputError as error:  # a board too nonlinear for one is still a board
-        said.append(("small-signal model", error.in_brief))
+        notes.append(("small-signal model", error.in_brief))
     else:
         figures += [*of_circuit(circuit), *of_reduced(reduced)]
-        said.append(("small-signal model", str(circuit.certificate["footnote_1"]["sentence"])))
-    return Side(label, plan, result, measured, circuit, tuple(figures), tuple(said))
+        notes.append(("small-signal model", str(circuit.certificate["footnote_1"]["sentence"])))
+    return Side(label, plan, result, measured, circuit, tuple(figures), tuple(notes))
 
 
 def compare_measures(
@@ -275,16 +275,16 @@ def compare_measures(
         For a board that does not fit the scene, and a measure that has nothing to be taken from.
     """
     prepared = [_prepared(scene_file, each, trust) for each in asked]
-    found = []
+    compared = []
     for number, (each, (plan, _, result)) in enumerate(zip(asked, prepared, strict=True)):
         if on_progress is not None:
             on_progress(number, len(asked), each.label)
         if result is None:
-            found.append((each.label, measure(plan, names, child=child)))
+            compared.append((each.label, measure(plan, names, child=child)))
         else:
             rows, lacking = board_measures(plan, names, child=child)
-            found.append((each.label, Measured({**result.measures, **rows}, lacking, 0.0)))
-    return found
+            compared.append((each.label, Measured({**result.measures, **rows}, lacking, 0.0)))
+    return compared
 
 
 def _circuit(plan: Plan, tolerance: float, child: Child | None) -> LinearCircuit:
@@ -317,13 +317,13 @@ def changes(sides: list[Side]) -> list[Row]:
     force_n = peak.value if peak is not None and peak.value is not None else 0.0
     rows: dict[tuple[object, ...], Row] = {}
     for key in dict.fromkeys(key for figures in known for key in figures):
-        found = [figures.get(key) for figures in known]
-        unit = next(figure.unit for figure in found if figure is not None)
-        values = tuple(figure.value if figure is not None else None for figure in found)
+        both = [figures.get(key) for figures in known]
+        unit = next(figure.unit for figure in both if figure is not None)
+        values = tuple(figure.value if figure is not None else None for figure in both)
         size = _change(values, _NOTHING.get(unit, 1e-12))
         if size <= _ROUNDING:
             continue
-        parts = dict.fromkeys(figure.part for figure in found if figure is not None and figure.part)
+        parts = dict.fromkeys(figure.part for figure in both if figure is not None and figure.part)
         place = key[2] + (f" ({' / '.join(parts)})" if parts else "")
         same = (key[0], key[1], tuple(None if v is None else f"{v:.6g}" for v in values))
         if same in rows:
@@ -369,10 +369,10 @@ def _change(values: tuple[float | None, ...], nothing: float) -> float:
     first = values[0]
     if first is None:
         return 0.0 if all(value is None for value in values) else 1.0
-    found = 0.0
+    change = 0.0
     for value in values[1:]:
         if value is None:
-            found = max(found, 1.0)
+            change = max(change, 1.0)
         elif max(abs(value), abs(first)) > nothing:
-            found = max(found, abs(value - first) / max(abs(first), abs(value)))
-    return found
+            change = max(change, abs(value - first) / max(abs(first), abs(value)))
+    return change

@@ -174,10 +174,10 @@ class Candidates:
                 self._plans[key] = plan
             except InputError as error:
                 self._plans[key] = error
-        found = self._plans[key]
-        if isinstance(found, InputError):
-            raise found
-        return found
+        known = self._plans[key]
+        if isinstance(known, InputError):
+            raise known
+        return known
 
     def seconds(self, settings: Settings) -> float:
         """Return the predicted time of a run: never measured, so that the choice is the same everywhere."""
@@ -196,20 +196,20 @@ class Candidates:
     def tolerance_n(self) -> float:
         """Return the force that matters, before anything has run [N]: the strictest tolerance's."""
         force = self.force_n()
-        found = [
+        forces = [
             tolerance.allowed(force)
             for name, tolerance in tolerances(self.scene).items()
             if tolerance.relative or UNITS[name] == "N"
         ]
-        return min(found, default=0.0)
+        return min(forces, default=0.0)
 
     def ranked(self) -> list[tuple[Rung, Plan, Size]]:
         """Return all rungs, with plan and size over what they require, by size per predicted second."""
-        found = []
+        order = []
         for rung in self.rungs:
             settings = self._needed(rung.effect)
-            found.append((rung, self.plan(self.with_(settings, rung)), self.size(rung, settings)))
-        return sorted(found, key=lambda row: -row[2].force_n / row[1].cost()["seconds"])
+            order.append((rung, self.plan(self.with_(settings, rung)), self.size(rung, settings)))
+        return sorted(order, key=lambda row: -row[2].force_n / row[1].cost()["seconds"])
 
 
 def _toml(value: Any) -> str:

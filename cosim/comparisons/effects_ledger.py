@@ -289,10 +289,10 @@ class _Runner:
                 raise plan
             try:
                 with collected(name):
-                    found = self._measurer(plan, self._names, child=self._child, lenient=True)
-                    warn(*(caution for caution in found.warnings if caution.code == "tolerance-missed"))
-                self.lacking |= found.lacking
-                self._known[key] = found.rows, found.cpu_s
+                    measured = self._measurer(plan, self._names, child=self._child, lenient=True)
+                    warn(*(caution for caution in measured.warnings if caution.code == "tolerance-missed"))
+                self.lacking |= measured.lacking
+                self._known[key] = measured.rows, measured.cpu_s
             except SimulationError as error:
                 self._known[key] = error.in_brief
                 self.close()

@@ -27,13 +27,13 @@ def differing(runs: Sequence[Run], boards: Sequence[Deck | None]) -> list[Differ
         What each of them keeps of its board; None where that cannot be read: the board is told by its digest.
     """
     scenes = [dict(_flat(run.scene.model_dump(mode="json"))) for run in runs]
-    found = _apart(scenes)
+    rows = _apart(scenes)
     if all(board is not None for board in boards):
-        found += _apart([_statements(board) for board in boards if board is not None])
+        rows += _apart([_statements(board) for board in boards if board is not None])
     else:
-        found += _apart([{"board (digest)": str(run.provenance.get("deck_digest"))} for run in runs])
+        rows += _apart([{"board (digest)": str(run.provenance.get("deck_digest"))} for run in runs])
     about = [{k: v for k, v in run.provenance.items() if k not in _APART} for run in runs]
-    return found + _apart([dict(_flat(each)) for each in about])
+    return rows + _apart([dict(_flat(each)) for each in about])
 
 
 def _apart(sides: Sequence[Mapping[str, str]]) -> list[Differing]:
@@ -53,7 +53,7 @@ def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str
 
 def _statements(board: Deck) -> dict[str, str]:
     """Return the statements of a flat board by what they state: a parameter or an element with its block."""
-    found: dict[str, str] = {}
+    statements: dict[str, str] = {}
     block = ""
     for line in board.lines[1:]:
         words = line.text.split()
@@ -66,7 +66,7 @@ def _statements(board: Deck) -> dict[str, str]:
             block = ""
         elif head in (".param", ".csparam"):
             name, _, value = " ".join(words[1:]).partition("=")
-            found.setdefault(f"{head} {block}{name.strip()}", value.strip())
+            statements.setdefault(f"{head} {block}{name.strip()}", value.strip())
         else:
-            found.setdefault(f"{block}{words[0]}", " ".join(words[1:]))
-    return found
+            statements.setdefault(f"{block}{words[0]}", " ".join(words[1:]))
+    return statements

@@ -85,8 +85,8 @@ def measure(
         return Measured(rows, lacking, 0.0)
     with scratch_folder("measure") as folder:
         result = run(all_measures(plan), folder / "run", formats=(), child=child, errors=errors)
-        told, cpu_s = tuple(result.warnings), float(result.stats["cpu_s"])
-        return Measured({**result.measures, **rows}, lacking, cpu_s, told, result.measures)
+        warnings, cpu_s = tuple(result.warnings), float(result.stats["cpu_s"])
+        return Measured({**result.measures, **rows}, lacking, cpu_s, warnings, result.measures)
 
 
 def _without_a_run(

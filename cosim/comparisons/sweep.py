@@ -183,7 +183,7 @@ def sweep(
     )  # a part of its own: asked for later, it runs nothing again
     parts = [part for part in (OF_A_RUN if own or needs_a_run(measures) else (), alone) if part]
     failed: dict[str, str] = {}
-    found: list[Mapping[str, Any]] = []
+    rows: list[Mapping[str, Any]] = []
     bounds: list[Mapping[str, Any]] = []
     with disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -208,12 +208,12 @@ def sweep(
                     raise
                 except (InputError, SimulationError) as error:  # not kept: a resumed sweep tries it again
                     failed[label] = str(error)
-            found.append(row)
+            rows.append(row)
             bounds.append(bound)
     result = Sweep(
         names=tuple(setting.name for setting in settings),
         values=tuple(tuple(value for _, value in variant.values) for variant in every),
-        measures={name: tuple(_number(row.get(name)) for row in found) for name in measures},
+        measures={name: tuple(_number(row.get(name)) for row in rows) for name in measures},
         failed=failed,
         errors={
             name: tuple(_number(bound.get(name)) for bound in bounds)
@@ -249,11 +249,13 @@ def _plan(path: SceneLike, overrides: tuple[str, ...], variant: Variant, trust: 
 
 
 def _measured(plan: Plan, names: Sequence[str], child: Child | None, measurer: Measurer) -> dict[str, Any]:
-    found = measurer(plan, names, child=child)
-    measures = {name: float(row["value"]) for name, row in found.rows.items()}
-    errors = {name: float(row["error"]) for name, row in found.rows.items() if row.get("error") is not None}
-    told = {"errors": errors} if errors else {}
-    return {"measures": measures, **told, "warnings": [caution.as_dict() for caution in found.warnings]}
+    measured = measurer(plan, names, child=child)
+    measures = {name: float(row["value"]) for name, row in measured.rows.items()}
+    errors = {
+        name: float(row["error"]) for name, row in measured.rows.items() if row.get("error") is not None
+    }
+    notes = {"errors": errors} if errors else {}
+    return {"measures": measures, **notes, "warnings": [caution.as_dict() for caution in measured.warnings]}
 
 
 def _digest(path: SceneLike, overrides: tuple[str, ...], trust: bool, how: str = "") -> str:

@@ -13,13 +13,13 @@ __all__ = ["forgotten", "stated_in_vain"]
 
 def stated_in_vain(scene: Scene, effects: tuple[Effect, ...]) -> list[str]:
     """Say of each key that the scene states, other than by its default, that its effect is off."""
-    return [said for _, said in _in_vain(scene, effects)]
+    return [text for _, text in _in_vain(scene, effects)]
 
 
 def forgotten(scene: Scene, effects: tuple[Effect, ...]) -> list[str]:
     """Say the same of the keys whose effect the scene does not mention: one that says "off" knows it."""
     mentioned = scene.effects.model_fields_set
-    return [said for effect, said in _in_vain(scene, effects) if effect not in mentioned]
+    return [text for effect, text in _in_vain(scene, effects) if effect not in mentioned]
 
 
 def _in_vain(scene: Scene, effects: tuple[Effect, ...]) -> Iterator[tuple[str, str]]:

@@ -187,11 +187,11 @@ def _measures(currents: list[str], shown: list[str], end: float) -> list[str]:
     # a shade before the end: rounding must not put it behind the last point
     at = f"at={end * (1 - 1e-9)!r}"
     for name in shown:
-        found = _LINK_SPEED.match(name)
-        if found is None:
+        match = _LINK_SPEED.match(name)
+        if match is None:
             lines.append(f".meas tran {name}_end find v({name}) {at}")
         else:  # nodes w are links' speeds in space; a joint's, as beside it its angle, is a difference
-            j = int(found[1])
+            j = int(match[1])
             speed = f"v(w{j})" if j == 1 else f"par('v(w{j})-v(w{j - 1})')"
             lines.append(f".meas tran v{j}_end find {speed} {at}")
     return lines

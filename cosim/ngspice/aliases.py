@@ -98,34 +98,34 @@ class Aliases:
         low = name.lower()
         if self._plain:
             return low
-        found = self._path(low, "e", self._elements.get)
-        if found is None and low[1:2] == ".":
+        path = self._path(low, "e", self._elements.get)
+        if path is None and low[1:2] == ".":
             inner = self._path(low[2:], "e", self._elements.get)
-            found = None if inner is None else f"{low[0]}.{inner}"
-        return found
+            path = None if inner is None else f"{low[0]}.{inner}"
+        return path
 
     def vector(self, name: str) -> str | None:
         """Return what ngspice calls a vector: a node, a current, a spectrum, a constant; ``None`` if none."""
         low = name.lower()
         if self._plain:
             return low
-        found = self.node_path(low)
+        path = self.node_path(low)
         plot = _PLOT.match(low)
-        if found is None and plot is not None:
+        if path is None and plot is not None:
             inner = self.vector(low[plot.end() :])
-            found = None if inner is None else plot[0] + inner
+            path = None if inner is None else plot[0] + inner
         if low in _SCALES:
             return low
-        if found is None and low.startswith("v(") and low.endswith(")"):
-            found = self.node_path(low[2:-1])
+        if path is None and low.startswith("v(") and low.endswith(")"):
+            path = self.node_path(low[2:-1])
         noise = _NOISE.match(low)
-        if found is None and noise is not None:
+        if path is None and noise is not None:
             inner = self._with_tail(low[noise.end() :])
-            found = None if inner is None else noise[0] + inner
-        if found is None and low.endswith("#branch"):
+            path = None if inner is None else noise[0] + inner
+        if path is None and low.endswith("#branch"):
             inner = self.element_path(low.removesuffix("#branch"))
-            found = None if inner is None else inner + "#branch"
-        return low if found is None and _PLAIN.fullmatch(low) else found
+            path = None if inner is None else inner + "#branch"
+        return low if path is None and _PLAIN.fullmatch(low) else path
 
     def restore(self, text: str) -> str:
         """Put the user's names back into what ngspice says."""
@@ -158,9 +158,9 @@ class Aliases:
         """Resolve an element behind which ``.noise`` puts the kind of noise: ``r1_thermal``."""
         ends = [len(name), *(k for k, c in enumerate(name) if c == "_")]
         for end in sorted(ends, reverse=True):
-            found = self.element_path(name[:end]) if end else None
-            if found is not None:
-                return found + name[end:]
+            path = self.element_path(name[:end]) if end else None
+            if path is not None:
+                return path + name[end:]
         return None
 
     def _path(self, name: str, kind: str, leaf: Callable[[str], str | None]) -> str | None:
@@ -175,11 +175,11 @@ class Aliases:
         best: dict[int, str | None] = {}
         for place in reversed(range(len(cuts))):
             start = cuts[place]
-            found = leaf(name[start:])
-            for other in cuts[place + 1 :] if found is None else ():
+            path = leaf(name[start:])
+            for other in cuts[place + 1 :] if path is None else ():
                 head, rest = self._elements.get(name[start : other - 1]), best[other]
                 if head is not None and head[0] == "x" and rest is not None:
-                    found = f"{head}.{rest}"
+                    path = f"{head}.{rest}"
                     break
-            best[start] = found
+            best[start] = path
         return best[0]

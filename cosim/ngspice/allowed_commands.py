@@ -65,10 +65,10 @@ def _number(word: str) -> str:
 
 
 def _element(name: str, aliases: Aliases) -> str:
-    found = aliases.element_path(name)
-    if found is None:
+    path = aliases.element_path(name)
+    if path is None:
         fail("the circuit has no such element", key=name)
-    return found
+    return path
 
 
 def _voltage(word: str, aliases: Aliases) -> str:
@@ -76,8 +76,8 @@ def _voltage(word: str, aliases: Aliases) -> str:
     if word.lower().startswith("v(") and word.endswith(")"):
         inner = word[2:-1]
         names = [inner] if aliases.node_path(inner) else inner.split(",")
-        found = [aliases.node_path(name) or aliases.node(name) for name in names]
-        return f"v({','.join(found)})"
+        nodes = [aliases.node_path(name) or aliases.node(name) for name in names]
+        return f"v({','.join(nodes)})"
     vector = aliases.vector(word) if word.lower() != "all" else "all"
     if vector is None:
         fail("the circuit has no such node or source", key=word)

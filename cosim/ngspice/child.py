@@ -156,12 +156,12 @@ class Child:
                 (folder / name).mkdir()
             (work / ".spiceinit").write_text("* empty: keeps ngspice from looking further\n")
             env = _environment(folder)
-            with open(folder / "said", "wb") as said:
+            with open(folder / "said", "wb") as output:
                 process = subprocess.Popen(
                     _command(send, self._modules, _allowed(folder, env, self._reads)),
                     stdin=subprocess.PIPE,
-                    stdout=said,
-                    stderr=said,
+                    stdout=output,
+                    stderr=output,
                     cwd=work,
                     env=env,
                     pass_fds=(send,),
@@ -310,10 +310,12 @@ class Child:
 
     def _last_words(self) -> str:
         try:
-            said = (self._folder / "said").read_bytes()[-8000:].decode("utf-8", "replace")
+            output = (self._folder / "said").read_bytes()[-8000:].decode("utf-8", "replace")
         except OSError:
             return ""
-        words, _, _ = said.partition("Fatal Python error:")  # what follows is our stack, not ngspice's words
+        words, _, _ = output.partition(
+            "Fatal Python error:"
+        )  # what follows is our stack, not ngspice's words
         return "\n".join(words.splitlines()[-_LAST_LINES:])
 
 

@@ -64,9 +64,9 @@ class _Reader(pickle.Unpickler):
         if (module, name) in _PLAIN:
             return super().find_class(module, name)
         if module.partition(".")[0] in _PACKAGES:
-            found = super().find_class(module, name)
-            if isinstance(found, type) and found.__module__ == module and "." not in name:
-                return found
+            kind = super().find_class(module, name)
+            if isinstance(kind, type) and kind.__module__ == module and "." not in name:
+                return kind
         raise pickle.UnpicklingError(f"{module}.{name}")
 
 

@@ -22,14 +22,14 @@ def flags(net: Netlist) -> dict[str, float]:
         if line.keyword in (".param", ".params")
         for name, _, text in (word.partition("=") for word in tokens(line.text)[1:])
     ]
-    found: dict[str, float] = {}
+    known: dict[str, float] = {}
     for _ in range(_ROUNDS):  # a value may be stated behind its use
-        values = {name: evaluate(text, found) for name, text in pairs}  # the last definition counts
+        values = {name: evaluate(text, known) for name, text in pairs}  # the last definition counts
         now = {name: value for name, value in values.items() if value is not None}
-        if now == found:
+        if now == known:
             break
-        found = now
-    return found
+        known = now
+    return known
 
 
 def mentions(block: Block, name: str) -> bool:

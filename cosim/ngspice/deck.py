@@ -149,7 +149,7 @@ def load_deck(
     check_size(net.blocks, board)
     features = tuple(features)
     _check_overrides(overrides or {}, features, temperature_c)
-    said = apply_overrides(net, board, overrides or {}) + _switch(net, shelf, features)
+    changes = apply_overrides(net, board, overrides or {}) + _switch(net, shelf, features)
     warm = _heat(net, temperature_c)
     conditionals.settle(net)
     joints = _joints(board)
@@ -181,7 +181,7 @@ def load_deck(
         joints,
         tuple(amplifiers(net, board, shelf)),
         tuple(shelf.used[name] for name in sorted(shelf.used) if name in net.blocks),
-        (*notes(net, blocks), *said),
+        (*notes(net, blocks), *changes),
         path,
         reactances(net, board),
         tuple(declared(net, board)),
@@ -215,16 +215,16 @@ def _switch(net: Netlist, shelf: Shelf, features: Iterable[Feature]) -> list[str
     InputError
         Naming each part that cannot carry an effect in force.
     """
-    problems, said = [], dict[str, None]()
+    problems, notes = [], dict[str, None]()
     for feature in features:
-        found = set_param(net, feature.name, str(int(feature.on)))
+        switched = set_param(net, feature.name, str(int(feature.on)))
         for part in (shelf.used[name] for name in sorted(shelf.used) if name in net.blocks):
             if part.role not in feature.roles or part.level == "full":
                 continue
             if part.level is None:
-                said[f"{part.name} is a vendor's model: it carries what its file holds, the effects of "
+                notes[f"{part.name} is a vendor's model: it carries what its file holds, the effects of "
                      f"{part.role} (level, offset, slew and the like) do not switch it"] = None  # fmt: skip
-            elif feature.on and not (found and conditionals.mentions(net.blocks[part.name], feature.name)):
+            elif feature.on and not (switched and conditionals.mentions(net.blocks[part.name], feature.name)):
                 problems.append(
                     Problem(
                         f"the part {part.name} does not carry this effect at its level {part.level}: its "
@@ -234,11 +234,11 @@ def _switch(net: Netlist, shelf: Shelf, features: Iterable[Feature]) -> list[str
                         value=feature.on,
                     )
                 )
-        if not found and not feature.roles:
-            said[f"no block of the board states .param {feature.name}: it is as the netlist has it"] = None
+        if not switched and not feature.roles:
+            notes[f"no block of the board states .param {feature.name}: it is as the netlist has it"] = None
     if problems:
         raise InputError(problems)
-    return list(said)
+    return list(notes)
 
 
 def _heat(net: Netlist, temperature_c: float) -> list[Line]:
@@ -263,14 +263,14 @@ def _without_title(rows: list[Line], lines: list[Line]) -> list[Line]:
 
 def _board(path: Path, net: Netlist) -> Block:
     """Return the subcircuit that is a board: the one with numbered pins such as ``imot1``."""
-    found = [block for block in net.blocks.values() if any(map(_NUMBERED_PIN.fullmatch, block.pins))]
-    if len(found) != 1:
-        names = ", ".join(block.name for block in found or net.blocks.values()) or "none"
+    boards = [block for block in net.blocks.values() if any(map(_NUMBERED_PIN.fullmatch, block.pins))]
+    if len(boards) != 1:
+        names = ", ".join(block.name for block in boards or net.blocks.values()) or "none"
         fail(
             f"the file must hold one board, a .subckt with pins such as imot1; found: {names}", file=str(path)
         )
-    _check_pins(found[0])
-    return found[0]
+    _check_pins(boards[0])
+    return boards[0]
 
 
 def _joints(board: Block) -> int:
@@ -386,13 +386,13 @@ def _take_as_part(block: Block, shelf: Shelf) -> None:
 
 def _reachable(net: Netlist, board: Block) -> list[Block]:
     """Return the board and all it instantiates, the board last."""
-    found: dict[str, Block] = {}
+    blocks: dict[str, Block] = {}
 
     def visit(block: Block) -> None:
         for instance in block.references():
-            if instance.block not in found:
+            if instance.block not in blocks:
                 visit(net.blocks[instance.block])
-        found[block.name] = block
+        blocks[block.name] = block
 
     visit(board)
-    return list(found.values())
+    return list(blocks.values())

@@ -34,7 +34,7 @@ class Dialect(StrEnum):
 
         The mode holds for a whole deck; LTspice's (``ltpsa``) reads all that PSpice's (``psa``) does.
         """
-        found = set(dialects)
-        if Dialect.LTSPICE in found:
+        known = set(dialects)
+        if Dialect.LTSPICE in known:
             return "ltpsa"
-        return "psa" if Dialect.PSPICE in found else None
+        return "psa" if Dialect.PSPICE in known else None

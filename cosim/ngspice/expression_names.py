@@ -57,13 +57,13 @@ def is_name(text: str) -> bool:
 
 def arguments(text: str, *, blanks: bool = False) -> list[str]:
     """Split at commas (and blanks) outside parentheses."""
-    found, depth, start = [], 0, 0
+    words, depth, start = [], 0, 0
     for k, c in enumerate(text):
         depth += (c in "({[") - (c in ")}]")
         if depth == 0 and (c == "," or (blanks and c.isspace())):
-            found.append(text[start:k].strip())
+            words.append(text[start:k].strip())
             start = k + 1
-    return [*found, text[start:].strip()]
+    return [*words, text[start:].strip()]
 
 
 def parts(text: str) -> list[str | Name]:

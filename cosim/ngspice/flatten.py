@@ -186,21 +186,21 @@ def sections(rows: list[Line], dialect: Dialect = Dialect.NGSPICE) -> list[str]:
     """Return the names of the ``.lib`` sections that `rows` define, in lower case."""
     if dialect.lib_includes and not any(line.keyword == ".endl" for line in rows):
         return []
-    found = (_arguments(line.text.partition(" ")[2]) for line in rows if line.keyword == ".lib")
-    return [arguments[0].lower() for arguments in found if len(arguments) == 1]
+    arguments = (_arguments(line.text.partition(" ")[2]) for line in rows if line.keyword == ".lib")
+    return [arguments[0].lower() for arguments in arguments if len(arguments) == 1]
 
 
 def _arguments(text: str) -> list[str]:
     """Split the arguments of an include; a name with blanks stands in quotes."""
-    found: list[str] = []
+    parts: list[str] = []
     rest = text.strip()
-    while rest and len(found) < 3:
+    while rest and len(parts) < 3:
         end = rest.find(rest[0], 1) if rest[0] in "\"'" else -1
         if end > 0:
-            found.append(rest[1:end])
+            parts.append(rest[1:end])
             rest = rest[end + 1 :].strip()
         else:
             words = rest.split(None, 1)
-            found.append(words[0])
+            parts.append(words[0])
             rest = words[1] if len(words) > 1 else ""
-    return found
+    return parts

@@ -179,8 +179,8 @@ class _Writer:
     def _spelled(self, name: Name) -> str:
         """Return the alias of a name in an expression, which may be a path into a subcircuit."""
         if name.is_element:
-            found = self.aliases.element_path(name.text)
-            return self.aliases.element(name.text) if found is None else found
+            path = self.aliases.element_path(name.text)
+            return self.aliases.element(name.text) if path is None else path
         return self.aliases.node_path(name.text) or self.aliases.node(name.text)
 
     def _statement(self, text: str) -> list[Part]:
@@ -312,15 +312,15 @@ class _Writer:
 
     def _take(self, words: list[str], count: int) -> tuple[list[Part], list[str]]:
         """Write so many nodes; return them and the words behind."""
-        found: list[str] = []
+        taken: list[str] = []
         rest = list(words)
-        while len(found) < count:
+        while len(taken) < count:
             if not rest:
                 raise Refused(f"needs {count} nodes")
-            found += _split(rest.pop(0))
-        if len(found) != count:
-            raise Refused(f"has {len(found)} nodes where {count} belong")
-        return self._nodes(found), rest
+            taken += _split(rest.pop(0))
+        if len(taken) != count:
+            raise Refused(f"has {len(taken)} nodes where {count} belong")
+        return self._nodes(taken), rest
 
     def _nodes(self, names: Iterable[str]) -> list[Part]:
         return [part for name in names for each in _split(name) for part in (" ", self._name(each))]

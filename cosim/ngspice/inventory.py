@@ -36,7 +36,7 @@ class Amplifier:
 
 def amplifiers(net: Netlist, board: Block, shelf: Shelf) -> list[Amplifier]:
     """Walk the instances and list the amplifiers with the names ngspice gives their outputs."""
-    found: list[Amplifier] = []
+    every: list[Amplifier] = []
 
     def walk(block: Block, path: str, nets: dict[str, str]) -> None:
         for instance in block.instances():
@@ -52,12 +52,12 @@ def amplifiers(net: Netlist, board: Block, shelf: Shelf) -> list[Amplifier]:
             if part is not None and part.out is not None:
                 if part.out not in inner:
                     fail(f"part {part.name} has no pin {part.out}", file=child.header.file, key="out")
-                found.append(Amplifier(here, part.name, part.role, inner[part.out], part.swing))
+                every.append(Amplifier(here, part.name, part.role, inner[part.out], part.swing))
             elif part is None:
                 walk(child, here, inner)
 
     walk(board, "xboard", {pin: pin for pin in board.pins} | global_nodes(net))
-    return found
+    return every
 
 
 def reactances(net: Netlist, block: Block) -> int:
@@ -90,7 +90,7 @@ def declared(net: Netlist, board: Block) -> list[str]:
         if block.stability:
             return [path]
         return [
-            found for name, child in inside(block) if holds(child) for found in walk(child, f"{path}.{name}")
+            inner for name, child in inside(block) if holds(child) for inner in walk(child, f"{path}.{name}")
         ]
 
     return walk(board, "xboard")

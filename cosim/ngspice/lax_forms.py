@@ -42,8 +42,8 @@ def put_right(line: Line) -> Line:
             note = "the parentheses of the table do not match: its pairs are read"
     match = _COEFFICIENTS.match(text)
     if match is not None and len(tokens(match[1])) > 3:
-        found = [word for word in match.groups()[1:] if word is not None]
-        if all(number(word) is not None for word in found):
-            stated = " ".join(f"tc{k}={word}" for k, word in enumerate(found, 1))
+        words = [word for word in match.groups()[1:] if word is not None]
+        if all(number(word) is not None for word in words):
+            stated = " ".join(f"tc{k}={word}" for k, word in enumerate(words, 1))
             text = f"{match[1]}{stated}{text[match.end() :]}"
     return line if text == line.text else replace(line, text=text, note=note or line.note)

@@ -99,8 +99,8 @@ class Library:
     def _open(opened: Any) -> Any:
         tried = _candidates()
         if "NGSPICE_LIBRARY_PATH" not in os.environ:
-            found = ctypes.util.find_library("ngspice") if sys.platform != "linux" else None
-            tried += [found] if found else []
+            path = ctypes.util.find_library("ngspice") if sys.platform != "linux" else None
+            tried += [path] if path else []
         for name in tried:
             opened.LIBRARY_PATH = name
             with contextlib.suppress(OSError):

@@ -104,8 +104,8 @@ def read_lines(path: Path, dialect: Dialect = Dialect.NGSPICE) -> list[Line]:
 
 def strange_character(text: str) -> str | None:
     """Say which character of a statement ends a line for some readers or is not seen, or ``None``."""
-    found = _STRANGE.search(text)
-    return f"holds control characters or invisible ones: U+{ord(found[0]):04X}" if found else None
+    match = _STRANGE.search(text)
+    return f"holds control characters or invisible ones: U+{ord(match[0]):04X}" if match else None
 
 
 def _text(path: Path) -> str:
@@ -189,7 +189,7 @@ def tokens(text: str) -> list[str]:
     text = _EQUALS.sub("=", _BLANKS.sub(" ", text))
     if _GROUPED.search(text) is None:
         return text.split()
-    found: list[str] = []
+    words: list[str] = []
     depth, quote, start = 0, "", 0
     for i, c in enumerate(text):
         if quote:
@@ -201,9 +201,9 @@ def tokens(text: str) -> list[str]:
         elif c in "})]":
             depth = max(depth - 1, 0)
         elif c == " " and depth == 0:
-            found.append(text[start:i])
+            words.append(text[start:i])
             start = i + 1
-    return [word for word in (*found, text[start:]) if word]
+    return [word for word in (*words, text[start:]) if word]
 
 
 def join(words: list[str]) -> str:

@@ -64,7 +64,7 @@ def worth_quoting(line: str) -> bool:
 
 
 def operating_point_problem(
-    said: Sequence[str],
+    output: Sequence[str],
     tied: Callable[[str], bool],
     looped: Callable[[str], bool],
     *,
@@ -76,9 +76,9 @@ def operating_point_problem(
     singular for a node without a DC path (which `tied` tells), a loop of voltage sources (which `looped`
     tells of an element in it), or because Newton's method got lost within a model.
     """
-    if not any(_DC_FAILED.search(line) for line in said):
+    if not any(_DC_FAILED.search(line) for line in output):
         return None
-    named = list(dict.fromkeys(match[1] for line in said if (match := _SINGULAR.search(line))))
+    named = list(dict.fromkeys(match[1] for line in output if (match := _SINGULAR.search(line))))
     nodes = [node for both in named for node in both.split(" and ")]
     loops = [node.removesuffix("#branch") for node in nodes if node.endswith("#branch")]
     loops = [element for element in loops if looped(element)]
@@ -89,15 +89,15 @@ def operating_point_problem(
     if floating:
         words = f"floating node: {', '.join(floating)} has no DC path to ground"
         return InputError(Problem(words, file=file))
-    reason = next((line.strip() for line in said if line.lstrip().lower().startswith("error:")), None)
+    reason = next((line.strip() for line in output if line.lstrip().lower().startswith("error:")), None)
     lost = f"the matrix became singular at {', '.join(named[:3])}" if named else None
-    parts = [part for part in (reason, lost, _last_nodes(said)) if part]
+    parts = [part for part in (reason, lost, _last_nodes(output)) if part]
     return NoOperatingPoint(Problem("no DC operating point: " + "; ".join(parts), file=file))
 
 
-def _last_nodes(said: Sequence[str]) -> str:
+def _last_nodes(output: Sequence[str]) -> str:
     """Return the nodes that ngspice marks with a star as not converged."""
-    marked = [line.split()[0] for line in said if re.match(r"^\S+\s+\S+\s+\S+\s+\*\s*$", line)]
+    marked = [line.split()[0] for line in output if re.match(r"^\S+\s+\S+\s+\S+\s+\*\s*$", line)]
     return (
         "these did not converge: " + ", ".join(marked[:6])
         if marked
@@ -105,29 +105,29 @@ def _last_nodes(said: Sequence[str]) -> str:
     )
 
 
-def step_problem(said: Sequence[str]) -> tuple[str, float] | None:
+def step_problem(output: Sequence[str]) -> tuple[str, float] | None:
     """Return what made ngspice's step vanish in a transient analysis, and the simulated time [s]."""
-    match = next((match for line in said if (match := _STEP.search(line))), None)
+    match = next((match for line in output if (match := _STEP.search(line))), None)
     if match is None:
         return None
     return f"the time step became too small, {match[2].strip()}", float(match[1])
 
 
-def load_problems(said: Sequence[str], rows: Sequence[str], lines: Sequence[Line]) -> list[Problem]:
+def load_problems(output: Sequence[str], rows: Sequence[str], lines: Sequence[Line]) -> list[Problem]:
     """Turn ngspice's complaints about a deck into problems that name the user's file and line.
 
     Parameters
     ----------
-    said
+    output
         What ngspice printed, streams' names removed.
     rows
         The deck as it was handed over.
     lines
         Origin of the first of these rows.
     """
-    words = [line.strip() for line in said if worth_quoting("stderr " + line) and line.strip()]
+    words = [line.strip() for line in output if worth_quoting("stderr " + line) and line.strip()]
     words = list(dict.fromkeys(words))
-    number = next((int(match[1]) for line in said if (match := _NUMBERED.search(line))), None)
+    number = next((int(match[1]) for line in output if (match := _NUMBERED.search(line))), None)
     named = any(_PARAMETER.search(word) for word in words)  # surer than 47's number of a line, one of its own
     index = number - 1 if number is not None and 0 < number <= len(rows) and not named else _find(words, rows)
     quoted = _rows_of_expression(words, rows)
@@ -147,8 +147,8 @@ def load_problems(said: Sequence[str], rows: Sequence[str], lines: Sequence[Line
 
 def _rows_of_expression(words: Sequence[str], rows: Sequence[str]) -> list[int]:
     """Return the rows that hold the expression which ngspice could not read, whatever line it names."""
-    found = (match[1].lower() for word in words if (match := _EXPRESSION.search(word)))
-    wrong = next(found, None)
+    names = (match[1].lower() for word in words if (match := _EXPRESSION.search(word)))
+    wrong = next(names, None)
     return [] if wrong is None else [i for i, row in enumerate(rows) if "{" + wrong in row.lower()]
 
 
@@ -162,8 +162,8 @@ def _find(words: Sequence[str], rows: Sequence[str]) -> int | None:
         named = _INSTANCE.search(word)
         if named:
             last = "x" + named[1].split(".")[-1].removeprefix("x")
-            found = [i for i, row in enumerate(rows) if i and row.lower().split()[:1] == [last]]
-            return found[0] if len(found) == 1 else None
+            places = [i for i, row in enumerate(rows) if i and row.lower().split()[:1] == [last]]
+            return places[0] if len(places) == 1 else None
     for word in words:
         missing = _PARAMETER.search(word)
         if missing:
@@ -190,7 +190,7 @@ def _find(words: Sequence[str], rows: Sequence[str]) -> int | None:
                 return index
     for word in words:
         name = word.lower().split()[0].split(".")[-1]
-        found = [i for i, row in enumerate(normal) if i and row.split()[:1] == [name]]
-        if "." in word.split()[0] and len(found) == 1:
-            return found[0]
+        places = [i for i, row in enumerate(normal) if i and row.split()[:1] == [name]]
+        if "." in word.split()[0] and len(places) == 1:
+            return places[0]
     return None

@@ -68,15 +68,15 @@ class Block:
 
     def instances(self) -> list["Instance"]:
         """Return the instances of other subcircuits, those in nested definitions left out."""
-        found, depth = [], 0
+        out, depth = [], 0
         for index, line in enumerate(self.body):
             if line.keyword == ".subckt":
                 depth += 1
             elif line.keyword in (".ends", ".eom"):
                 depth -= 1
             elif depth == 0 and line.keyword.startswith("x"):
-                found.append(Instance.of(line, index))
-        return found
+                out.append(Instance.of(line, index))
+        return out
 
     def references(self) -> list["Instance"]:
         """Return all instances of subcircuits that are not defined inside this one."""
@@ -270,16 +270,20 @@ def _closes(line: Line, stack: list[Block]) -> bool:
 
 def _declare(line: Line, stack: list[Block]) -> list[Problem]:
     """Take what a ``*@ stability=`` line says of its block; other ``*@`` lines are not for us."""
-    said = assignments(tokens(line.text)).get("stability")
-    if said is None:
+    stability = assignments(tokens(line.text)).get("stability")
+    if stability is None:
         return []
-    if said.lower() not in DECLARED:
-        return [Problem("unknown declaration", file=line.file, line=line.lineno, key="stability", value=said,
-                        allowed=", ".join(DECLARED))]  # fmt: skip
+    if stability.lower() not in DECLARED:
+        return [
+            Problem(
+                "unknown declaration", file=line.file, line=line.lineno, key="stability", value=stability,
+                allowed=", ".join(DECLARED),
+            )
+        ]  # fmt: skip
     if not stack:
         return [Problem("the line must stand inside the .subckt that it is about", file=line.file,
-                        line=line.lineno, key="stability", value=said)]  # fmt: skip
-    stack[0].stability = said.lower()
+                        line=line.lineno, key="stability", value=stability)]  # fmt: skip
+    stack[0].stability = stability.lower()
     return []
 
 

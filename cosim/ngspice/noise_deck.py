@@ -112,7 +112,7 @@ def elements(board: Deck) -> list[Element]:
     net = parse(board.lines[1:])
     names = {part.name: part for part in board.parts if part.out}
     stated = {part.name: part for part in board.parts if part.noise and part.density}
-    found: list[Element] = []
+    every: list[Element] = []
 
     def walk(block: Block, path: str, nets: dict[str, str], device: str) -> None:
         def named(node: str) -> str:
@@ -128,7 +128,7 @@ def elements(board: Deck) -> list[Element]:
             if words[0] != SOURCE and _part(block.name, stated) is not None:
                 continue
             own = f"{path}.{words[0]}"
-            found.append(
+            every.append(
                 Element(
                     f"{words[0][0]}.{own}",
                     (device or own).removeprefix("xboard."),
@@ -146,4 +146,4 @@ def elements(board: Deck) -> list[Element]:
                 walk(child, here, inner, device or (here if is_part else ""))
 
     walk(net.blocks[board.board], "xboard", {pin: pin for pin in board.pins}, "")
-    return found
+    return every

@@ -44,7 +44,7 @@ def apply_overrides(net: Netlist, board: Block, overrides: Mapping[str, str]) ->
         For an unknown or ambiguous name, a value that is no SPICE number and no ``{expression}``, one beyond
         `SMALLEST` and `LARGEST`, or a resistor of 0 Ohm.
     """
-    problems, said = [], []
+    problems, notes = [], []
     known = flags(net)
     # bare names first: they change a subcircuit before some instance gets its own copy of it
     for name, value in sorted(overrides.items(), key=lambda item: "." in item[0]):
@@ -65,7 +65,7 @@ def apply_overrides(net: Netlist, board: Block, overrides: Mapping[str, str]) ->
             continue
         if parsed is None:
             parsed = evaluate(text[1:-1], known)
-        said += [f"{name} = {value}: {line.note}"] if line.note else []
+        notes += [f"{name} = {value}: {line.note}"] if line.note else []
         path = key.removeprefix("xboard.")
         error = _short(net, path.split(".")[-1]) if parsed == 0.0 else None
         if error is None:
@@ -75,7 +75,7 @@ def apply_overrides(net: Netlist, board: Block, overrides: Mapping[str, str]) ->
             problems.append(Problem(error, key=name, value=value))
     if problems:
         raise InputError(problems)
-    return said
+    return notes
 
 
 def shorts(net: Netlist, blocks: list[Block]) -> list[Problem]:
@@ -150,10 +150,10 @@ def _instance(net: Netlist, board: Block, path: list[str], value: str) -> str | 
     """Set a parameter or an element of one instance; return what is wrong."""
     block = board
     for depth, step in enumerate(path[:-1]):
-        found = [x for x in block.instances() if x.name == step]
-        if not found:
+        instances = [x for x in block.instances() if x.name == step]
+        if not instances:
             return f"{block.name} has no instance {step}" + _near(step, [x.name for x in block.instances()])
-        instance = found[0]
+        instance = instances[0]
         child = net.blocks[instance.block]
         last = depth == len(path) - 2
         if last and path[-1] in child.params:
@@ -184,7 +184,7 @@ def own_copy(net: Netlist, block: Block, instance: Instance, child: Block) -> Bl
 
 def set_param(net: Netlist, key: str, value: str) -> bool:
     """Give a ``.param`` another value wherever it is defined; return whether it is."""
-    found = False
+    is_set = False
     for rows in (net.top, *(block.body for block in net.blocks.values())):
         for index, line in enumerate(rows):
             if line.keyword not in (".param", ".params"):
@@ -194,8 +194,8 @@ def set_param(net: Netlist, key: str, value: str) -> bool:
                 if word.lower().startswith(key + "="):
                     words[place] = f"{word.split('=', 1)[0]}={value}"
                     rows[index] = line.rewritten(join(words))
-                    found = True
-    return found
+                    is_set = True
+    return is_set
 
 
 def set_element(block: Block, key: str, value: str) -> str | None:
@@ -220,12 +220,12 @@ def set_element(block: Block, key: str, value: str) -> str | None:
 
 def elements_of(block: Block) -> dict[str, int]:
     """Return the designators of a subcircuit's elements -> their place in the body."""
-    found, depth = {}, 0
+    counts, depth = {}, 0
     for index, line in enumerate(block.body):
         depth += (line.keyword == ".subckt") - (line.keyword in (".ends", ".eom"))
         if depth == 0 and not line.keyword.startswith((".", "*")):
-            found[line.keyword] = index
-    return found
+            counts[line.keyword] = index
+    return counts
 
 
 def _params(net: Netlist) -> list[str]:

@@ -158,7 +158,7 @@ class Shelf:
             block = self.folder / "blocks" / f"driver_{kind}.cir"
             if not os.path.isfile(block):
                 kinds = [
-                    found.stem.partition("_")[2] for found in (self.folder / "blocks").glob("driver_*.cir")
+                    file.stem.partition("_")[2] for file in (self.folder / "blocks").glob("driver_*.cir")
                 ]
                 fail("there is no such kind of driver", file=str(block), key="driver", value=kind,
                      allowed=", ".join(sorted(kinds)))  # fmt: skip
@@ -227,12 +227,12 @@ class Shelf:
 
 def described(name: str, about: str, file: str) -> Part:
     """Return the part that a ``*@ role= out= swing= noise= density=`` comment describes, without a level."""
-    said = assignments(tokens(about)[1:])
-    role = said.get("role")
+    facts = assignments(tokens(about)[1:])
+    role = facts.get("role")
     if role is not None and role not in ROLES:
         fail("unknown role", file=file, key="role", value=role, allowed=", ".join(ROLES))
     out, swing, noise, density = (
-        said[key].lower() if key in said else None for key in ("out", "swing", "noise", "density")
+        facts[key].lower() if key in facts else None for key in ("out", "swing", "noise", "density")
     )
     return Part(name, role, out, swing, None, noise, density)
 

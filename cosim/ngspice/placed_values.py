@@ -125,18 +125,18 @@ def _mark(net: Netlist, board: str, key: str, mark: str) -> str | None:
     steps, element, parameter = split(key)
     block = net.blocks[board]
     for depth, step in enumerate(steps):
-        found = {x.name: x for x in block.instances()}
-        if step not in found:
-            near = nearest(step, list(found))
+        instances = {x.name: x for x in block.instances()}
+        if step not in instances:
+            near = nearest(step, list(instances))
             return f"{block.name} has no instance {step}" + (f", nearest is {near}" if near else "")
-        child = net.blocks.get(found[step].block)
+        child = net.blocks.get(instances[step].block)
         if child is None:
             return f"{step} is defined inside a vendor's model"
         if parameter and depth == len(steps) - 1:
-            line = found[step].line
-            block.body[found[step].index] = line.rewritten(_substituted(line.text, parameter, mark))
-            found = {x.name: x for x in block.instances()}
-        block = own_copy(net, block, found[step], child)
+            line = instances[step].line
+            block.body[instances[step].index] = line.rewritten(_substituted(line.text, parameter, mark))
+            instances = {x.name: x for x in block.instances()}
+        block = own_copy(net, block, instances[step], child)
     if not parameter:
         if element not in elements_of(block):
             near = nearest(element, list(elements_of(block)))

@@ -16,18 +16,18 @@ def notes(net: Netlist, blocks: list[Block]) -> list[str]:
         if line.keyword not in (".end", ".title"):
             key = (line.file, line.keyword)
             counts[key] = counts.get(key, 0) + 1
-    said = [
+    lines = [
         f"{file}: ignored {count} {word} line{'s' if count > 1 else ''}"
         + (_CONSISTENT if word == ".ic" else "")
         for (file, word), count in counts.items()
     ]
-    said += [
+    lines += [
         f"{line.file}: {tokens(line.text)[0]} in {block.name}: ic = {stated} is not used{_CONSISTENT}"
         for block in blocks
         for line in block.body
         if (stated := assignments(tokens(line.text)).get("ic")) is not None
     ]
-    said += [
+    lines += [
         f"{line.file}:{line.lineno}: {line.note}"
         for line in (*net.top, *(line for block in blocks for line in block.lines[:-1]))
         if line.note
@@ -35,19 +35,19 @@ def notes(net: Netlist, blocks: list[Block]) -> list[str]:
     outside: dict[str, list[str]] = {}
     for line in net.bench:
         outside.setdefault(line.file, []).append(tokens(line.text)[0])
-    said += [
+    lines += [
         f"{file}: ignored elements outside the board's subcircuit: {', '.join(names[:8])}"
         + (f" and {len(names) - 8} more" if len(names) > 8 else "")
         for file, names in outside.items()
     ]
-    said += _untold(blocks)
-    said += [
+    lines += _untold(blocks)
+    lines += [
         f"{block.header.file}: in {block.name} only one terminal touches node {node}"
         for block in blocks
         if not block.is_part
         for node in block.loose_nodes()
     ]
-    return said
+    return lines
 
 
 def _untold(blocks: list[Block]) -> list[str]:

@@ -113,13 +113,13 @@ class Simulator:
         kept = [ffi.new("char[]", row.encode()) for row in deck.rows]
         library.lines.clear()
         status = library.api.ngSpice_Circ(ffi.new("char *[]", [*kept, ffi.NULL]))
-        said = self._said()
+        output = self._said()
         if library.exited or status or any(is_error(line) for line in library.lines):
-            raise InputError(load_problems(said, written, lines))
+            raise InputError(load_problems(output, written, lines))
         library.loaded = True
         self._constants = [name.lower() for name in _CSPARAM.findall(text)]
-        self.notes.extend(said)
-        return said
+        self.notes.extend(output)
+        return output
 
     def command(self, command: str) -> list[str]:
         """Run one of the ngspice commands that `allowed_commands` lists, with the deck's own names.
@@ -202,11 +202,11 @@ class Simulator:
 
     def constants(self) -> dict[str, float]:
         """Return every design constant that the deck states by ``.csparam`` as a finite number."""
-        found = {}
+        values = {}
         for name in self._constants:
             with contextlib.suppress(CosimError):
-                found[name] = self.constant(name)
-        return found
+                values[name] = self.constant(name)
+        return values
 
     def vector_names(self) -> list[str]:
         """Return the names of the vectors of the current plot, in lower case."""
@@ -225,10 +225,10 @@ class Simulator:
         InputError
             When the deck has no such element.
         """
-        found = self._aliases.element_path(element)
-        if found is None:
+        path = self._aliases.element_path(element)
+        if path is None:
             fail("the circuit has no such element", file=self._deck, key=element)
-        return found
+        return path
 
     def attach(
         self,
@@ -349,14 +349,14 @@ class Simulator:
             raise failure
         if not (library.lines or status or library.exited):
             return []
-        said = self._said()
-        problem = self._without_operating_point(said)
+        output = self._said()
+        problem = self._without_operating_point(output)
         if problem is not None:
             raise problem
         if library.exited or status or any(is_error(line) for line in library.lines):
             words = "\n".join(library.recent)
             self._forget_stops()
-            short = step_problem(said)
+            short = step_problem(output)
             if short is not None:
                 raise StepTooSmall(short[0], deck=self._deck, time_s=short[1], last_words=words)
             what = f"ngspice could not carry out '{shown or command}'"
@@ -365,11 +365,11 @@ class Simulator:
         self.notes.extend(row.partition(" ")[2] for row in rows if row.startswith("stderr"))
         return [row.partition(" ")[2] for row in rows if not row.startswith("stderr")]
 
-    def _without_operating_point(self, said: list[str]) -> CosimError | None:
-        if any(row.endswith("simulation interrupted") for row in said):
+    def _without_operating_point(self, output: list[str]) -> CosimError | None:
+        if any(row.endswith("simulation interrupted") for row in output):
             return None  # an analysis that was stopped may quote what went wrong in one before it
         return operating_point_problem(
-            said,
+            output,
             lambda node: has_dc_path(self._rows, node),
             lambda element: in_voltage_loop(self._rows, element),
             file=self._deck,

@@ -97,7 +97,7 @@ def nominal(text: str, functions: Collection[str] = ()) -> tuple[str, list[str]]
 
 def _arguments(text: str, start: int) -> tuple[list[str], int | None]:
     """Return the arguments of a call that opens before `start`, and the place behind it."""
-    depth, found, begin = 1, list[str](), start
+    depth, words, begin = 1, list[str](), start
     for i in range(start, len(text)):
         c = text[i]
         if c in "([":
@@ -105,11 +105,11 @@ def _arguments(text: str, start: int) -> tuple[list[str], int | None]:
         elif c in ")]":
             depth -= 1
         if (c == "," and depth == 1) or depth == 0:
-            found.append(text[begin:i])
+            words.append(text[begin:i])
             begin = i + 1
         if depth == 0:
-            return found, i + 1
-    return found, None
+            return words, i + 1
+    return words, None
 
 
 def _fault(value: str) -> str:

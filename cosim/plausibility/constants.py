@@ -49,12 +49,12 @@ def _made(circuit: LinearCircuit, constants: DesignConstants) -> dict[str, dict[
     rate = circuit.e_pre - (circuit.c_pre @ inverse[0] @ inverse[0] @ circuit.b_pre)[:, :n]
     after = circuit.d_post - circuit.c_post @ inverse[1] @ circuit.b_post
     per_ampere = constants.kt * constants.gear
-    found: dict[str, dict[str, float]] = {"k_fs": {}, "c_fs": {}, "v_nm": {}}
+    made: dict[str, dict[str, float]] = {"k_fs": {}, "c_fs": {}, "v_nm": {}}
     for c, pin in enumerate(channel_names(n)):
         i, j = int(pin[3]) - 1, int(pin[4]) - 1
         name, read = ("k_fs", before[c, j]) if pin.startswith("ksp") else ("c_fs", rate[c, j])
-        found[name][pin] = float(-per_ampere * after[i, c] * circuit.gain[c] * constants.v_fs * read)
+        made[name][pin] = float(-per_ampere * after[i, c] * circuit.gain[c] * constants.v_fs * read)
     for i in range(n):
         torque = float(after[i, m + i]) * per_ampere
-        found["v_nm"][f"cmd{i + 1}"] = 1.0 / torque if torque else math.inf
-    return found
+        made["v_nm"][f"cmd{i + 1}"] = 1.0 / torque if torque else math.inf
+    return made

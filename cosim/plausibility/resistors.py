@@ -22,10 +22,10 @@ def resistors(values: Mapping[str, str], board: Deck, bare: Callable[[], Deck]) 
     before: dict[str, float] | None = None
     for name, written in values.items():
         key, ohms = name.lower().rpartition(".")[2], number(written)
-        if ohms is not None and (said := _absurd(ohms)) and _is_resistor(key, rows):
+        if ohms is not None and (doubt := _absurd(ohms)) and _is_resistor(key, rows):
             before = dict(_stated(_own_rows(bare()))) if before is None else before
             if not _absurd(before.get(key, _LEAST_OHM)):  # a shunt of 0.5 Ohm may become one of 0.4
-                yield _resistor(f"{name} = {written}", ohms, said, written)
+                yield _resistor(f"{name} = {written}", ohms, doubt, written)
     edited = {name.lower().rpartition(".")[2] for name in values}
     for line in board.lines:
         words = tokens(line.text)
@@ -43,13 +43,13 @@ def _absurd(ohms: float) -> str:
     return "less than 1 Ohm" if size < _LEAST_OHM else "more than 100 MOhm" if size > _MOST_OHM else ""
 
 
-def _resistor(what: str, ohms: float, said: str, written: str) -> Caution:
+def _resistor(what: str, ohms: float, doubt: str, written: str) -> Caution:
     match = _MILLI.fullmatch(written)
     milli = match is not None and ohms < _LEAST_OHM
     mega = f"{written[: match.start(1)]}meg" if match is not None else ""
     return Caution(
         "resistor-absurd",
-        f"{what} makes a resistor of {ohms:.4g} Ohm, {said}",
+        f"{what} makes a resistor of {ohms:.4g} Ohm, {doubt}",
         f"in SPICE m and M are milli: write {mega} for mega" if milli else "look at its unit",
     )
 

@@ -105,9 +105,9 @@ def explain(
     key, kind = clean_key(error), error["type"]
     if kind == "extra_forbidden":
         return _unknown_key(key, error["input"], data, root)
-    whole = key if kind != "missing" else key[:-1]
-    if kind in ("missing", "too_long", "too_short") and _is_row(whole, data, root):
-        return _wrong_count(whole, data, root)
+    path = key if kind != "missing" else key[:-1]
+    if kind in ("missing", "too_long", "too_short") and _is_row(path, data, root):
+        return _wrong_count(path, data, root)
     field = field_at(key, data, root)
     unit, allowed = (field.unit, field.allowed) if field else (None, None)
     value = None if kind in ("missing", "union_tag_not_found") else _plain(_value_at(key, data))
@@ -172,10 +172,10 @@ def field_at(
     """Return what the schema `root` says about `key`; `data` decides between the kinds of operator."""
     field = Field(root, (), None)
     for depth, part in enumerate(key):
-        found = _item(field, part) if isinstance(part, int) else _child(field, part, key[:depth], data)
-        if found is None:
+        reached = _item(field, part) if isinstance(part, int) else _child(field, part, key[:depth], data)
+        if reached is None:
             return None
-        field = found
+        field = reached
     return field
 
 

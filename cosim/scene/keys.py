@@ -73,12 +73,12 @@ def section(name: str) -> list[Key]:
     ['effects.gravity']
     """
     every = keys()
-    found = [key for key in every if not name or key.path == name or key.path.startswith(f"{name}.")]
+    chosen = [key for key in every if not name or key.path == name or key.path.startswith(f"{name}.")]
     words = re.split(r"[\s_]+", name.lower().strip())
-    found = found or [
+    chosen = chosen or [
         key for key in every if all(word in f"{key.path} {key.meaning}".lower() for word in words)
     ]
-    if not found:
+    if not chosen:
         tables = {key.path.rpartition(".")[0] for key in every} | {k.path.partition(".")[0] for k in every}
         ends = {key.path.rpartition(".")[2].partition("_")[0]: key.path for key in reversed(every)}
         near = nearest(name, [*tables, *(key.path for key in every), *ends])
@@ -89,7 +89,7 @@ def section(name: str) -> list[Key]:
             value=name,
             allowed=", ".join(sorted(table for table in tables if table)),
         )
-    return found
+    return chosen
 
 
 def _walk(table: type[BaseModel], path: str) -> Iterator[Key]:

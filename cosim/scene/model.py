@@ -154,12 +154,12 @@ class Scene(SceneTables):
 
         What these import from elsewhere is not looked at.
         """
-        found = hashlib.sha256()
+        digest = hashlib.sha256()
         for where in self._code():
             path = Path(str(where).rpartition(":")[0]) if where else None
-            found.update(path.read_bytes() if path is not None and os.path.isfile(path) else b"")
-            found.update(b"\0")
-        return found.hexdigest()
+            digest.update(path.read_bytes() if path is not None and os.path.isfile(path) else b"")
+            digest.update(b"\0")
+        return digest.hexdigest()
 
 
 def _relative(value: Any, folder: Path) -> Any:

@@ -79,12 +79,12 @@ class Points:
         if not (text.startswith(_HEAD) or _HEAD.startswith(text)):
             fail("holds no points of cosim; nothing was changed, choose another folder", file=str(path))
         head, *lines = text.split("\n")
-        found = [_point(line) for line in lines] if _parsed(head) == {"digest": digest} else []
-        points = [point for point in found if point is not None]
+        restored = [_point(line) for line in lines] if _parsed(head) == {"digest": digest} else []
+        points = [point for point in restored if point is not None]
         self._known = {key: value for key, value, _ in points}
         self.restored = len(self._known)
         self.seconds_before = sum(seconds for _, _, seconds in points)
-        if not points or found != [*points, None]:  # the last line is the empty one behind the last break
+        if not points or restored != [*points, None]:  # the last line is the empty one behind the last break
             stream.truncate(0)
             self._write({"digest": digest})
             for point in points:

@@ -63,9 +63,9 @@ def check(value: Any, form: Any, file: str) -> None:
     InputError
         Naming file, place in it, and what should be there.
     """
-    found = misfit(value, form)
-    if found is not None:
-        where, why = found
+    reason = misfit(value, form)
+    if reason is not None:
+        where, why = reason
         fail("does not hold what a result holds there", file=file, key=where or None, allowed=why)
 
 

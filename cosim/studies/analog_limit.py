@@ -306,28 +306,28 @@ def _limits(
 
 def _verdicts(limits: Table, delays: dict[str, Delay], given: CeilingParameters) -> list[Verdict]:
     names = limits.columns["limit"]
-    told, out = [], []
+    texts, out = [], []
     for column, unit in (("stiffness [N/m]", "N/m"), ("damping [N s/m]", "N s/m")):
         rising = sorted(
             (value, name) for name, value in zip(names, limits.columns[column], strict=True) if value
         )
-        told.append("; ".join(f"{value:.3g} {unit} ({name})" for value, name in rising))
+        texts.append("; ".join(f"{value:.3g} {unit} ({name})" for value, name in rising))
     out.append(
-        Verdict("N4", "practical upper limit of analog stiffness", "'theoretically no upper limit'", told[0],
+        Verdict("N4", "practical upper limit of analog stiffness", "'theoretically no upper limit'", texts[0],
                 None)
     )  # fmt: skip
-    out.append(Verdict("N4", "practical upper limit of analog damping", "a question", told[1], None))
-    for name, found in delays.items():
-        low = found.eaten_n_per_m
-        high = low + found.viscosity_n_s_per_m**2 / found.mass_kg
-        if not math.isfinite(found.spring_n_per_m):
+    out.append(Verdict("N4", "practical upper limit of analog damping", "a question", texts[1], None))
+    for name, delay in delays.items():
+        low = delay.eaten_n_per_m
+        high = low + delay.viscosity_n_s_per_m**2 / delay.mass_kg
+        if not math.isfinite(delay.spring_n_per_m):
             continue
         out.append(
             Verdict(
                 "N4", f"delay bounds the spring: {name}",
                 f"viscosity over delay, {low:.4g} N/m, to {high:.4g} where braking has no delay; within 2 %",
-                f"{found.spring_n_per_m:.4g} N/m, with a delay of {1e6 * found.lag_s:.3g} us",
-                0.98 * low <= found.spring_n_per_m <= 1.02 * high, own=True,
+                f"{delay.spring_n_per_m:.4g} N/m, with a delay of {1e6 * delay.lag_s:.3g} us",
+                0.98 * low <= delay.spring_n_per_m <= 1.02 * high, own=True,
             )
         )  # fmt: skip
     return out

@@ -19,6 +19,7 @@ from cosim.ngspice.child import Child, call, on_demand
 from cosim.plan import resolve
 from cosim.scene import Method, PotNoise
 from cosim.scene.parameters import Field, Parameters, Unit, Variation
+from cosim.storage.checkpoint import Points
 from cosim.studies.case_effects import holds_table
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 
@@ -74,7 +75,7 @@ def position_errors(tip: Tip, stated: Stated, load_ohm: float | None) -> list[Er
         return Error(source, "largest", rad, rad * float(np.abs(w).sum()))
 
     zero, gain = abs(pot.zero_rad), abs(pot.gain_error)
-    found = [
+    errors = [
         random("noise, white", "rms", pot.noise_rad),
         largest("noise, peak to peak", 0.5 * pot.noise_rad),
         random("noise, static", "rms of devices", pot.noise_rad),
@@ -91,15 +92,15 @@ def position_errors(tip: Tip, stated: Stated, load_ohm: float | None) -> list[Er
     bias = stated.of("opamp", "ib")
     if track is not None and wiper is not None and bias:
         volts = (wiper + track / 4.0) * max(map(abs, bias))
-        found.append(largest("wiper loading, bias current", volts / stated.v_rad))
+        errors.append(largest("wiper loading, bias current", volts / stated.v_rad))
     if track is not None and travel is not None and load_ohm is not None:
-        found.append(largest("wiper loading, were there no follower", loaded(track, load_ohm, travel)))
+        errors.append(largest("wiper loading, were there no follower", loaded(track, load_ohm, travel)))
     encoder = computer.encoder
     count = 2.0 * math.pi / (encoder.pulses_per_rev * encoder.decoding * stated.gear)
     bits, reach = computer.dac.bits or stated.dac_bits, computer.dac.range_v or stated.dac_v
-    found.append(random("encoder, a count", "rms", _STEP * count))
-    found.append(random("DAC of u, a code", "rms", _STEP * 2.0 * reach / 2.0**bits / stated.v_rad))
-    return found
+    errors.append(random("encoder, a count", "rms", _STEP * count))
+    errors.append(random("DAC of u, a code", "rms", _STEP * 2.0 * reach / 2.0**bits / stated.v_rad))
+    return errors
 
 
 def _forces(
@@ -174,24 +175,24 @@ def _computed(spec: StudyFile) -> dict[str, Any]:
 def analyse(spec: StudyFile, points: Points) -> StudyResult:
     """Put both budgets together."""
     given: BudgetParameters = spec.parameters
-    found = points.get("budget", lambda: _computed(spec))
+    numbers = points.get("budget", lambda: _computed(spec))
     errors: dict[str, list[Any]] = {}
-    for source, meant, rad, tip_m in found["errors"]:
+    for source, meant, rad, tip_m in numbers["errors"]:
         row(errors, {
             "source": source, "meant as": meant, "at the joint [mrad]": 1e3 * rad,
-            f"one joint at {1e3 * found['r_tip']:.4g} mm [mm]": 1e3 * rad * found["r_tip"],
+            f"one joint at {1e3 * numbers['r_tip']:.4g} mm [mm]": 1e3 * rad * numbers["r_tip"],
             "all joints, along the normal [mm]": 1e3 * tip_m,
         })  # fmt: skip
     forces: dict[str, list[Any]] = {}
-    for group, source, newtons in found["forces"]:
+    for group, source, newtons in numbers["forces"]:
         row(forces, {"group": group, "source": source, "force [N rms]": newtons})
-    noise_mm = 1e3 * found["errors"][0][2] * found["r_tip"]
+    noise_mm = 1e3 * numbers["errors"][0][2] * numbers["r_tip"]
     groups = {
-        group: max(f for its, source, f in found["forces"] if its == group)
-        for group in dict.fromkeys(f[0] for f in found["forces"])
+        group: max(f for its, source, f in numbers["forces"] if its == group)
+        for group in dict.fromkeys(f[0] for f in numbers["forces"])
     }
     largest = max(groups, key=lambda name: groups[name])
-    said = ", ".join(f"{name} {value:.2g} N" for name, value in groups.items())
+    text = ", ".join(f"{name} {value:.2g} N" for name, value in groups.items())
     return spec.result(
         Table("errors", "Errors of the measured angles, at the tip", errors,
               "At the wall's pose. Random errors of the joints add as squares, the largest ones as they are, "
@@ -205,10 +206,10 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         ),
         verdicts=(
             Verdict("N1", "the potentiometer's 0.006 rad are the paper's accuracy at the fingertip",
-                    f"{given.paper_mm:g} mm", f"{noise_mm:.3g} mm at {1e3 * found['r_tip']:.4g} mm",
+                    f"{given.paper_mm:g} mm", f"{noise_mm:.3g} mm at {1e3 * numbers['r_tip']:.4g} mm",
                     bool(abs(noise_mm - given.paper_mm) < 0.05)),
             Verdict("N1", "which source makes most force noise", "a question",
-                    f"{largest}: largest of each group: {said}", None),
+                    f"{largest}: largest of each group: {text}", None),
         ),
     )  # fmt: skip
 

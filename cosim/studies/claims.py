@@ -50,12 +50,12 @@ def load_claims(folder: Path) -> Claims:
     file = folder / FILE
     if not os.path.isfile(file):
         return Claims()
-    found, problems = read_parameters(_Listed, read_layer(file).data)
-    if found is None:
+    claims, problems = read_parameters(_Listed, read_layer(file).data)
+    if claims is None:
         raise InputError(Problem(p.message, str(file), p.key, p.value, p.unit, p.allowed) for p in problems)
-    assert isinstance(found, _Listed)
-    ids = [claim.id for claim in found.claims]
+    assert isinstance(claims, _Listed)
+    ids = [claim.id for claim in claims.claims]
     twice = sorted({name for name in ids if ids.count(name) > 1})
     if twice:
         raise InputError(Problem("stands twice", str(file), "claims.id", name) for name in twice)
-    return Claims(found.title, found.claims)
+    return Claims(claims.title, claims.claims)

@@ -90,21 +90,21 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
             every.append(points.get(case.name, partial(_case, spec, case, number == 0, child)))
     first = every[0]
     spread: dict[str, list[float]] = first["workspace"]
-    for case, found in zip(given.cases, every, strict=True):
-        for name, late in found["blocks"].items():
+    for case, answer in zip(given.cases, every, strict=True):
+        for name, late in answer["blocks"].items():
             row(columns, {
                 "case": case.name, "block": name, "delay [us]": 1e6 * late,
                 f"eta at {given.stiffness_n_per_m:g} N/m [%]":
-                    100.0 * given.stiffness_n_per_m * late / found["b"],
-                "practical limit k = b/tau [N/m]": found["b"] / late if late > 1e-15 else None,
+                    100.0 * given.stiffness_n_per_m * late / answer["b"],
+                "practical limit k = b/tau [N/m]": answer["b"] / late if late > 1e-15 else None,
             })  # fmt: skip
-        total, b = found["total"], found["b"]
+        total, b = answer["total"], answer["b"]
         row(limits, {
             "case": case.name, "sum of delays [us]": 1e6 * total, "b at the wall's pose [N s/m]": b,
             f"eta at {given.stiffness_n_per_m:g} N/m [%]": 100.0 * given.stiffness_n_per_m * total / b,
             "practical limit b/sum [N/m]": b / total if total > 0.0 else None,
-            "where the spring turns active [N/m]": found["active"],
-            "where it loses stability with its operator [N/m]": found["unstable"],
+            "where the spring turns active [N/m]": answer["active"],
+            "where it loses stability with its operator [N/m]": answer["unstable"],
         })  # fmt: skip
     b_all = np.array(spread["b [N s/m]"])
     band = {
@@ -116,7 +116,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     slowest = max(first["blocks"], key=lambda name: first["blocks"][name])
     fast = first["total"] - first["blocks"][slowest]
     share = 100.0 * np.mean(eta * first["b"] / b_all > given.largest_eta)
-    told = (
+    text = (
         f"{100 * eta:.3g} % at {given.stiffness_n_per_m:g} N/m ({slowest}: "
         f"{100 * first['blocks'][slowest] / first['total']:.3g} % of the delay; all other blocks eat "
         f"{100 * given.stiffness_n_per_m * fast / first['b']:.2g} %); practical limit "
@@ -133,7 +133,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         Table("workspace", "The device's viscosity over the workspace", spread),
         verdicts=(
             Verdict("N1a", "delay eats a small share of the device's damping",
-                    f"eta, stiffness times delay over viscosity, below {100 * given.largest_eta:g} %", told,
+                    f"eta, stiffness times delay over viscosity, below {100 * given.largest_eta:g} %", text,
                     bool(eta < given.largest_eta)),
             Verdict("N1a", "the practical limit, viscosity over delay: there the analog spring turns active",
                     "the same from the fitted circuit over all frequencies, within 1 %",

@@ -127,8 +127,8 @@ def workspace(scene: Scene) -> tuple[Workspace, Array]:
     area = (turn[1] - turn[0]) * half * float(np.dot(weight, swept))
     tips = np.array([linkage.forward(q) for q in poses])
     size = np.ptp(tips, axis=0)
-    told = "between its stops" if stops else "the base turns once round: the scene states no stops"
-    return Workspace(area, float(size[0]), float(size[1]), told), poses
+    note = "between its stops" if stops else "the base turns once round: the scene states no stops"
+    return Workspace(area, float(size[0]), float(size[1]), note), poses
 
 
 @dataclass(frozen=True)

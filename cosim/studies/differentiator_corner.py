@@ -139,15 +139,15 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         own, every = points.get("corners", partial(_extracted, spec, child))
     columns: dict[str, list[Any]] = {}
     kinds = [k.value for k in (PotNoise.WHITE, PotNoise.PEAK_TO_PEAK, PotNoise.POSITION, PotNoise.STATIC)]
-    for corner, found in zip(given.corners_hz, every, strict=True):
+    for corner, answer in zip(given.corners_hz, every, strict=True):
         row(columns, {
             "corner [Hz]": corner,
-            **{f"{kind} [N rms]": found and found["noise"][kind] for kind in kinds},
-            "white, contact held [N rms]": found and found["closed"],
-            "passive stiffness [N/m]": found and found["passive"],
-            "exact border [N/m]": found and found["border"],
+            **{f"{kind} [N rms]": answer and answer["noise"][kind] for kind in kinds},
+            "white, contact held [N rms]": answer and answer["closed"],
+            "passive stiffness [N/m]": answer and answer["passive"],
+            "exact border [N/m]": answer and answer["border"],
         })  # fmt: skip
-    told = []
+    texts = []
     for kind in kinds[:3]:
         quiet = [
             (corner, stiff) for corner, noise, stiff in zip(
@@ -156,13 +156,13 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
             ) if noise is not None and stiff is not None and noise < given.largest_noise_n
         ]  # fmt: skip
         best = max(quiet, key=lambda pair: pair[1], default=None)
-        told.append(
+        texts.append(
             f"{kind}: none" if best is None else f"{kind}: {best[1]:.4g} N/m at a corner of {best[0]:g} Hz"
         )
     pairs = zip(columns["corner [Hz]"], columns["passive stiffness [N/m]"], strict=True)
     active = [corner for corner, stiff in pairs if stiff is None]
     if active:
-        told.append(f"corners from {min(active):g} Hz on make the analog damper itself active")
+        texts.append(f"corners from {min(active):g} Hz on make the analog damper itself active")
     period = spec.scene().computer.period_s
     return spec.result(
         Table("corner", "Noise and passive stiffness over the corner of the differentiator", columns,
@@ -177,7 +177,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         ),
         verdicts=(
             Verdict("N1", "most passive stiffness whose damper stays quiet", "a question: force noise below "
-                    f"{given.largest_noise_n:g} N rms", "; ".join(told), None),
+                    f"{given.largest_noise_n:g} N rms", "; ".join(texts), None),
         ),
     )  # fmt: skip
 

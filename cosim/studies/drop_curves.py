@@ -31,16 +31,16 @@ class Family(Variation):
 Found = Mapping[tuple[str, float], Mapping[str, Any]]
 
 
-def curve(found: Found, name: str, key: str = "first_n_per_m") -> dict[float, float]:
+def curve(limits: Found, name: str, key: str = "first_n_per_m") -> dict[float, float]:
     """Return a curve: limit by period, where there is one."""
-    return {period: row[key] for (other, period), row in found.items() if other == name and row[key]}
+    return {period: row[key] for (other, period), row in limits.items() if other == name and row[key]}
 
 
-def compared(found: Found, first: str, other: str) -> list[float]:
+def compared(limits: Found, first: str, other: str) -> list[float]:
     """Return the periods, shortest first, at which two curves have limits dropped and exact."""
     keys = ("first_n_per_m", "exact_n_per_m")
     return sorted(
-        set.intersection(*(set(curve(found, name, key)) for name in (first, other) for key in keys))
+        set.intersection(*(set(curve(limits, name, key)) for name in (first, other) for key in keys))
     )
 
 
@@ -50,7 +50,7 @@ def slope(values: Mapping[float, float]) -> float:
 
 
 def verdicts(
-    found: Found, families: Sequence[Family], scenes: Mapping[str, Scene], ideal: Mapping[str, float],
+    limits: Found, families: Sequence[Family], scenes: Mapping[str, Scene], ideal: Mapping[str, float],
     shown: Mapping[str, Mapping[float, float]], ratio: float,
 ) -> list[Verdict]:  # fmt: skip
     """Judge F13a on every curve, F13b, F13c and F14 on those that add a spring or damper to the first.
@@ -68,10 +68,10 @@ def verdicts(
     """
     out = []
     first = families[0].name
-    base = curve(found, first)
+    base = curve(limits, first)
     for family in families:
-        values = curve(found, family.name)
-        sharp_at = curve(found, family.name, "exact_n_per_m")
+        values = curve(limits, family.name)
+        sharp_at = curve(limits, family.name, "exact_n_per_m")
         exact = {period: sharp_at[period] for period in values if period in sharp_at}
         if family.kind != "curve":
             continue
@@ -96,17 +96,17 @@ def verdicts(
         if spring and shared:
             drift = {period: values[period] / base[period] - 1.0 for period in shared}
             short = [abs(drift[period]) for period in shared if period <= 0.0101]
-            told = ", ".join(f"{100 * drift[p]:+.1f} % at {1e3 * p:.3g} ms" for p in shared)
+            text = ", ".join(f"{100 * drift[p]:+.1f} % at {1e3 * p:.3g} ms" for p in shared)
             out.append(
                 Verdict("F13b", f"the discrete limit is 'almost identical': {family.name}",
-                        "within 3 % for periods up to 10 ms", told, max(short) <= 0.03 if short else None)
+                        "within 3 % for periods up to 10 ms", text, max(short) <= 0.03 if short else None)
             )  # fmt: skip
             out.append(_adds_up(family.name, spring, {p: (values[p], shown[family.name][p]) for p in shared}))
-        both = compared(found, first, family.name)
+        both = compared(limits, first, family.name)
         if damper and both:
             period = both[0]
             exact_gain, gain = (
-                found[family.name, period][key] - found[first, period][key]
+                limits[family.name, period][key] - limits[first, period][key]
                 for key in ("exact_n_per_m", "first_n_per_m")
             )
             open_by = (ratio ** (0.5**REFINED) - 1.0) * (values[period] + base[period])
@@ -145,11 +145,11 @@ def _without_border(name: str, values: Mapping[float, float], exact: Mapping[flo
     )
 
 
-def _adds_up(name: str, spring: float, found: Mapping[float, tuple[float, float]]) -> Verdict:
+def _adds_up(name: str, spring: float, limits: Mapping[float, tuple[float, float]]) -> Verdict:
     """Judge F13c: what is shown at the limit against the limit and the spring, by period."""
-    off = max(abs(shown / (limit + spring) - 1.0) for limit, shown in found.values())
-    told = ", ".join(f"{shown:.4g} at {1e3 * p:.3g} ms" for p, (_, shown) in found.items())
+    off = max(abs(shown / (limit + spring) - 1.0) for limit, shown in limits.values())
+    text = ", ".join(f"{shown:.4g} at {1e3 * p:.3g} ms" for p, (_, shown) in limits.items())
     return Verdict(
         "F13c", f"displayed is the limit + {spring:g} N/m: {name}", "within 1 %, by law and circuit together",
-        f"{told} N/m, {100 * off:.2g} % off at most", off <= 0.01,
+        f"{text} N/m, {100 * off:.2g} % off at most", off <= 0.01,
     )  # fmt: skip

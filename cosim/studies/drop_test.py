@@ -213,37 +213,37 @@ def scan(job: Job) -> Dropped:
     if not about > 0.0:
         return Dropped(exact, math.nan, math.nan, math.nan, [], [], 0, 0)
     falls, rest = Falls(job), job.rest
-    found: dict[float, float] = {}
+    shares: dict[float, float] = {}
     stiffness, hopeless = rest.from_share * about, 0
     lower = stiffness
-    while (found.setdefault(lower, falls.share(lower)) < rest.share) and lower > _NEAR * about:
+    while (shares.setdefault(lower, falls.share(lower)) < rest.share) and lower > _NEAR * about:
         lower /= rest.ratio
     while hopeless < _HOPELESS and stiffness < _FAR * about:
-        if stiffness not in found:
-            found[stiffness] = falls.share(stiffness)
-        hopeless = hopeless + 1 if found[stiffness] == 0.0 else 0
+        if stiffness not in shares:
+            shares[stiffness] = falls.share(stiffness)
+        hopeless = hopeless + 1 if shares[stiffness] == 0.0 else 0
         stiffness *= rest.ratio
-    tried = sorted(found)
-    below = next((k for k in tried if found[k] < rest.share), math.nan)
+    tried = sorted(shares)
+    below = next((k for k in tried if shares[k] < rest.share), math.nan)
     if below == tried[0]:  # a mass that hops on and on whatever the floor
         below = math.nan
     if math.isfinite(below):
         low, high = tried[tried.index(below) - 1], below
         for _ in range(REFINED):
             middle = math.sqrt(low * high)
-            found[middle] = falls.share(middle)
-            low, high = (low, middle) if found[middle] < rest.share else (middle, high)
+            shares[middle] = falls.share(middle)
+            low, high = (low, middle) if shares[middle] < rest.share else (middle, high)
         below = high
-    tried = sorted(found)
-    partial = next((i for i, k in enumerate(tried) if found[k] < 1.0), len(tried))
-    some = max((i for i, k in enumerate(tried) if found[k] > 0.0), default=-1)
+    tried = sorted(shares)
+    partial = next((i for i, k in enumerate(tried) if shares[k] < 1.0), len(tried))
+    some = max((i for i, k in enumerate(tried) if shares[k] > 0.0), default=-1)
     return Dropped(
         exact_n_per_m=exact,
         first_n_per_m=below,
         all_n_per_m=tried[partial - 1] if partial else math.nan,
         none_n_per_m=tried[some + 1] if some + 1 < len(tried) else math.nan,
         stiffness_n_per_m=tried,
-        share=[found[k] for k in tried],
+        share=[shares[k] for k in tried],
         runs=falls.runs,
         samples=falls.samples,
     )
@@ -289,7 +289,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
             scenes[family.name] = job.scene
             asked[_point(family.name, period)] = job
             names.append((family.name, period))
-    found = dict(zip(names, points.map(drop, asked), strict=True))
+    drops = dict(zip(names, points.map(drop, asked), strict=True))
     kinds = {family.name: family.kind for family in given.families}
     first = given.families[0].name
     passive = points.map(
@@ -314,17 +314,17 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         "limits",
         "Largest discrete stiffness",
         {
-            "curve": [name for name, _ in found],
-            "period [ms]": [milli(period) for _, period in found],
-            "exact, contact held [N/m]": [row[keys[0]] for row in found.values()],
+            "curve": [name for name, _ in drops],
+            "period [ms]": [milli(period) for _, period in drops],
+            "exact, contact held [N/m]": [row[keys[0]] for row in drops.values()],
             f"first below {100 * given.rest_share:g} % at rest [N/m]": [
-                row[keys[1]] for row in found.values()
+                row[keys[1]] for row in drops.values()
             ],
-            "all rest below [N/m]": [row[keys[2]] for row in found.values()],
-            "none rests above [N/m]": [row[keys[3]] for row in found.values()],
-            "kind": [kinds[name] for name, _ in found],
-            "drops": [row[keys[4]] for row in found.values()],
-            "samples": [row[keys[5]] for row in found.values()],
+            "all rest below [N/m]": [row[keys[2]] for row in drops.values()],
+            "none rests above [N/m]": [row[keys[3]] for row in drops.values()],
+            "kind": [kinds[name] for name, _ in drops],
+            "drops": [row[keys[4]] for row in drops.values()],
+            "samples": [row[keys[5]] for row in drops.values()],
         },
         f"Rest: below {1e3 * given.rest_speed_m_per_s:g} mm/s for {given.rest_time_s:g} s within "
         f"{given.window_s:g} s; {given.phases} phases of the samples against the impact.",
@@ -333,25 +333,25 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         "shares",
         "Share of the phases at rest",
         {
-            "curve": [name for (name, _), row in found.items() for _ in row["share"]],
-            "period [ms]": [milli(period) for (_, period), row in found.items() for _ in row["share"]],
-            "stiffness [N/m]": [k for row in found.values() for k in row["stiffness_n_per_m"]],
-            "share": [share for row in found.values() for share in row["share"]],
+            "curve": [name for (name, _), row in drops.items() for _ in row["share"]],
+            "period [ms]": [milli(period) for (_, period), row in drops.items() for _ in row["share"]],
+            "stiffness [N/m]": [k for row in drops.values() for k in row["stiffness_n_per_m"]],
+            "share": [share for row in drops.values() for share in row["share"]],
         },
     )
     ideal = {
-        family.name: points.get(f"{family.name}, circuit ideal", partial(_ideal_gain, spec, family, found))
+        family.name: points.get(f"{family.name}, circuit ideal", partial(_ideal_gain, spec, family, drops))
         for family in given.families
         if family.kind == "curve"
         and scenes[family.name].computer.analog_damping_n_s_per_m
-        and compared(found, first, family.name)
+        and compared(drops, first, family.name)
     }
     shown = {
-        name: {period: displayed(asked[_point(name, period)], k) for period, k in curve(found, name).items()}
+        name: {period: displayed(asked[_point(name, period)], k) for period, k in curve(drops, name).items()}
         for name, scene in scenes.items()
         if kinds[name] == "curve" and scene.computer.analog_stiffness_n_per_m
     }
-    judged = verdicts(found, given.families, scenes, ideal, shown, given.ratio)
+    judged = verdicts(drops, given.families, scenes, ideal, shown, given.ratio)
     return spec.result(limits, shares, line, verdicts=judged)
 
 
@@ -369,10 +369,10 @@ def displayed(job: Job, stiffness: float) -> float:
     return float((2j * np.pi * _SLOW_HZ * force_over_speed).real)
 
 
-def _ideal_gain(spec: StudyFile, family: Family, found: Found) -> float:
+def _ideal_gain(spec: StudyFile, family: Family, drops: Found) -> float:
     """Return what a curve adds to the first one's exact limit at the shortest period, both circuits ideal."""
     first = spec.parameters.families[0]
-    period = compared(found, first.name, family.name)[0]
+    period = compared(drops, first.name, family.name)[0]
     ends = []
     for one in (family, first):
         changes = (*one.set, f"computer.period_s={period!r}")

@@ -182,7 +182,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         {
             "impedance of": list(slopes),
             "commanded [N/m]": [wanted for _, wanted in slopes.values()],
-            "between two pushes [N/m]": [found for found, _ in slopes.values()],
+            "between two pushes [N/m]": [slope for slope, _ in slopes.values()],
         },
         f"Pushes of {given.pushes_n[0]:g} and {given.pushes_n[1]:g} N less what the hand holds back.",
     )  # fmt: skip
@@ -254,7 +254,7 @@ def _verdicts(
     depth = f"{1e3 * given.sink_m:g} mm"
     reached = [abs(value) for value in workspace["J of the pose, error [%]"] if value is not None]
     between = [abs(value) for value in workspace["J half way, error [%]"] if value is not None]
-    within = [100.0 * float(np.mean(np.array(found) <= 100 * _NORMAL)) for found in (reached, between)]
+    within = [100.0 * float(np.mean(np.array(errors) <= 100 * _NORMAL)) for errors in (reached, between)]
     (alone, _), (circuit, _), (both, wanted) = (
         slopes[method] for method in ("discrete", "continuous", "combined")
     )

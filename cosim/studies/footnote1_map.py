@@ -70,24 +70,24 @@ class FootnoteParameters(Parameters):
 
 
 def shares(
-    given: FootnoteParameters, found: dict[str, Any], k: Array, c: Array, kind: PotNoise
+    given: FootnoteParameters, answer: dict[str, Any], k: Array, c: Array, kind: PotNoise
 ) -> tuple[Array, Array, Array]:
     """Return error of stiffness, eta and force noise, each over its threshold; below 1 all is well.
 
     Parameters
     ----------
-    found
+    answer
         As `_looked_at` returns it.
     k, c
         Stiffness [N/m] and damping [N s/m], of one shape.
     """
-    spring, damper = np.array(found["spring"]), np.array(found["damper"])  # Re Z of 1 N/m and 1 N s/m
+    spring, damper = np.array(answer["spring"]), np.array(answer["damper"])  # Re Z of 1 N/m and 1 N s/m
     stiff = spring + (c / k)[..., None] * damper
     error = np.abs(stiff - 1.0).max(axis=-1)
-    eta = k * found["tau_s"] / found["b"]
-    square = NoiseForm(np.array(found["components"])).rms(k, c) ** 2
-    if kind.value in found["pots"]:
-        square = square + NoiseForm(np.array(found["pots"][kind.value])).rms(k, c) ** 2
+    eta = k * answer["tau_s"] / answer["b"]
+    square = NoiseForm(np.array(answer["components"])).rms(k, c) ** 2
+    if kind.value in answer["pots"]:
+        square = square + NoiseForm(np.array(answer["pots"][kind.value])).rms(k, c) ** 2
     return (
         error / given.largest_error, eta / given.largest_eta, np.sqrt(square) / given.largest_noise_n,
     )  # fmt: skip
@@ -120,14 +120,14 @@ def _looked_at(
 
 
 def _noise(tip: Tip, board: Deck, band_hz: float, child: Child) -> NoiseForm:
-    found = call(
+    form = call(
         "cosim.circuits.extraction.noise_contributions:component_noise",
         {"board": board},
         time_limit_s=tip.scene.solver.time_limit_s,
         deck=str(board.path),
         child=child,
     )
-    return component_form(tip, found, band_hz)
+    return component_form(tip, form, band_hz)
 
 
 def _opamp(spec: StudyFile, case: Variation, child: Child) -> dict[str, Any]:
@@ -182,8 +182,8 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     ks = geometric(*given.stiffness_range, given.points)
     cs = geometric(*given.damping_range, given.points)
     kk, cc = np.meshgrid(ks, cs, indexing="ij")
-    for case, found in zip(given.opamps, every, strict=True):
-        each = {kind: shares(given, found["own"], kk, cc, kind) for kind in _KINDS}
+    for case, answer in zip(given.opamps, every, strict=True):
+        each = {kind: shares(given, answer["own"], kk, cc, kind) for kind in _KINDS}
         error, eta, _ = each[PotNoise.POSITION]
         for i, k in enumerate(ks):
             for j, c in enumerate(cs):
@@ -197,7 +197,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
             number = 0
             for driver in given.drivers_hz:
                 for corner in given.corners_hz:
-                    here = found["grid"][number]
+                    here = answer["grid"][number]
                     number += 1
                     values: dict[str, Any] = {
                         "op-amp": case.name, "c [N s/m]": damping, "driver's gain-bandwidth [Hz]": driver,
@@ -211,7 +211,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
                             f"noise, {kind.value} / limit": float(f),
                         }  # fmt: skip
                     row(parts, values)
-            judged = {kind: shares(given, found["own"], k0, c0, kind) for kind in _KINDS}
+            judged = {kind: shares(given, answer["own"], k0, c0, kind) for kind in _KINDS}
             e, t, _ = judged[PotNoise.POSITION]
             row(at, {
                 "op-amp": case.name, "c [N s/m]": damping,
@@ -253,17 +253,17 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
 
 def verdicts(given: FootnoteParameters, at: dict[str, list[Any]], thresholds: str) -> list[Verdict]:
     """Judge footnote 1 at the paper's point, and whether the op-amp decides it; `at` is the table there."""
-    found = []
+    rows = []
     for number, damping in enumerate(given.dampings_n_s_per_m):
         silent, white = (at[f"force noise, {k.value} [N rms]"][number] for k in (_KINDS[0], _KINDS[-1]))
-        told = (
+        text = (
             f"{at['op-amp'][number]}: error {at['stiffness error [%]'][number]:.3g} %, eta "
             f"{at['eta [%]'][number]:.3g} %, noise {silent:.2g} N rms with a potentiometer that is silent at "
             f"rest, {white:.2g} N with white noise"
         )
-        found.append(
+        rows.append(
             Verdict("N1", f"footnote 1 holds at {given.stiffness_n_per_m:g} N/m and {damping:g} N s/m",
-                    thresholds, told, bool(at[f"holds, {_KINDS[0].value}"][number]))
+                    thresholds, text, bool(at[f"holds, {_KINDS[0].value}"][number]))
         )  # fmt: skip
     count = len(given.dampings_n_s_per_m)
     names = dict.fromkeys(at["op-amp"])
@@ -284,12 +284,12 @@ def verdicts(given: FootnoteParameters, at: dict[str, list[Any]], thresholds: st
         answer = "one op-amp cannot tell"
     else:
         answer = f"yes, at {', '.join(decides)}" if decides else "no"
-    found.append(
+    rows.append(
         Verdict("N1", f"the op-amp decides ({', '.join(names)})",
                 "a question: on different sides of a threshold with different op-amps",
                 f"{answer}: error and eta move by at most {worst:.2g} percentage points", None)
     )  # fmt: skip
-    return found
+    return rows
 
 
 STUDY = Study("footnote", "footnote 1: where it holds", FootnoteParameters, analyse)

@@ -120,7 +120,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     number = 0
     for gains in given.gains:
         for period in given.periods_s:
-            k = [found["limits"][number] for found in every]
+            k = [answer["limits"][number] for answer in every]
             number += 1
             moved = {
                 f"{case.name} [%]": 100.0 * (value / k[0] - 1.0) if value and k[0] else None
@@ -138,7 +138,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
             "speed, rms [mm/s]": 1e3 * speed,
             f"counts as rest ({given.sigmas:g} sigma)": bool(given.sigmas * speed < given.rest_speed_m_per_s),
         })  # fmt: skip
-    told = "; ".join(f"{name.removesuffix(' [%]')} {value:.2g} %" for name, value in worst.items())
+    text = "; ".join(f"{name.removesuffix(' [%]')} {value:.2g} %" for name, value in worst.items())
     speeds = {
         kind: [1e3 * v for _, _, its, share, _, v in every[0]["speeds"] if its == kind and share == _LOOKS[1]]
         for kind in (PotNoise.WHITE.value, PotNoise.PEAK_TO_PEAK.value)
@@ -160,7 +160,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         ),
         verdicts=(
             Verdict("N1", "shift of the largest stiffness without each part of the circuit", "a question",
-                    f"at most: {told}", None),
+                    f"at most: {text}", None),
             Verdict("N1", "shift of the largest stiffness by the potentiometer's noise", "a question",
                     noise, None),
         ),

@@ -204,10 +204,10 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
                 Job(scene, contact.constants, contact.circuit, rest), given.stiffness_n_per_m
             )
     assert flight is not None
-    found = dict(zip(work, points.map(sweep, work), strict=True))
+    sweeps = dict(zip(work, points.map(sweep, work), strict=True))
     rows = [
         (key.rpartition(", ")[0], work[key].job.scene.computer.period_s, k, row)
-        for key, each in found.items()
+        for key, each in sweeps.items()
         for k, row in zip(given.stiffness_n_per_m, each, strict=True)
     ]
     v = flight.touch_m_per_s
@@ -271,37 +271,37 @@ def _verdicts(rows: _Rows, given: OnsetParameters, flight: Fall) -> Iterator[Ver
     v = flight.touch_m_per_s
     phases = given.ways[0].phases or given.phases
     off = {t: shown[base, t]["onset"] / flight.onset_j(k, t, phases) - 1.0 for t in periods}
-    told = ", ".join(f"{1e3 * shown[base, t]['onset_max']:.3g} mJ at {1e3 * t:.3g} ms" for t in periods)
+    text = ", ".join(f"{1e3 * shown[base, t]['onset_max']:.3g} mJ at {1e3 * t:.3g} ms" for t in periods)
     yield Verdict(
         "N4", f"energy of switching on at samples, {k:g} N/m",
         f"closed form of a fall within 1 %; at worst about that of the spring, pressed "
         f"at {v:.3g} m/s for a period",
-        f"{100 * max(map(abs, off.values())):.2g} % off; largest {told}",
+        f"{100 * max(map(abs, off.values())):.2g} % off; largest {text}",
         max(map(abs, off.values())) <= 0.01, own=True,
     )  # fmt: skip
-    told = ", ".join(
+    text = ", ".join(
         f"{shown[base, t]['jump']:.2g} N (at worst {shown[base, t]['jump_max']:.2g}) at {1e3 * t:.3g} ms"
         for t in periods
     )
     yield Verdict(
         "N4", f"the 'rapid change' at the onset of a contact, {k:g} N/m",
         "up to the force of the depth that a period's fall reaches, half of it on average",
-        told, all(shown[base, t]["jump_max"] <= 1.01 * k * flight.depth(t) for t in periods),
+        text, all(shown[base, t]["jump_max"] <= 1.01 * k * flight.depth(t) for t in periods),
     )  # fmt: skip
     at = min(periods, key=lambda t: abs(t - given.show_s))
     for way in given.ways:
         rests = {t: [(stiff, row["share"]) for stiff, row in each]
                  for name, t, each in _curves(rows) if name == way.name}  # fmt: skip
-        found = []
+        differences = []
         for t, each in rests.items():
             good = next((i for i, (_, share) in enumerate(each) if share < given.rest_share), len(each))
             limit = f"{each[good - 1][0]:.3g}" if good else f"below {each[0][0]:.3g}"
-            found.append(f"{limit + ' or more' if good == len(each) else limit} at {1e3 * t:.3g} ms")
+            differences.append(f"{limit + ' or more' if good == len(each) else limit} at {1e3 * t:.3g} ms")
         uneven = [1e3 * t for t, each in rests.items() if any(b > a for (_, a), (_, b) in pairwise(each))]
-        told = f"rests up to [N/m] {', '.join(found)}"
+        text = f"rests up to [N/m] {', '.join(differences)}"
         if uneven:
-            told += f"; not monotonic in the stiffness at {', '.join(f'{t:.3g}' for t in uneven)} ms"
-        yield Verdict("N4", f"analog stiffness has 'no upper limit': {way.name}", "a question", told, None)
+            text += f"; not monotonic in the stiffness at {', '.join(f'{t:.3g}' for t in uneven)} ms"
+        yield Verdict("N4", f"analog stiffness has 'no upper limit': {way.name}", "a question", text, None)
         if way.name != base and (way.name, at) in shown:
             one, other = shown[base, at], shown[way.name, at]
             yield Verdict(

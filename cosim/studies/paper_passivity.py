@@ -93,12 +93,12 @@ def _needed(given: PassiveParameters) -> tuple[Table, Table]:
     """Search the viscosity that every wall needs; and its curve over frequency."""
     of_nyquist = even(0.0, 1.0, _CURVE)[1:]
     names, theta = [], np.pi * of_nyquist
-    found, share, height, which = [], [], [], []
+    needed, share, height, which = [], [], [], []
     for one in given.walls:
         name = f"{one.stiffness_n_per_m:g} N/m, {one.damping_n_s_per_m:g} N s/m, {1e3 * one.period_s:g} ms"
         law = wall(one.stiffness_n_per_m, one.damping_n_s_per_m, one.period_s)
         names.append(name)
-        found.append(needed_damping(law))
+        needed.append(needed_damping(law))
         z = np.exp(1j * theta)
         curve = one.period_s / 2.0 / (1.0 - np.cos(theta)) * ((1.0 - 1.0 / z) * law.response(z)).real
         which += [name] * len(theta)
@@ -109,9 +109,9 @@ def _needed(given: PassiveParameters) -> tuple[Table, Table]:
         "needed", "Viscosity that a wall needs, (16)",
         {
             "wall": names, "k_p T/2 + |k_d| [N s/m]": closed,
-            "by search [N s/m]": [one.value for one in found],
-            "proven bound [N s/m]": [one.upper for one in found],
-            "difference": [one.value / form - 1.0 for one, form in zip(found, closed, strict=True)],
+            "by search [N s/m]": [one.value for one in needed],
+            "proven bound [N s/m]": [one.upper for one in needed],
+            "difference": [one.value / form - 1.0 for one, form in zip(needed, closed, strict=True)],
         },
     )  # fmt: skip
     return table, Table(
@@ -148,8 +148,8 @@ def _dampers(spec: StudyFile) -> Table:
         aliases = 1.0 / share_used(wall(1.0, 0.0, period), device).value
         for wall_damping in (0.0, 0.25 * total):
             closed = 2.0 * (total - wall_damping) / period
-            found = largest_passive(total, wall_damping, period)
-            row = (damper, total, total - bare, wall_damping, closed, found, found / closed - 1.0,
+            searched = largest_passive(total, wall_damping, period)
+            row = (damper, total, total - bare, wall_damping, closed, searched, searched / closed - 1.0,
                    aliases if wall_damping == 0.0 else None)  # fmt: skip
             for column, value in zip(rows.values(), row, strict=True):
                 column.append(value)
@@ -165,7 +165,7 @@ def _energies(spec: StudyFile, points: Points) -> tuple[Table, Table]:
         "computer.method=continuous", "computer.discrete_stiffness_n_per_m=0", "effects.motor=ideal",
         f"duration_s={given.seconds!r}",
     )  # fmt: skip
-    found = {}
+    by_case = {}
     for depth in given.depths_m:
         hand = (
             f"operator={{type='hand',mass_kg=0.05,damping_n_s_per_m=0.0,stiffness_n_per_m={given.hand_n_per_m!r}"
@@ -173,19 +173,19 @@ def _energies(spec: StudyFile, points: Points) -> tuple[Table, Table]:
         )
         scene = spec.scene(*common, hand, "effects.gravity=false", f"device.slider.origin_m=[0.0,{-depth!r}]")
         name = f"let go {1e3 * depth:g} mm deep"
-        found[name] = points.get(name, lambda scene=scene: _taken(scene, given.every_s))  # type: ignore[misc]
+        by_case[name] = points.get(name, lambda scene=scene: _taken(scene, given.every_s))  # type: ignore[misc]
     dropped = spec.scene(*common)
-    found["dropped"] = points.get("dropped", lambda: _taken(dropped, given.every_s))
+    by_case["dropped"] = points.get("dropped", lambda: _taken(dropped, given.every_s))
     stiffness = dropped.computer.analog_stiffness_n_per_m
-    held = [1e3 * 0.5 * stiffness * row["start_m"] ** 2 for row in found.values()]
+    held = [1e3 * 0.5 * stiffness * row["start_m"] ** 2 for row in by_case.values()]
     energies = Table(
         "energies", "Energy taken up by the display, (20)",
         {
-            "run": list(found),
+            "run": list(by_case),
             "-k x(0)^2/2 [mJ]": [-value for value in held],
-            "least taken up [mJ]": [1e3 * row["least_j"] for row in found.values()],
-            "doubt of the ledger [mJ]": [1e3 * row["doubt_j"] for row in found.values()],
-            "k (v T)^2/2 of its first contact [mJ]": [1e3 * row["late_j"] for row in found.values()],
+            "least taken up [mJ]": [1e3 * row["least_j"] for row in by_case.values()],
+            "doubt of the ledger [mJ]": [1e3 * row["doubt_j"] for row in by_case.values()],
+            "k (v T)^2/2 of its first contact [mJ]": [1e3 * row["late_j"] for row in by_case.values()],
         },
         "The display: computer, circuit and motors, without back-EMF. Dropped from rest: the first sample "
         "inside the wall switches the spring on, up to a period late.",
@@ -193,9 +193,9 @@ def _energies(spec: StudyFile, points: Points) -> tuple[Table, Table]:
     over_time = Table(
         "taken", "Energy taken up over time",
         {
-            "run": [name for name, row in found.items() for _ in row["time_s"]],
-            "time [s]": [t for row in found.values() for t in row["time_s"]],
-            "taken up [mJ]": [1e3 * value for row in found.values() for value in row["taken_j"]],
+            "run": [name for name, row in by_case.items() for _ in row["time_s"]],
+            "time [s]": [t for row in by_case.values() for t in row["time_s"]],
+            "taken up [mJ]": [1e3 * value for row in by_case.values() for value in row["taken_j"]],
         },
     )  # fmt: skip
     return energies, over_time
@@ -239,14 +239,14 @@ def _verdicts(needed: Table, dampers: Table, energies: Table) -> list[Verdict]:
     last = max(i for i, value in enumerate(aliases) if value is not None)
     rows = list(zip(*energies.columns.values(), strict=True))
     held = [row for row in rows if row[1] < 0.0]
-    told = ", ".join(f"{least:.3g} of {bound:.3g} mJ" for _, bound, least, _, _ in held)
+    text = ", ".join(f"{least:.3g} of {bound:.3g} mJ" for _, bound, least, _, _ in held)
     free = [row for row in rows if row[1] == 0.0]
     return [
         Verdict("A5", "viscosity that a sampled wall needs",
                 "stiffness times half a period, plus the size of the virtual damping",
                 f"by search {off:.1g} off, for {len(needed.columns['wall'])} walls", off <= _EXACT),
         Verdict("A6", "a passive hand lets go of the spring inside the wall: energy the display takes up",
-                "never gives back more than the spring held", f"least {told}",
+                "never gives back more than the spring held", f"least {text}",
                 all(least >= bound - doubt for _, bound, least, doubt, _ in held)),
         *(
             Verdict("A6", "(20) takes the spring as always on; a wall's is switched on at samples",

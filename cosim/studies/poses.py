@@ -73,8 +73,8 @@ class Unevenness:
 def gains(jac: Array, normal: Array, stiffness: float) -> Array:
     """Return Ksp = J^T k n n^T J of (7) for a wall [N m/rad]."""
     along = jac.T @ normal
-    found: Array = stiffness * np.outer(along, along)
-    return found
+    ksp: Array = stiffness * np.outer(along, along)
+    return ksp
 
 
 def drag(chain: Chain, wall_q: Array, normal: Array, stiffness: float, depth: float, elbow: int = 1) -> Drag:
@@ -129,8 +129,8 @@ def rendered(circuit: LinearCircuit, constants: DesignConstants, ksp: Array) -> 
     n = circuit.joints
     control = np.concatenate([ksp.ravel() * constants.v_fs / constants.k_fs, np.zeros(n * n)])
     still = circuit.response([0.0], control)[0].real
-    found: Array = -constants.torques_per_amp(n)[:, None] * still[:, :n]
-    return found
+    ksp_shown: Array = -constants.torques_per_amp(n)[:, None] * still[:, :n]
+    return ksp_shown
 
 
 def analyse(spec: StudyFile, points: Points) -> StudyResult:
@@ -185,7 +185,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     diagonals = np.array([v for v in columns["joint PD, F_t/F_n"] if v is not None])
     uneven_drag = np.array(columns["mismatch, F_t/F_n"], float)
     coupled = max(abs(value) for value in at.columns["coupled, F_t/F_n"])
-    told = (
+    text = (
         f"joint PD: median {np.median(np.abs(diagonals)):.2g}, to one side in "
         f"{100 * np.mean(diagonals > 0):.0f} % of the poses; coupled {coupled:.1g}"
     )
@@ -201,7 +201,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         verdicts=(
             Verdict("F18", "per-joint PD drags along the wall",
                     "force along the wall over its normal far above that of coupled gains, sign by pose",
-                    told, bool(np.median(np.abs(diagonals)) > 10 * coupled)),
+                    text, bool(np.median(np.abs(diagonals)) > 10 * coupled)),
             Verdict("N4", f"{percent:g} % of mismatch between the multipliers drags and feeds energy",
                     "a question", noise, None),
         ),
@@ -216,15 +216,15 @@ def _poses(
     columns: dict[str, list[float]] = {}
     for pose in poses:
         q = np.array(pose)
-        found = drag(chain, q, normal, stiffness, given.depth_m)
+        force = drag(chain, q, normal, stiffness, given.depth_m)
         uneven = unevenness(chain, q, normal, stiffness, given.mismatch, given.circle_m)
         inverse = np.linalg.inv(chain.jacobian(q))
         board = (
             inverse.T @ rendered(circuit, constants, gains(chain.jacobian(q), normal, stiffness)) @ inverse
         )
         for name, value in {
-            "q1 [rad]": pose[0], "q2 [rad]": pose[1], "coupled, F_t/F_n": found.coupled,
-            "coupled at the wall, F_t/F_n": found.coupled_at_wall, "joint PD, F_t/F_n": found.diagonal,
+            "q1 [rad]": pose[0], "q2 [rad]": pose[1], "coupled, F_t/F_n": force.coupled,
+            "coupled at the wall, F_t/F_n": force.coupled_at_wall, "joint PD, F_t/F_n": force.diagonal,
             "mismatch, F_t/F_n": uneven.drag, "curl [N/m]": uneven.curl_n_per_m,
             "energy round the circle [uJ]": 1e6 * uneven.circle_j,
             "least eigenvalue of sym(Ksp) [mN m/rad]": 1e3 * uneven.least_n_m_per_rad,

@@ -62,8 +62,8 @@ def apparent(chain: Chain, q: Array, stiffness: Array, force: Array, *, compensa
     if compensated:
         joints = joints + geometric
     inverse = np.linalg.inv(jac)
-    found: Array = inverse.T @ (joints - geometric) @ inverse
-    return found
+    shown: Array = inverse.T @ (joints - geometric) @ inverse
+    return shown
 
 
 def pressed(
@@ -133,8 +133,8 @@ def felt(spec: StudyFile, preload: float, points: Points, *, compensated: bool) 
         name = f"{preload:g} N, change {axis + 1}{', compensated' if compensated else ''}"
         at = points.get(name, lambda scene=scene: _ends(scene, given.settle_s))  # type: ignore[misc]
         moves[:, axis], forces[:, axis] = at[:2], at[2:]
-    found: Array = -forces @ np.linalg.inv(moves)
-    return found
+    stiffness: Array = -forces @ np.linalg.inv(moves)
+    return stiffness
 
 
 def _ends(scene: Scene, half: float) -> list[float]:
@@ -219,7 +219,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     worst = np.array(columns["shift, worst direction [%]"])
     left = float(np.max(columns["compensated, worst direction [%]"]))
     noticed = 100.0 * float(np.mean(worst > 100.0 * NOTICED))
-    found = (
+    maps = (
         f"median {np.median(worst):.3g} %, 95th percentile {np.percentile(worst, 95):.3g} % of "
         f"{given.stiffness_n_per_m:g} N/m at {given.preload_n:g} N; above what a hand notices "
         f"({NOTICED_SOURCE}) in {noticed:.2g} % of the poses"
@@ -230,7 +230,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         f"formula without it agrees with pressing within {100 * worst_check:.1g} %"
     )
     verdicts = [
-        Verdict("N3", shift, "the geometric stiffness of the force adds to the commanded one", found, None),
+        Verdict("N3", shift, "the geometric stiffness of the force adds to the commanded one", maps, None),
         Verdict("N3", "the geometric stiffness, added to the joints' gains, restores it", "no shift",
                 restored, left < 100 * _PRESSED and worst_check < _PRESSED, own=True),
     ]  # fmt: skip
@@ -250,13 +250,13 @@ def _in_runs(given: CongruenceParameters, sweep: Table) -> Verdict:
             "plain: theory, worst direction [N/m]",
         )
     )  # fmt: skip
-    told = ", ".join(
+    text = ", ".join(
         f"{p:.3g} -> {h:.2g} N/m at {n:g} N" for n, p, h in zip(given.preloads_n, plain, held, strict=True)
     )
     off = max(abs(p / t - 1.0) for p, t in zip(plain, theory, strict=True))
     return Verdict(
         "N3", "runs with the geometric stiffness in the law: the shift between two samples is gone",
-        f"at most {100 * _LEFT:g} % of it left", f"{told}; without it {100 * off:.2g} % off theory",
+        f"at most {100 * _LEFT:g} % of it left", f"{text}; without it {100 * off:.2g} % off theory",
         all(h <= _LEFT * p for p, h in zip(plain, held, strict=True)), own=True,
     )  # fmt: skip
 

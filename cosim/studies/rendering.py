@@ -72,18 +72,18 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     spectra: dict[str, list[float]] = {"f [Hz]": hz.tolist()}
     ends: dict[str, list[Any]] = {}
     certified: dict[str, list[Any]] = {}
-    told: dict[str, dict[str, float]] = {}
+    numbers: dict[str, dict[str, float]] = {}
     points.expect(len(given.cases))
     with on_demand() as child:
         every = [points.get(case.name, partial(_case, spec, case, hz, child)) for case in given.cases]
-    for case, found in zip(given.cases, every, strict=True):
-        row(certified, {"case": case.name, **found["certificate"]})
-        for name, ratio in found["ratios"].items():
+    for case, answer in zip(given.cases, every, strict=True):
+        row(certified, {"case": case.name, **answer["certificate"]})
+        for name, ratio in answer["ratios"].items():
             spectra[f"{case.name}: {name}"] = ratio
             error = np.abs(np.array(ratio) - 1.0)
             inside = error[hz <= given.motion_hz * (1.0 + 1e-9)]
             worst = float(inside.max())
-            told.setdefault(case.name, {})[name] = worst
+            numbers.setdefault(case.name, {})[name] = worst
             stiff = name.startswith("K")
             least, usual = given.stiffness_noticed if stiff else given.damping_noticed
             row(ends, {
@@ -98,8 +98,8 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         Verdict(
             "N1", f"{word} is the commanded one in the band of human motion, {given.motion_hz:g} Hz",
             f"error below {100 * given.largest_error:g} %",
-            f"at most {100 * told[first][name]:.3g} % ({first})",
-            bool(told[first][name] < given.largest_error),
+            f"at most {100 * numbers[first][name]:.3g} % ({first})",
+            bool(numbers[first][name] < given.largest_error),
         )
         for word, name in (
             ("stiffness of the spring alone", "K/k of the spring"),

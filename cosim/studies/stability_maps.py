@@ -107,18 +107,18 @@ class Column:
 def column(asked: Column) -> dict[str, Any]:
     """Return limits [N/m] and simulated points of a column, JSON-ready; limits that do not exist are None."""
     scene, constants = asked.job.scene, asked.job.constants
-    found = limits(asked.job.contact())
+    edges = limits(asked.job.contact())
     device, c = tip(scene, constants.gear), scene.computer
     late = (c.delay_periods + c.delay_fraction) * c.period_s if scene.effects.delay else 0.0
-    b, damping = found.viscosity_n_s_per_m, c.discrete_damping_n_s_per_m
-    exact = found.border.value
+    b, damping = edges.viscosity_n_s_per_m, c.discrete_damping_n_s_per_m
+    exact = edges.border.value
     shares = asked.stiffness if 0.0 < exact < math.inf else ()  # of no border there is no share
     tried = [share * exact for share in shares] if asked.of_border else list(asked.stiffness)
     falls = Falls(asked.job)
     return {
         "exact_n_per_m": exact if math.isfinite(exact) else None,
-        "passive_n_per_m": found.passive_n_per_m,
-        "gil_hulin_n_per_m": found.gil_hulin_n_per_m,
+        "passive_n_per_m": edges.passive_n_per_m,
+        "gil_hulin_n_per_m": edges.gil_hulin_n_per_m,
         "abbott_okamura_n_per_m": closed_form_limits.abbott_okamura(
             b, c.period_s, device.coulomb_n, device.resolution_m
         ),
@@ -176,26 +176,26 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
             job = Job(scene, constants, circuit, rest)
             asked[key] = Column(job, given.stiffness_n_per_m, False, given.cycle_m)
             where.append(("K-B", panel.name, damping))
-    found = dict(zip(where, points.map(column, asked), strict=True))
+    columns = dict(zip(where, points.map(column, asked), strict=True))
     period = 1e3 * spec.scene().computer.period_s
     tables = [
-        *_plane("K-T", "period [ms]", "kt", "Stiffness over the sampling period", found, given),
+        *_plane("K-T", "period [ms]", "kt", "Stiffness over the sampling period", columns, given),
         *_plane(
-            "K-B", "virtual damping [N s/m]", "kb", f"Stiffness over damping at {period:g} ms", found, given
+            "K-B", "virtual damping [N s/m]", "kb", f"Stiffness over damping at {period:g} ms", columns, given
         ),
     ]
     widths, walls = _widths(spec)
-    return spec.result(*tables, widths, walls, verdicts=verdicts(found, given))
+    return spec.result(*tables, widths, walls, verdicts=verdicts(columns, given))
 
 
 Found = Mapping[tuple[str, str, float], Mapping[str, Any]]
 
 
 def _plane(
-    plane: str, across: str, name: str, title: str, found: Found, given: MapParameters
+    plane: str, across: str, name: str, title: str, columns: Found, given: MapParameters
 ) -> tuple[Table, Table]:
     """Return the limits of a plane, and its simulated points."""
-    mine = {(panel, x): row for (which, panel, x), row in found.items() if which == plane}
+    mine = {(panel, x): row for (which, panel, x), row in columns.items() if which == plane}
     borders: dict[str, list[Any]] = {"panel": [p for p, _ in mine], across: [x for _, x in mine]}
     for heading, key in LIMITS.items():
         borders[heading] = [row[key] for row in mine.values()]
@@ -272,11 +272,11 @@ def _widths(spec: StudyFile) -> tuple[Table, Table]:
     )
 
 
-def verdicts(found: Found, given: MapParameters) -> list[Verdict]:
+def verdicts(columns: Found, given: MapParameters) -> list[Verdict]:
     """Judge passivity against the exact border, and the simulated points against both."""
     out = []
     worst = max(
-        ((row["passive_n_per_m"] or 0.0) / row["exact_n_per_m"] for row in found.values()
+        ((row["passive_n_per_m"] or 0.0) / row["exact_n_per_m"] for row in columns.values()
          if row["exact_n_per_m"]),
         default=math.nan,
     )  # fmt: skip
@@ -285,7 +285,7 @@ def verdicts(found: Found, given: MapParameters) -> list[Verdict]:
                 f"at most {worst:.4g} of it", worst <= 1.0 + 1e-9, own=True)
     )  # fmt: skip
     for panel in given.panels:
-        rows = [row for (_, name, _), row in found.items() if name == panel.name]
+        rows = [row for (_, name, _), row in columns.items() if name == panel.name]
         pairs = [
             (k / row["exact_n_per_m"], share, k / (row["cycle_n_per_m"] or row["exact_n_per_m"]))
             for row in rows if row["exact_n_per_m"]
@@ -299,14 +299,14 @@ def verdicts(found: Found, given: MapParameters) -> list[Verdict]:
         below = [share for ratio, share, _ in pairs if ratio < 0.8]
         calm = sum(share >= given.rest_share for share in below)
         still = sum(share > 0.0 for share in above)
-        told = f"{calm} of {len(below)} points below 0.8 of it rest, {still} of {len(above)} above it"
+        text = f"{calm} of {len(below)} points below 0.8 of it rest, {still} of {len(above)} above it"
         if rough:
-            told += f", {sum(share > 0.0 for share in beyond)} of {len(beyond)} above Diolaiti's large cycle"
+            text += f", {sum(share > 0.0 for share in beyond)} of {len(beyond)} above Diolaiti's large cycle"
         out.append(
             Verdict(
                 "M2", f"the simulated mass rests below the exact border only: {panel.name}",
                 "a question: friction holds above it" if rough else "no phase rests above it",
-                told,
+                text,
                 None if rough else not still,
                 own=True,
             )

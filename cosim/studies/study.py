@@ -188,10 +188,10 @@ class StudyFile:
 def _sources() -> str:
     """SHA-256 of the program's own sources: an analysis that was changed is run again."""
     root = Path(cosim.__file__).parent
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     for path in sorted([*root.rglob("*.py"), *(root.parent / "mech").rglob("*.py")]):
-        found.update(path.read_bytes())
-    return found.hexdigest()
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 def is_study(path: Path) -> bool:

@@ -21,6 +21,7 @@ from cosim.results import Run
 from cosim.runner import run
 from cosim.scene.mechanism import mechanism
 from cosim.scene.parameters import Field, Parameters, Unit, Variation
+from cosim.storage.checkpoint import Points
 from cosim.storage.staging import scratch_folder
 from cosim.studies.case_effects import in_words
 from cosim.studies.grid import steps
@@ -135,7 +136,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
                 fail("no such run", file=str(spec.file), key=f"parameters.runs.{key}", value=other)
     points.expect(len(names))
     with start_early("cosim.loop.early_imports") as child:
-        found = {
+        traces = {
             one.name: points.get(one.name, lambda one=one: traced(spec, one, given.every_s, child))  # type: ignore[misc]
             for one in given.runs
         }
@@ -146,43 +147,47 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
             "run": names,
             "circuit ideal, of": [one.ideal_of for one in given.runs],
             "more effects, of": [one.all_of for one in given.runs],
-            "circuit": [found[name]["model"] for name in names],
-            "depth [mm]": [1e3 * found[name]["measures"]["steady_penetration"] for name in names],
-            "normal force [N]": [found[name]["measures"]["steady_normal_force"] for name in names],
-            "rendered stiffness [N/m]": [found[name]["measures"].get("rendered_stiffness") for name in names],
-            "F_t/F_n": [found[name]["measures"].get(measures[2]) for name in names],
-            "ripple of the force [N]": [found[name]["measures"].get(measures[3]) for name in names],
-            "time [s]": [found[name]["seconds"] for name in names],
-            "effects in force": [", ".join(found[name]["effects"]) for name in names],
+            "circuit": [traces[name]["model"] for name in names],
+            "depth [mm]": [1e3 * traces[name]["measures"]["steady_penetration"] for name in names],
+            "normal force [N]": [traces[name]["measures"]["steady_normal_force"] for name in names],
+            "rendered stiffness [N/m]": [
+                traces[name]["measures"].get("rendered_stiffness") for name in names
+            ],
+            "F_t/F_n": [traces[name]["measures"].get(measures[2]) for name in names],
+            "ripple of the force [N]": [traces[name]["measures"].get(measures[3]) for name in names],
+            "time [s]": [traces[name]["seconds"] for name in names],
+            "effects in force": [", ".join(traces[name]["effects"]) for name in names],
         },
         "Depth and forces: means over the last fifth of the run.",
     )  # fmt: skip
     signals = Table(
         "signals", "Force and place over time",
-        {"run": [name for name in names for _ in found[name]["signals"][_SHOWN[0]]]}
-        | {key: [v for name in names for v in found[name]["signals"][key]] for key in _SHOWN},
+        {"run": [name for name in names for _ in traces[name]["signals"][_SHOWN[0]]]}
+        | {key: [v for name in names for v in traces[name]["signals"][key]] for key in _SHOWN},
     )  # fmt: skip
     quasi = Table(
         "quasi_static", "Force of J^-T tau against the force at the hand",
         {
-            "run": [name for name in names for _ in found[name]["quasi_static"]["error_n"]],
+            "run": [name for name in names for _ in traces[name]["quasi_static"]["error_n"]],
             "acceleration [m/s^2]": [
-                v for name in names for v in found[name]["quasi_static"]["acceleration_m_per_s2"]
+                v for name in names for v in traces[name]["quasi_static"]["acceleration_m_per_s2"]
             ],
-            "error [N]": [v for name in names for v in found[name]["quasi_static"]["error_n"]],
-            "inertia of the arm [N]": [v for name in names for v in found[name]["quasi_static"]["inertia_n"]],
+            "error [N]": [v for name in names for v in traces[name]["quasi_static"]["error_n"]],
+            "inertia of the arm [N]": [
+                v for name in names for v in traces[name]["quasi_static"]["inertia_n"]
+            ],
         },
     )  # fmt: skip
-    return spec.result(table, signals, quasi, verdicts=verdicts(given, found))
+    return spec.result(table, signals, quasi, verdicts=verdicts(given, traces))
 
 
-def verdicts(given: TraceParameters, found: dict[str, Any]) -> list[Verdict]:
+def verdicts(given: TraceParameters, traces: dict[str, Any]) -> list[Verdict]:
     """Judge runs by name, as `traced` returns them; the first is the reference."""
     out = []
     first = given.runs[0].name
-    base = found[first]["measures"]
+    base = traces[first]["measures"]
     for one in given.runs[1:]:
-        mine = found[one.name]["measures"]
+        mine = traces[one.name]["measures"]
         if one.beside is None and mine["tangential_ratio"] < _DRAGS:
             ratio = (mine["steady_penetration"] / mine["steady_normal_force"]) / (
                 base["steady_penetration"] / base["steady_normal_force"]
@@ -201,10 +206,10 @@ def verdicts(given: TraceParameters, found: dict[str, Any]) -> list[Verdict]:
                         mine["tangential_ratio"] > 10 * base["tangential_ratio"])
             )  # fmt: skip
         if one.all_of is not None:
-            out.append(_everything(one, mine, found[one.all_of]["measures"]))
+            out.append(_everything(one, mine, traces[one.all_of]["measures"]))
         if one.ideal_of is not None:
-            full = found[one.ideal_of]["signals"]
-            change = [np.abs(np.subtract(found[one.name]["signals"][key], full[key])) for key in _SHOWN[1:]]
+            full = traces[one.ideal_of]["signals"]
+            change = [np.abs(np.subtract(traces[one.name]["signals"][key], full[key])) for key in _SHOWN[1:]]
             peak = float(np.abs(full[_SHOWN[1]]).max())
             text = (
                 f"largest change: normal {1e3 * change[0].max():.3g} mN of {peak:.3g} N, "
@@ -214,7 +219,7 @@ def verdicts(given: TraceParameters, found: dict[str, Any]) -> list[Verdict]:
             out.append(
                 Verdict("N1", f"footnote 1 in the experiment: {one.ideal_of}", "a question", text, None)
             )
-    held = found[first]["quasi_static"]
+    held = traces[first]["quasi_static"]
     error, inertia = np.array(held["error_n"]), np.array(held["inertia_n"])
     mass = -float(error @ held["acceleration_m_per_s2"]) / float(
         np.square(held["acceleration_m_per_s2"]).sum()

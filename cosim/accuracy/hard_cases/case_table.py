@@ -28,12 +28,12 @@ __all__ = ["CASES", "chosen", "run_cases"]
 def _stiff_covariance(bench: Bench, model: str) -> float:
     """Error of the covariance of white noise behind two poles, the faster of T times 1e7."""
     fast, slow, period = 1e9, 10.0, 0.01
-    found = white_covariance(np.diag([-fast, -slow]), np.ones((2, 1)), np.eye(1), period)
+    covariance = white_covariance(np.diag([-fast, -slow]), np.ones((2, 1)), np.eye(1), period)
     rates = np.array([[2 * fast, fast + slow], [fast + slow, 2 * slow]])
     exact = -np.expm1(-rates * period) / rates
-    if not (np.isfinite(found).all() and np.linalg.eigvalsh(found).min() >= 0.0):
+    if not (np.isfinite(covariance).all() and np.linalg.eigvalsh(covariance).min() >= 0.0):
         return math.nan
-    return float(np.abs(found / exact - 1.0).max())
+    return float(np.abs(covariance / exact - 1.0).max())
 
 
 #: Every case; the model of those that need no scene is the one whose mathematics they test.

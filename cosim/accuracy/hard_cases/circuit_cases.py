@@ -33,7 +33,7 @@ def _bandwidth(what: str) -> Callable[[Bench, str], float]:
     """Return what finds steps or current of 100 s of rest in gravity, amplifiers a thousand times faster."""
 
     def find(bench: Bench, model: str) -> float:
-        found = []
+        outcomes = []
         for hz in ("1e5", "1e8"):
             tables = slider(
                 duration_s=100.0, device={"values": {"tl072_gbw": hz}, "slider": {"viscous_n_m_s": 5e-2}},
@@ -41,8 +41,8 @@ def _bandwidth(what: str) -> Callable[[Bench, str], float]:
                 effects={"opamp": "gbw", "gravity": True, "viscous": True},
                 solver={"coupling_tolerance_rad": 1e-10, "max_step_s": 0.1},
             )  # fmt: skip
-            found.append(bench.run(tables, model, _SPRING))
-        slow, fast = found
+            outcomes.append(bench.run(tables, model, _SPRING))
+        slow, fast = outcomes
         if what == "steps":
             return float(fast.stats["points"]) / float(slow.stats["points"])
         return float(0.04 * 8.0 * np.asarray(fast.signals["imot1"])[-1] / (9.81 * 0.2 * RADIUS))
@@ -75,7 +75,7 @@ def _large_norm(h: float, bench: Bench, model: str) -> float:
         a[i, i] = -rate
         if i:
             a[i, i - 1] = rate
-    found = phi_functions(a, h, 1)[0]
+    phi = phi_functions(a, h, 1)[0]
     worst = 0.0
     with localcontext() as context:
         context.prec = 60
@@ -87,7 +87,7 @@ def _large_norm(h: float, bench: Bench, model: str) -> float:
                 for node in nodes[: row + 1]
             )  # fmt: skip
             exact *= math.prod((-node for node in nodes[1 : row + 1]), start=Decimal(1))
-            worst = max(worst, abs(found[row, 0] / float(exact) - 1.0))
+            worst = max(worst, abs(phi[row, 0] / float(exact) - 1.0))
     return worst
 
 
@@ -255,14 +255,14 @@ def _edge(values: dict[str, str], words: tuple[str, ...]) -> HardCase:
             computer={"period_s": 0.01}, effects={"opamp": "gbw"}, solver={"coupling_tolerance_rad": 1e-7},
         )  # fmt: skip
         try:
-            found = bench.run(tables, model)
+            ran = bench.run(tables, model)
         except CosimError as error:
             return float(any(word in str(error) for word in words))
-        return float(all(np.isfinite(column).all() for column in found.signals.values()))
+        return float(all(np.isfinite(column).all() for column in ran.signals.values()))
 
-    told = ", ".join(f"{name} = {value}" for name, value in values.items())
+    description = ", ".join(f"{name} = {value}" for name, value in values.items())
     return HardCase(
-        f"data at the edge, {told}", 57, "a number or a named error (1)", 1.0,
+        f"data at the edge, {description}", 57, "a number or a named error (1)", 1.0,
         dict.fromkeys(("linear", "spice"), 0.0), "nothing else is an answer", find,
     )  # fmt: skip
 

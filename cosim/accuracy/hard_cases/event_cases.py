@@ -44,10 +44,10 @@ def _beside_a_sample(bench: Bench, model: str) -> float:
             "type": "hand", "mass_kg": 0.0, "stiffness_n_per_m": 0.0, "damping_n_s_per_m": 1.0,
             "waypoints_s_m": [[0.0, 0.0, 0.0]], "force_s_n": [[at, 0.0, 0.0], [0.3, 0.0, -1.0]],
         }  # fmt: skip
-        found = bench.run(slider(operator=hand, effects={"operator_dynamics": True}), model)
-        if len(found.samples["time"]) != 5:
+        ran = bench.run(slider(operator=hand, effects={"operator_dynamics": True}), model)
+        if len(ran.samples["time"]) != 5:
             return math.nan  # a sample was lost, or fired twice
-        ends.append(float(found.signals["y"][-1]))
+        ends.append(float(ran.signals["y"][-1]))
     return float(np.ptp(ends)) / abs(ends[0])
 
 

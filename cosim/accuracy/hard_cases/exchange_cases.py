@@ -77,8 +77,8 @@ def _against_jacobi(
                       "analog_stiffness_n_per_m": 1.0},
             effects={"rotor_inertia": True}, solver={"coupling_tolerance_rad": 1e-9},
         )  # fmt: skip
-        found = bench.run(tables, model, law)
-        exchanges = int(found.stats["points"]) + int(found.stats["rejected"])
+        ran = bench.run(tables, model, law)
+        exchanges = int(ran.stats["points"]) + int(ran.stats["rejected"])
         a = np.zeros((4, 4))
         mass = np.diag(1.0 / np.array(inertias))
         a[:2, 2:], a[2:, :2], a[2:, 2:] = np.eye(2), -mass @ stiff, -mass @ damp
@@ -88,8 +88,8 @@ def _against_jacobi(
         def exact(t: Array) -> Array:
             return np.asarray(np.real((np.exp(np.outer(t, values)) * parts) @ vectors.T)[:, :2])
 
-        t = np.asarray(found.signals["time"])
-        q = np.stack([found.signals["q1"], found.signals["q2"]], axis=1)
+        t = np.asarray(ran.signals["time"])
+        q = np.stack([ran.signals["q1"], ran.signals["q2"]], axis=1)
         ours = float(np.abs(q - exact(t)).max())
         times, held = _jacobi(inertias, springs, dampers, start, end / exchanges, end)
         return ours / float(np.abs(held - exact(times)).max())

@@ -155,8 +155,8 @@ class Bench:
     def deck(self, text: str, command: str, *names: str) -> list[Array]:
         """Run an analysis of a deck in ngspice; returns its vectors of these names."""
         asked = {"deck": text, "command": command, "names": names}
-        found: list[Array] = self.ask("cosim.accuracy.hard_cases.hard_case:analysed", asked)
-        return found
+        vectors: list[Array] = self.ask("cosim.accuracy.hard_cases.hard_case:analysed", asked)
+        return vectors
 
     def refusal(self, ask: Callable[[], object], *words: str) -> float:
         """Return 1 where a call ends in a clear error with these words, 0 where it does not."""
@@ -189,10 +189,10 @@ class Bench:
         with collected(forward=False):
             plan = resolve(load_scene(file))
             errors = estimator(plan, self._child) if estimate else None
-            found = run(plan, out, formats=(), child=self._child, errors=errors)
-        signals = {name: np.array(found.signals[name]) for name in found.signals}
-        said = tuple((each.code, each.text) for each in found.warnings)
-        return Ran(signals, dict(found.samples), dict(found.measures), dict(found.stats), said)
+            result = run(plan, out, formats=(), child=self._child, errors=errors)
+        signals = {name: np.array(result.signals[name]) for name in result.signals}
+        cautions = tuple((each.code, each.text) for each in result.warnings)
+        return Ran(signals, dict(result.samples), dict(result.measures), dict(result.stats), cautions)
 
 
 def analysed(payload: dict[str, Any], report: Any) -> list[Array]:
@@ -263,7 +263,7 @@ def slider(**top: Any) -> dict[str, Any]:
 
 def crossings(t: Array, q: Array, v: Array, level: float) -> Array:
     """Return the instants at which a motion passes a level, of the cubic between its rows."""
-    found = []
+    times = []
     for k in np.flatnonzero((q[:-1] - level) * (q[1:] - level) < 0.0):
         h = t[k + 1] - t[k]
         rise = (q[k + 1] - q[k]) / h
@@ -274,5 +274,5 @@ def crossings(t: Array, q: Array, v: Array, level: float) -> Array:
             q[k] - level,
         ]
         inside = [x.real for x in np.roots(cubic) if abs(x.imag) < 1e-9 * h and -1e-9 * h <= x.real <= h]
-        found += [t[k] + x for x in inside[:1]]
-    return np.array(found)
+        times += [t[k] + x for x in inside[:1]]
+    return np.array(times)

@@ -104,10 +104,8 @@ def _told(step: float, bench: Bench, model: str) -> float:
         wall={"point_m": [0.0, 0.0], "normal": [0.0, 1.0]}, effects={"motor": "emf"},
         solver={"max_step_s": step, "coupling_tolerance_rad": 1e-3}, record={"nodes": ["vel1"]},
     )  # fmt: skip
-    found = bench.run(tables, model)
-    t, q, v, told_q, told_v = (
-        np.asarray(found.signals[name]) for name in ("time", "q1", "v1", "pot1", "vel1")
-    )
+    ran = bench.run(tables, model)
+    t, q, v, told_q, told_v = (np.asarray(ran.signals[name]) for name in ("time", "q1", "v1", "pot1", "vel1"))
     stiffness = 100 * RADIUS**2 * _SPRING / _STATED
     rate = np.array([[0, 1], [-stiffness / _INERTIA, -_EMF / _INERTIA]])
     wrong = 0.0
@@ -115,7 +113,7 @@ def _told(step: float, bench: Bench, model: str) -> float:
         h = t[n] - t[n - 1]
         true_q, true_v = expm(rate * h) @ [q[n - 1], v[n - 1]]
         wrong = max(wrong, abs(told_q[n] - true_q) + h * abs(told_v[n] / 8.0 - true_v))
-    return math.log(wrong / float(found.stats["defect_max_rad"]))
+    return math.log(wrong / float(ran.stats["defect_max_rad"]))
 
 
 _SATURATING = """
@@ -279,8 +277,8 @@ def _consistent(bench: Bench, model: str) -> float:
             computer={"period_s": 0.02}, wall={"point_m": [0.0, 0.0], "normal": [0.0, 1.0]},
         )  # fmt: skip
         currents.append(float(bench.run(tables, model).signals["imot1"][-1]))
-        said = any("operating point" in note for note in load_deck(place / "board1.cir").notes)
-    return float(said and currents[0] == currents[1])
+        noted = any("operating point" in note for note in load_deck(place / "board1.cir").notes)
+    return float(noted and currents[0] == currents[1])
 
 
 CASES = (

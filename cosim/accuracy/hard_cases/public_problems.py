@@ -94,22 +94,22 @@ def _ring_deck() -> str:
     return "\n".join([*rows, ".end\n"])
 
 
-def _mixed(found: np.ndarray, exact: tuple[float, ...]) -> float:
+def _mixed(computed: np.ndarray, exact: tuple[float, ...]) -> float:
     """Return the largest error in the set's mixed norm, |error| / (1 + |value|)."""
-    return float((np.abs(found - exact) / (1.0 + np.abs(exact))).max())
+    return float((np.abs(computed - exact) / (1.0 + np.abs(exact))).max())
 
 
 def _amplifier(bench: Bench, model: str) -> float:
     command = f"tran {_STEP_S!r} {_END_S!r} 0 {_STEP_S!r}"
-    found = bench.deck(_DECK, command, *(f"n{k}" for k in range(1, 9)))
-    return _mixed(np.array([np.real(each[-1]) for each in found]), _AMPLIFIER)
+    nodes = bench.deck(_DECK, command, *(f"n{k}" for k in range(1, 9)))
+    return _mixed(np.array([np.real(each[-1]) for each in nodes]), _AMPLIFIER)
 
 
 def _modulator(bench: Bench, model: str) -> float:
     command = f"tran {_RING_STEP_S!r} {_RING_END_S!r} {0.99 * _RING_END_S!r} {_RING_STEP_S!r} uic"
     names = [*(f"u{k}" for k in _NODES), *(f"vs{k}#branch" for k in _BRANCHES)]
-    found = bench.deck(_ring_deck(), command, *names)
-    return _mixed(np.array([np.real(each[-1]) for each in found]), _RING)
+    nodes = bench.deck(_ring_deck(), command, *names)
+    return _mixed(np.array([np.real(each[-1]) for each in nodes]), _RING)
 
 
 CASES = (

@@ -42,10 +42,10 @@ def _modulus(bench: Bench, model: str, period: float, viscosity: float) -> float
         computer={"period_s": period, "law": "law.py:Held"},
         effects={"viscous": viscosity > 0.0},
     )  # fmt: skip
-    found = bench.run(tables, model, _HELD)
-    t = np.asarray(found.signals["time"])
+    ran = bench.run(tables, model, _HELD)
+    t = np.asarray(ran.signals["time"])
     at = np.searchsorted(t, np.arange(count) * period - 1e-11)
-    states = np.array([np.asarray(found.signals["q1"])[at], np.asarray(found.signals["v1"])[at] * period])
+    states = np.array([np.asarray(ran.signals["q1"])[at], np.asarray(ran.signals["v1"])[at] * period])
     size = np.abs(states[:, :-1]).max(axis=0)
     step = np.linalg.lstsq((states[:, :-1] / size).T, (states[:, 1:] / size).T, rcond=None)[0]
     return float(np.abs(np.linalg.eigvals(step)).max())

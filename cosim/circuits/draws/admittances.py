@@ -81,7 +81,7 @@ def changes(board: Deck, keys: Sequence[str]) -> list[Change]:
     net = board_netlist(board)
     where = {path: (block, instance, nets) for path, block, instance, nets in walk(net, board.board)}
     known, warm = flags(net), _temperature(net) - NOMINAL_C
-    found: list[Change] = []
+    rows: list[Change] = []
     parts: dict[str, list[tuple[int, str]]] = {}
     for place, key in enumerate(keys):
         steps, element, parameter = split(key)
@@ -95,11 +95,11 @@ def changes(board: Deck, keys: Sequence[str]) -> list[Change]:
             raise Unlike(f"{key} is no resistor, capacitor or inductor")
         factor = _warmed(line, _scope(block, instance, known), warm)
         ends = _ends(line, path, nets, 1)
-        found.append(Change(_KINDS[element[0]], ends, ends, (place,), _passive(element[0], factor)))
+        rows.append(Change(_KINDS[element[0]], ends, ends, (place,), _passive(element[0], factor)))
     for path, given in parts.items():
         block, instance, nets = where[path]
-        found += _of_part(block, instance, path, nets, given, known, warm)
-    return found
+        rows += _of_part(block, instance, path, nets, given, known, warm)
+    return rows
 
 
 def nominal_values(board: Deck, keys: Sequence[str]) -> list[float]:
@@ -112,7 +112,7 @@ def nominal_values(board: Deck, keys: Sequence[str]) -> list[float]:
     """
     net = board_netlist(board)
     where = {path: (block, instance) for path, block, instance, _ in walk(net, board.board)}
-    known, problems, found = flags(net), [], []
+    known, problems, values = flags(net), [], []
     for key in keys:
         steps, element, parameter = split(key)
         block, instance = where.get(".".join(["xboard", *steps]), (None, None))
@@ -127,10 +127,10 @@ def nominal_values(board: Deck, keys: Sequence[str]) -> list[float]:
         if value is None:
             problems.append(Problem("has no plain value on the board", file=str(board.path), key=key))
         else:
-            found.append(value)
+            values.append(value)
     if problems:
         raise InputError(problems)
-    return found
+    return values
 
 
 def _passive(letter: str, factor: float) -> Callable[[Sequence[float]], float]:
@@ -151,7 +151,7 @@ def _of_part(
     """Return the elements of one placed part that its varied parameters reach."""
     names = [name for _, name in given]
     reached = _reached(block, instance, set(names))
-    found = []
+    rows = []
     for line in block.body:
         words = tokens(line.text)
         letter = line.keyword[0]
@@ -177,8 +177,8 @@ def _of_part(
         across = _ends(line, path, nets, 3) if letter == "g" else into
         nominal = [known.get(name, math.nan) for name in names]
         places = tuple(place for place, _ in given)
-        found.append(Change(_KINDS[letter], into, across, places, _shortcut(admittance, nominal)))
-    return found
+        rows.append(Change(_KINDS[letter], into, across, places, _shortcut(admittance, nominal)))
+    return rows
 
 
 def _shortcut(f: Callable[[Sequence[float]], float], nominal: list[float]) -> Callable[..., float]:

@@ -86,9 +86,9 @@ class Draws:
         session = network.session
         if not session.multipliers:
             raise Unlike("the multipliers have no probes")
-        whole = session.measure(DC_SWEEP if self._model == "ideal" else SWEEP)
-        circuit = extracted(session, Asked(self._as_is.text, self._model, 0.0, 0.0), whole)
-        network.learn(whole.gain, circuit)
+        paths = session.measure(DC_SWEEP if self._model == "ideal" else SWEEP)
+        circuit = extracted(session, Asked(self._as_is.text, self._model, 0.0, 0.0), paths)
+        network.learn(paths.gain, circuit)
         self._limit = circuit.limit
         if self._model == "ideal":
             network.sweep(DC_SWEEP)
@@ -108,7 +108,7 @@ class Draws:
                 self._learned.append(
                     (at, batches(without_rates(network.paths(SWEEP, network.change(at)))[1], rows))
                 )
-        self._sweep = points([batch for _, found in self._learned for batch in found])
+        self._sweep = points([batch for _, batches in self._learned for batch in batches])
         network.sweep(self._sweep)
         self._kept: dict[tuple[float, float], list[tuple[Batch, ...]]] = {}
 
@@ -163,18 +163,18 @@ class Draws:
         omega = 2.0 * np.pi * band_hz
         share = float(np.sqrt(1.0 + tolerance) - 1.0)  # of each side: a + b (1 + a) <= tolerance
         rate, paths = without_rates(self._network.paths(self._sweep, change))
-        found, reason = None, Unfit("the board as designed has no model of known order")
+        refitted, reason = None, Unfit("the board as designed has no model of known order")
         for rows in self._known_rows(omega, share):
             try:
-                found = fitted(paths, rows, omega, share)
+                refitted = fitted(paths, rows, omega, share)
                 break
             except Unfit as misfit:
                 reason = misfit
-        if found is None:
+        if refitted is None:
             raise reason
-        told = {"model": "linear", "order": len(found.pre.a) + len(found.post.a),
-                "full_order": len(found.poles), "fit_error": found.error}  # fmt: skip
-        return self._finished(self._parts(found.pre, found.post, rate, told), paths, values, change)
+        notes = {"model": "linear", "order": len(refitted.pre.a) + len(refitted.post.a),
+                "full_order": len(refitted.poles), "fit_error": refitted.error}  # fmt: skip
+        return self._finished(self._parts(refitted.pre, refitted.post, rate, notes), paths, values, change)
 
     def _wholly(
         self, values: Sequence[float], change: Array, band_hz: float, tolerance: float, reason: str
@@ -186,14 +186,14 @@ class Draws:
             half = float(np.sqrt(1.0 + tolerance) - 1.0)
             pre, post = (side.reduced(2.0 * np.pi * band_hz, half)[0] for side in (pre, post))
         first, second = pre.joined(), post.joined()
-        told = {"model": "linear", "order": len(first.a) + len(second.a), "anew": reason}
-        return self._finished(self._parts(first, second, rate, told), paths, values, change)
+        notes = {"model": "linear", "order": len(first.a) + len(second.a), "anew": reason}
+        return self._finished(self._parts(first, second, rate, notes), paths, values, change)
 
     @staticmethod
-    def _parts(pre: Modes, post: Modes, rate: Array, told: dict[str, Any]) -> dict[str, Any]:
+    def _parts(pre: Modes, post: Modes, rate: Array, notes: dict[str, Any]) -> dict[str, Any]:
         return {
             "a_pre": pre.a, "b_pre": pre.b, "c_pre": pre.c, "d_pre": pre.d, "e_pre": rate,
-            "a_post": post.a, "b_post": post.b, "c_post": post.c, "d_post": post.d, "certificate": told,
+            "a_post": post.a, "b_post": post.b, "c_post": post.c, "d_post": post.d, "certificate": notes,
         }  # fmt: skip
 
     def _finished(

@@ -95,8 +95,8 @@ class _Part:
             )
         on, nodes, across, own, out = self._cut[sweep]
         change = size[:, on, None]
-        found: Complex = nodes - out @ np.linalg.solve(np.eye(len(on)) + change * own, change * across)
-        return found
+        seen: Complex = nodes - out @ np.linalg.solve(np.eye(len(on)) + change * own, change * across)
+        return seen
 
     def _on_the_way(self, r: _Responses) -> NDArray[np.int64]:
         """Return the elements that the sources reach and that reach the nodes, over others or not."""
@@ -105,18 +105,18 @@ class _Part:
 
         def reached(by: Complex, linked: NDArray[np.bool_]) -> NDArray[np.bool_]:
             size = np.abs(by) / scale[:, :, None]
-            found: NDArray[np.bool_] = (
+            places: NDArray[np.bool_] = (
                 size > _REACHES * size.max(axis=(1, 2), keepdims=True, initial=0.0)
             ).any(axis=(0, 2))
-            for _ in range(len(found)):
-                found |= linked[:, found].any(axis=1)
-            return found
+            for _ in range(len(places)):
+                places |= linked[:, places].any(axis=1)
+            return places
 
         linked = (np.abs(r.own) > _REACHES * scale[:, :, None] * scale[:, None, :]).any(axis=0)
         to = reached(r.across[:, :, self.sources], linked)
         onward = reached(r.out[:, self.nodes].transpose(0, 2, 1), linked.T)
-        found: NDArray[np.int64] = np.flatnonzero(to & onward)
-        return found
+        between: NDArray[np.int64] = np.flatnonzero(to & onward)
+        return between
 
 
 class DrawnNetwork:
@@ -215,9 +215,9 @@ class DrawnNetwork:
         """Drive sources one by one: what `watched` nodes do [F, N, S], and elements' voltages [F, K, S]."""
         nodes, across = [], []
         for source in sources:
-            found = self.session.respond(source, sweep, [*watched, *self._inner])
-            nodes.append(found[:, : len(watched)])
-            inner = dict(zip(self._inner, found[:, len(watched) :].T, strict=True))
+            response = self.session.respond(source, sweep, [*watched, *self._inner])
+            nodes.append(response[:, : len(watched)])
+            inner = dict(zip(self._inner, response[:, len(watched) :].T, strict=True))
             across.append(np.array([inner[a] - inner[b] for a, b in self._across]).T)
         if not sources or not self._elements:
             return (
@@ -245,12 +245,12 @@ class DrawnNetwork:
             x[:, part.nodes[:, None], part.sources] = part.response(sweep, r, size)
         for part in self._after:
             # a driven probe also moves what stands before it a little: solve for each multiplier's own share
-            found = part.response(sweep, r, size).transpose(0, 2, 1)
+            response = part.response(sweep, r, size).transpose(0, 2, 1)
             own, motors = part.nodes[part.nodes < m], part.nodes[part.nodes >= m] - m
             count = len(own)
-            share = np.linalg.solve(found[:, :count, :count], found[:, :count, count:])
+            share = np.linalg.solve(response[:, :count, :count], response[:, :count, count:])
             post[:, motors[:, None], own] = share.transpose(0, 2, 1) * held[own]
-            direct = found[:, count:, count:].transpose(0, 2, 1)
+            direct = response[:, count:, count:].transpose(0, 2, 1)
             post[:, motors[:, None], part.sources[count:] - 2 * n] = direct
         total = r.nodes[:, m:, : 2 * n]
         return Paths(r.hz, x, self._gain, post, total, np.eye(2 * n), False, s.v_fs)
@@ -296,10 +296,8 @@ def _pushed(place: int) -> str:
 def _controls(board: Deck, session: Session) -> list[str]:
     """Return the node behind the control probe of each multiplier."""
     probes = find_probes(board)
-    found = []
+    rows = []
     for part in session.multipliers:
         group = next(probe.group for probe in probes if probe.source == part.x)
-        found.append(
-            next(p.nodes[1] for p in probes if p.group == group and p.source not in (part.x, part.z))
-        )
-    return found
+        rows.append(next(p.nodes[1] for p in probes if p.group == group and p.source not in (part.x, part.z)))
+    return rows

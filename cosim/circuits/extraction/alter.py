@@ -110,9 +110,9 @@ def _of_instance(net: Netlist, board: str, key: str) -> Handle:
     block = next(block for where, block, _ in walk(net, board) if where == at)
     if leaf not in block.params:
         return _passive(leaf, [at], 2)
-    found = _used(block, at, {leaf})
+    elements = _used(block, at, {leaf})
     inside = any(word.partition("=")[2] for x in block.instances() for word in x.extra if _says(word, {leaf}))
-    return Handle(Way.ELEMENTS, tuple(found), 2) if found and not inside else Handle(Way.DECK)
+    return Handle(Way.ELEMENTS, tuple(elements), 2) if elements and not inside else Handle(Way.DECK)
 
 
 def _passive(key: str, paths: list[str], rank: int) -> Handle:
@@ -142,7 +142,7 @@ def _identical(net: Netlist, board: str, key: str) -> tuple[str, ...] | None:
             if any(_says(value, {key}) for value in values.values()):
                 return None
     names: dict[str, set[str]] = {}
-    found: list[str] = []
+    copies: list[str] = []
     for path, block, instance in walk(net, board):
         outside = names.get(path.rpartition(".")[0], {key})
         given = assignments(list(instance.extra)) if instance else {}
@@ -159,13 +159,13 @@ def _identical(net: Netlist, board: str, key: str) -> tuple[str, ...] | None:
         elements = _used(block, path, inside)
         if elements is None:
             return None
-        found += elements
-    return tuple(found) or None
+        copies += elements
+    return tuple(copies) or None
 
 
 def _used(block: Block, path: str, names: set[str]) -> list[str] | None:
     """Return the elements of one instance whose value is one of `names`; ``None`` for any other use."""
-    found = []
+    elements = []
     for line in block.body:
         words = tokens(line.text)
         letter = line.keyword[0]
@@ -182,10 +182,10 @@ def _used(block: Block, path: str, names: set[str]) -> list[str] | None:
                 and word.strip("{}'").lower() in names
                 and not block.local
             ):
-                found.append(f"{letter}.{path}.{line.keyword}")
+                elements.append(f"{letter}.{path}.{line.keyword}")
             else:
                 return None
-    return found
+    return elements
 
 
 def _defines(line: Line, key: str) -> bool:

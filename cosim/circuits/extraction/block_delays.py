@@ -91,14 +91,14 @@ def spring_delays(
     InputError
         For a board on which nothing comes through a spring.
     """
-    found: list[SpringDelay] = call(
+    paths: list[SpringDelay] = call(
         "cosim.circuits.extraction.block_delays:measure",
         {"board": board},
         time_limit_s=time_limit_s,
         deck=str(board.path),
         child=child,
     )
-    return found
+    return paths
 
 
 def measure(payload: Mapping[str, Any], report: Callable[[dict[str, Any]], None]) -> list[SpringDelay]:
@@ -111,19 +111,19 @@ def measure(payload: Mapping[str, Any], report: Callable[[dict[str, Any]], None]
     amplifiers = list({a.out_node: a for a in board.amplifiers if a.out_node != "0"}.values())
     lines = [f"{_pushed(k)} 0 {a.out_node} dc 0 ac 0" for k, a in enumerate(amplifiers)]
     bench = Bench(board, lines, multipliers=False)
-    found = []
+    paths = []
     own = bool(payload.get("own"))
     for j in range(1, bench.joints + 1):
         for i in [j] if own else range(1, bench.joints + 1):
             try:
-                found.append(_Path(bench, amplifiers, i, j).told(name))
+                paths.append(_Path(bench, amplifiers, i, j).told(name))
             except (
                 InputError
             ):  # nothing comes through: whoever asks for all that there is hears of it elsewhere
                 if not own:
                     raise
             report({"stage": f"delay of ksp{i}{j}"})
-    return found
+    return paths
 
 
 def _pushed(amplifier: int) -> str:
@@ -176,11 +176,11 @@ class _Path:
 
     def _driven(self, source: str) -> tuple[Any, Any]:
         """Return what a source makes of the nodes, with the spring's gain at full scale and at zero."""
-        found = []
+        gains = []
         for volts in (self.bench.v_fs, 0.0):
             self.bench.hold({f"ksp{self.i}{self.j}": volts})
-            found.append(self.bench.respond(source, f"lin 1 {self.hz!r} {self.hz!r}", self.nodes)[0])
-        return found[0], found[1]
+            gains.append(self.bench.respond(source, f"lin 1 {self.hz!r} {self.hz!r}", self.nodes)[0])
+        return gains[0], gains[1]
 
     def _passed(self, off: Any, change: Any) -> list[_Passed]:
         """Return the amplifiers through which the signal goes, by moving the output of each alone."""
@@ -199,8 +199,8 @@ class _Path:
             ):
                 share = h * onward / self.through
                 if abs(share) > _LEAK:
-                    whole = abs(share - 1.0) < _WHOLE and self._adds_up(h, onward)
-                    out.append(_Passed(place, behind, h, onward, tuple(moved[:-1].tolist()), whole))
+                    complete = abs(share - 1.0) < _WHOLE and self._adds_up(h, onward)
+                    out.append(_Passed(place, behind, h, onward, tuple(moved[:-1].tolist()), complete))
         inner = [a for a in out if a.whole and any(self._looped(a, b) for b in out if b.whole)]
         return [replace(p, whole=False) if p in inner else p for p in out]
 
@@ -222,11 +222,11 @@ class _Path:
 
     def told(self, name: Mapping[str, str]) -> SpringDelay:
         """Return the delays between cuts; amplifiers side by side or in one loop make one step."""
-        whole = [p for p in self.passed if p.whole]
-        rank = {id(p): sum(self._before(p, q) for q in whole) for p in self.passed}  # cuts still to come
+        complete = [p for p in self.passed if p.whole]
+        rank = {id(p): sum(self._before(p, q) for q in complete) for p in self.passed}  # cuts still to come
         last, steps = complex(1.0), []
-        for level in sorted({rank[id(p)] for p in whole}, reverse=True):
-            group = [p for p in whole if rank[id(p)] == level]
+        for level in sorted({rank[id(p)] for p in complete}, reverse=True):
+            group = [p for p in complete if rank[id(p)] == level]
             end = max(group, key=lambda p: _late(p.h, self.hz))
             beside = [p for p in self.passed if not p.whole and rank[id(p)] == level + 1]
             steps.append(self._step(name, [*beside, *group], _late(end.h / last, self.hz)))
@@ -236,15 +236,15 @@ class _Path:
         if beside:
             alone = self._step(name, beside, rest)
             steps.append(Step(f"{alone.block} and {MOTOR}", alone.instance, rest))
-        elif steps and steps[-1].delay_s < 0.0 and self._is_driver(whole, rank):
+        elif steps and steps[-1].delay_s < 0.0 and self._is_driver(complete, rank):
             lead = steps.pop()  # in a current drive the output leads the winding's lag: one loop
             steps.append(Step(f"{lead.block} and {MOTOR}", lead.instance, lead.delay_s + rest))
         else:
             steps.append(Step(MOTOR, MOTOR, rest))
         return SpringDelay(self.j, self.i, _joined(steps), self.through.real)
 
-    def _is_driver(self, whole: list[_Passed], rank: Mapping[int, int]) -> bool:
-        return any(rank[id(p)] == 0 and self.amplifiers[p.place].role == "driver" for p in whole)
+    def _is_driver(self, complete: list[_Passed], rank: Mapping[int, int]) -> bool:
+        return any(rank[id(p)] == 0 and self.amplifiers[p.place].role == "driver" for p in complete)
 
     def _step(self, name: Mapping[str, str], group: list[_Passed], delay_s: float) -> Step:
         instances = dict.fromkeys(self.amplifiers[p.place].path.split(".")[1] for p in group)

@@ -91,7 +91,7 @@ def linear_certificate(circuit: LinearCircuit, full: int, bounds: tuple[Bound, B
 
     `fit_error` is what the fit leaves of any path at any frequency of the sweep, inside the band or not.
     """
-    found: dict[str, Any] = {
+    errors: dict[str, Any] = {
         "model": "linear",
         "order": circuit.order,
         "full_order": full,
@@ -102,14 +102,14 @@ def linear_certificate(circuit: LinearCircuit, full: int, bounds: tuple[Bound, B
         "fit_error": fit_error,
     }
     if fit_error > GOOD:
-        found["note"] = (
+        errors["note"] = (
             f"no rational function of reasonable order follows the board exactly: order {full} leaves "
             f"{fit_error:.1e} of the path's maximum"
         )
     if bounds is not None:
         first, second = (bound.worst for bound in bounds)
         total = first + second * (1.0 + first) + 2.0 * fit_error  # of what stands before and after
-        found |= {
+        errors |= {
             "band_hz": band_hz,
             "tolerance": tolerance,
             "error_before": first,
@@ -120,37 +120,37 @@ def linear_certificate(circuit: LinearCircuit, full: int, bounds: tuple[Bound, B
             f"differs from the circuit "
             f"(order {full}) by at most {_percent(total)} of the path's maximum",
         }
-    return found
+    return errors
 
 
-def cautions(told: Mapping[str, Any]) -> list[Caution]:
+def cautions(certificate: Mapping[str, Any]) -> list[Caution]:
     """Return what a certificate gives reason to doubt: a rough fit, and gains that do nothing."""
-    found = []
-    if told.get("dead"):
-        found.append(
+    doubts = []
+    if certificate.get("dead"):
+        doubts.append(
             Caution(
                 "dead-gain",
-                f"nothing comes through to a motor at any gain of {', '.join(told['dead'])}",
+                f"nothing comes through to a motor at any gain of {', '.join(certificate['dead'])}",
                 "look for an open connection, a resistor without an end or a value of zero in that path",
             )
         )
-    bent = float(told.get("large_signal_error", 0.0))
+    bent = float(certificate.get("large_signal_error", 0.0))
     if bent > BENT:
-        found.append(
+        doubts.append(
             Caution(
                 "not-linear",
                 f"on its way to rated current the board leaves the slope that it has at rest: with "
-                f"{told['large_signal_worst']} at full scale the current is off by up to "
+                f"{certificate['large_signal_worst']} at full scale the current is off by up to "
                 f"{100.0 * bent:.3g} % of rated current, which the models ideal and linear do not know",
                 "run the model spice; look for an output stage without bias at rest, or an amplifier that "
                 "saturates below rated torque",
             )
         )
-    error, tolerance = float(told.get("fit_error", 0.0)), float(told.get("tolerance", 0.0))
+    error, tolerance = float(certificate.get("fit_error", 0.0)), float(certificate.get("tolerance", 0.0))
     if not error > max(tolerance, GOOD):
-        return found
+        return doubts
     return [
-        *found,
+        *doubts,
         Caution(
             "rough-fit",
             f"the linear model differs from the board by up to {error:.1e} of a path's maximum, over the "
@@ -178,7 +178,7 @@ def statics(paths: Paths, control: ControlPath, limit: Array) -> dict[str, Any]:
     through = paths.post[:, :, :m] @ ((paths.gain * paths.v_fs)[:, None] * paths.x) @ paths.driven
     size = np.abs(paths.total).max()
     alive = (np.abs(paths.x).max(axis=(0, 2)) > 0.0) & (np.abs(paths.post[:, :, :m]).max(axis=(0, 1)) > 0.0)
-    found: dict[str, Any] = {
+    facts: dict[str, Any] = {
         "control_nonlinearity": float(control.nonlinearity.max()),
         "control_nonlinearity_worst": channels[int(np.argmax(control.nonlinearity))],
         "not_through_multipliers": float(np.abs(through - paths.total).max() / size) if size else 0.0,
@@ -187,20 +187,20 @@ def statics(paths: Paths, control: ControlPath, limit: Array) -> dict[str, Any]:
         "dead": [pin for pin, one in zip(channels, alive, strict=True) if not one],
     }
     if control.delay_s is not None and control.error is not None:
-        found["control_delay_s"] = float(np.abs(control.delay_s).max())
-        found["control_error"] = control.error
-        found["gain_step"] = (
+        facts["control_delay_s"] = float(np.abs(control.delay_s).max())
+        facts["control_error"] = control.error
+        facts["gain_step"] = (
             "a gain step passes through what stands after the multipliers only; in the band its own path "
             f"differs from that of X by at most {_percent(control.error)}"
         )
     else:
         late = _group_delay(paths)
-        found["gain_step_delay_s"] = late
-        found["gain_step"] = (
+        facts["gain_step_delay_s"] = late
+        facts["gain_step"] = (
             "the multipliers have no probes, so all of the path's dynamics stand before them: a gain step "
             f"acts at once, in the circuit up to {quantity(late, 's')} later"
         )
-    return found
+    return facts
 
 
 def delays(pre: Block, post: Block) -> dict[str, Any]:

@@ -76,8 +76,8 @@ def extracted(session: Session, asked: cache.Asked, paths: Paths | None = None) 
         circuit = _ideal(session, asked, file)
     else:
         circuit = _linear(session, asked, file, session.measure(SWEEP) if paths is None else paths)
-    told = {"aid": session.aid} if session.aid else {}
-    return replace(circuit, certificate=circuit.certificate | told)
+    notes = {"aid": session.aid} if session.aid else {}
+    return replace(circuit, certificate=circuit.certificate | notes)
 
 
 def _ideal(session: Session, asked: cache.Asked, file: str) -> LinearCircuit:
@@ -138,16 +138,16 @@ def _finished(
 
 def with_offsets(session: Session, circuit: LinearCircuit) -> LinearCircuit:
     """Return the circuit with the offsets of the board as it is in ngspice."""
-    found = offsets(session)
+    shifts = offsets(session)
     return replace(
         circuit,
-        offset=found.current,
-        x_offset=found.x,
-        y_offset=found.y,
+        offset=shifts.current,
+        x_offset=shifts.x,
+        y_offset=shifts.y,
         # measured at full scale, to which y adds
-        gain=circuit.gain * session.v_fs / (session.v_fs + found.y),
+        gain=circuit.gain * session.v_fs / (session.v_fs + shifts.y),
         certificate=circuit.certificate
-        | {"offset": {name: value.tolist() for name, value in vars(found).items()}},
+        | {"offset": {name: value.tolist() for name, value in vars(shifts).items()}},
     )
 
 

@@ -117,13 +117,13 @@ def offsets(session: Session) -> Offsets:
     return beyond_rounding(session, _offsets(session))
 
 
-def beyond_rounding(session: Session, found: Offsets) -> Offsets:
+def beyond_rounding(session: Session, measured: Offsets) -> Offsets:
     """Return offsets without those that are nothing but rounding."""
     tiny = _ROUNDING * session.v_fs
     floors = (("current", _ROUNDING_A), ("x", tiny if session.multipliers else _ROUNDING_A), ("y", tiny))
     kept = {}
     for name, least in floors:
-        value: Array = getattr(found, name)
+        value: Array = getattr(measured, name)
         kept[name] = np.where(np.abs(value) > least, value, 0.0)
     return Offsets(**kept)
 
@@ -193,11 +193,11 @@ def _group(session: Session, group: list[int], sweep: str, *, by_control: bool) 
     parts = [session.multipliers[c] for c in group]
     outputs = [f"imot{c // n % n + 1}" for c in group]
     if by_control:
-        found = session.respond(dict.fromkeys([part.channel for part in parts], 1.0), sweep, outputs)
-        return {c: found[:, k] for k, c in enumerate(group)}
+        response = session.respond(dict.fromkeys([part.channel for part in parts], 1.0), sweep, outputs)
+        return {c: response[:, k] for k, c in enumerate(group)}
     inside = [part.x_node for part in parts]
-    found = session.respond(dict.fromkeys([part.x for part in parts], 1.0), sweep, [*outputs, *inside])
-    return {c: found[:, k] / found[:, len(group) + k] for k, c in enumerate(group)}
+    response = session.respond(dict.fromkeys([part.x for part in parts], 1.0), sweep, [*outputs, *inside])
+    return {c: response[:, k] / response[:, len(group) + k] for k, c in enumerate(group)}
 
 
 def _lumped_nonlinearity(session: Session) -> Array:
@@ -205,12 +205,12 @@ def _lumped_nonlinearity(session: Session) -> Array:
     n, worst = session.joints, []
     for pin in session.channels:
         i, j = int(pin[3]), int(pin[4])
-        found = []
+        curves = []
         for share in SHARES:
             session.hold({pin: share * session.v_fs})
-            found.append(session.respond(f"pot{j}", "dec 2 0.1 10k", [f"imot{i}"])[:, 0])
+            curves.append(session.respond(f"pot{j}", "dec 2 0.1 10k", [f"imot{i}"])[:, 0])
         session.hold({pin: 0.0})
-        table = np.array(found) - found[SHARES.index(0.0)]
+        table = np.array(curves) - curves[SHARES.index(0.0)]
         strongest = int(np.argmax(np.abs(table[-1])))
         if table[-1, strongest] == 0.0:  # it reaches no motor
             worst.append(0.0)

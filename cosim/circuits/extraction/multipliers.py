@@ -80,23 +80,23 @@ def find_multipliers(
     for together in signals:
         shaken += np.abs(board.respond(dict.fromkeys(together, 1.0), _ONCE, nodes)[0])
     from_signals = {node for node, size in zip(nodes, shaken, strict=True) if size > 0.0}
-    found: dict[str, tuple[Probe, Probe | None]] = {}
+    cores: dict[str, tuple[Probe, Probe | None]] = {}
     for members in groups.values():
         control = [probe for probe in members if probe.nodes[1] in pin_of]
-        if len(control) != 1 or (pin := pin_of[control[0].nodes[1]]) is None or pin in found:
+        if len(control) != 1 or (pin := pin_of[control[0].nodes[1]]) is None or pin in cores:
             continue
         rest = [probe for probe in members if probe is not control[0]]
         driven = [probe for probe in rest if probe.nodes[1] in from_signals]
         if len(driven) != 1 or len(rest) > 2:
             continue
-        found[pin] = driven[0], next((probe for probe in rest if probe is not driven[0]), None)
-    if len(found) < len(channels):
+        cores[pin] = driven[0], next((probe for probe in rest if probe is not driven[0]), None)
+    if len(cores) < len(channels):
         return []
-    behind = _behind(board, [x for x, _ in found.values()])
-    behind |= _behind(board, [z for _, z in found.values() if z is not None])
+    behind = _behind(board, [x for x, _ in cores.values()])
+    behind |= _behind(board, [z for _, z in cores.values() if z is not None])
     return [
         Multiplier(pin, x.source, behind[x.source], z.source if z else None, behind[z.source] if z else None)
-        for pin, (x, z) in ((pin, found[pin]) for pin in channels)
+        for pin, (x, z) in ((pin, cores[pin]) for pin in channels)
     ]
 
 
@@ -130,9 +130,9 @@ def _behind(board: Responding, probes: Sequence[Probe]) -> dict[str, str]:
         return {}
     ends = [node for probe in probes for node in probe.nodes]
     moved = np.abs(board.respond({probe.source: 1.0 for probe in probes}, _ONCE, ends)[0]).reshape(-1, 2)
-    found = {}
+    names = {}
     for probe, both in zip(probes, moved, strict=True):
         if min(both) > _STILL or max(both) < _MOVED:  # another probe moves it as well: alone, then
             both = np.abs(board.respond({probe.source: 1.0}, _ONCE, list(probe.nodes))[0])
-        found[probe.source] = probe.nodes[int(np.argmax(both))]
-    return found
+        names[probe.source] = probe.nodes[int(np.argmax(both))]
+    return names

@@ -32,15 +32,15 @@ def by_element(simulator: Simulator, prefix: str) -> tuple[dict[str, Array], lis
         "spectrum"
     }
     # an element's parts (r1_thermal, q1_ic) are listed beside their sum (r1)
-    whole = sorted(n for n in named if not any(n[:k] in named for k, c in enumerate(n) if c == "_"))
-    found: dict[str, Array] = {}
+    complete = sorted(n for n in named if not any(n[:k] in named for k, c in enumerate(n) if c == "_"))
+    densities: dict[str, Array] = {}
     none: list[str] = []
-    for name in whole:
+    for name in complete:
         try:
-            found[name] = np.asarray(simulator.vector(prefix + name), np.float64)
+            densities[name] = np.asarray(simulator.vector(prefix + name), np.float64)
         except SimulationError:  # it holds something that is not a number
             none.append(name)
-    return found, none
+    return densities, none
 
 
 def silence(simulator: Simulator, elements: list[str]) -> None:

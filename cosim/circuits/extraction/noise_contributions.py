@@ -201,7 +201,7 @@ def extract_noise(board: Deck, report: Report | None = None) -> ComponentNoise:
         session.hold(dict.fromkeys(session.channels, session.v_fs))
     heard = {node: session.noise(node, sweep) for node in nodes}
     silent = np.zeros(len(hz))
-    total = {node: np.sqrt(sum((d**2 for d in found.values()), silent)) for node, found in heard.items()}
+    total = {node: np.sqrt(sum((d**2 for d in parts.values()), silent)) for node, parts in heard.items()}
     sizes: list[Array] = []
     kept: list[tuple[int, Element, Array]] = []
     responses: list[Complex] = []
@@ -265,15 +265,17 @@ def _density(
     reach = np.abs(response)
     if maker.warmed:  # what `.noise` makes of it depends on the version
         return np.full(len(reach), _at_operating_point(session, maker)), False
-    found = np.stack([one.get(maker.name, np.zeros(len(reach))) for one in heard], axis=1)
+    density = np.stack([one.get(maker.name, np.zeros(len(reach))) for one in heard], axis=1)
     if maker.from_data_sheet:  # `.noise` has it at the circuit's temperature, the data sheet at its own
-        found *= math.sqrt(_kelvin(ROOM_C) / _kelvin(session.reading(maker.name, "temp")))
-    best = np.argmax(found / (np.max(found, axis=0) + 1e-300) * (reach > 0.0), axis=1)
+        density *= math.sqrt(_kelvin(ROOM_C) / _kelvin(session.reading(maker.name, "temp")))
+    best = np.argmax(density / (np.max(density, axis=0) + 1e-300) * (reach > 0.0), axis=1)
     row = np.arange(len(reach))
-    size = found[row, best] / np.maximum(reach[row, best], 1e-300)
+    size = density[row, best] / np.maximum(reach[row, best], 1e-300)
     expected = reach * size[:, None]
-    worst = np.abs(expected - found).max(axis=0) > _SAME * np.maximum(expected.max(axis=0), found.max(axis=0))
-    audible = np.maximum(expected, found).max(axis=0) > 0.0
+    worst = np.abs(expected - density).max(axis=0) > _SAME * np.maximum(
+        expected.max(axis=0), density.max(axis=0)
+    )
+    audible = np.maximum(expected, density).max(axis=0) > 0.0
     if reach.max() == 0.0:
         return size, False
     try:
@@ -284,7 +286,7 @@ def _density(
         return size, False
     # what passes in part would look right at the only output that hears it
     loud = reach > _FAINT * reach.max()
-    short = (loud & (found < (1.0 - _SAME) * least * reach)).any()
+    short = (loud & (density < (1.0 - _SAME) * least * reach)).any()
     if short or (worst & audible).any():
         return np.full(len(reach), least), True
     return size, False
@@ -314,9 +316,9 @@ def _left_out(
     stated = tuple(m.name.partition(".")[2].removesuffix(SOURCE) for m in makers if m.from_data_sheet)
     return [
         f"{name} makes noise that is left out: its terminals are not known"
-        for name in sorted({name for found in heard.values() for name in found} - known)
+        for name in sorted({name for parts in heard.values() for name in parts} - known)
         if not name.partition(".")[2].startswith(stated)
-        and max(float(np.max(found.get(name, np.zeros(1)) / total[node])) for node, found in heard.items())
+        and max(float(np.max(parts.get(name, np.zeros(1)) / total[node])) for node, parts in heard.items())
         > _UNHEARD
     ]
 
@@ -331,17 +333,17 @@ def _lumped(
         i = c // n % n
         session.hold({pin: session.v_fs})
         for d, (k, size) in enumerate(kept):
-            whole = session.respond(f"inoise{k}", sweep, [motors[i]])[:, 0] * size
-            x[:, d, c] = whole - motor[:, d, i]
+            response = session.respond(f"inoise{k}", sweep, [motors[i]])[:, 0] * size
+            x[:, d, c] = response - motor[:, d, i]
         session.hold({pin: 0.0})
     return x
 
 
 def _grouped(nodes: list[str]) -> tuple[tuple[int, ...], ...]:
-    found: dict[str, list[int]] = {}
+    groups: dict[str, list[int]] = {}
     for c, node in enumerate(nodes):
-        found.setdefault(node, []).append(c)
-    return tuple(tuple(group) for group in found.values())
+        groups.setdefault(node, []).append(c)
+    return tuple(tuple(group) for group in groups.values())
 
 
 def _named(makers: list[Element]) -> tuple[str, ...]:

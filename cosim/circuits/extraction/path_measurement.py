@@ -173,12 +173,12 @@ class Session(Bench):
             if not nodes:
                 continue
             drive = {source: 1.0 for source, _ in ends.values() if source is not None}
-            found = self.respond(drive, once, [*self._outputs, *nodes])[0]
-            for c, at_z in zip(ends, found[self.joints :], strict=True):
+            response = self.respond(drive, once, [*self._outputs, *nodes])[0]
+            for c, at_z in zip(ends, response[self.joints :], strict=True):
                 strongest = int(np.argmax(np.abs(share[:, c])))
-                if found[strongest] == 0.0:  # nothing comes through to a motor: any gain does
+                if response[strongest] == 0.0:  # nothing comes through to a motor: any gain does
                     continue
-                out[c] = np.real(share[strongest, c] * at_z / (found[strongest] * self.v_fs))
+                out[c] = np.real(share[strongest, c] * at_z / (response[strongest] * self.v_fs))
         return out
 
     def _crosstalk(self, paths: Paths, sweep: str) -> bool:
@@ -188,20 +188,22 @@ class Session(Bench):
         coarse, every = (" ".join([kind, "1", *ends]), int(points)) if kind == "dec" else (sweep, 1)
         volts = np.random.default_rng(0).uniform(0.5, 1.5, m + 2 * n)  # no two differences alike
         inside = [part.x_node for part in self.multipliers]
-        found = self.respond(dict(zip(self.signals, volts.tolist(), strict=False)), coarse, inside)
-        told = paths.x[::every][: len(found)] @ volts[: 2 * n]
-        if (np.abs(found - told).max(axis=0) > _CROSSTALK * np.abs(paths.x).max(axis=(0, 2))).any():
+        response = self.respond(dict(zip(self.signals, volts.tolist(), strict=False)), coarse, inside)
+        expected = paths.x[::every][: len(response)] @ volts[: 2 * n]
+        if (np.abs(response - expected).max(axis=0) > _CROSSTALK * np.abs(paths.x).max(axis=(0, 2))).any():
             return True
         self.hold(dict.fromkeys(self.channels, self.v_fs))
         names = [*(part.x for part in self.multipliers), *self.commands]
-        found = self.respond(dict(zip(names, volts.tolist(), strict=True)), coarse, inside + self._outputs)
+        response = self.respond(dict(zip(names, volts.tolist(), strict=True)), coarse, inside + self._outputs)
         self.hold(dict.fromkeys(self.channels, 0.0))
-        post = paths.post[::every][: len(found)]
-        direct = np.broadcast_to(volts[m:], (len(found), 2 * n))
-        told = (post @ np.concatenate([found[:, :m] * (paths.gain * self.v_fs), direct], axis=1)[:, :, None])[
-            :, :, 0
-        ]
-        return bool((np.abs(found[:, m:] - told).max(axis=0) > _CROSSTALK * np.abs(told).max(axis=0)).any())
+        post = paths.post[::every][: len(response)]
+        direct = np.broadcast_to(volts[m:], (len(response), 2 * n))
+        expected = (
+            post @ np.concatenate([response[:, :m] * (paths.gain * self.v_fs), direct], axis=1)[:, :, None]
+        )[:, :, 0]
+        return bool(
+            (np.abs(response[:, m:] - expected).max(axis=0) > _CROSSTALK * np.abs(expected).max(axis=0)).any()
+        )
 
     def _lumped(self, sweep: str) -> Paths:
         n, m = self.joints, len(self.channels)

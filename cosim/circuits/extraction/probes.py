@@ -86,12 +86,12 @@ def external_probes(board: Deck, sources: Collection[str]) -> Deck:
 
 def _sources(block: Block) -> list[list[str]]:
     """Return the words of each ``Vname a b [dc] 0`` line outside nested definitions."""
-    found, depth = [], 0
+    sources, depth = [], 0
     for line in block.body:
         depth += (line.keyword == ".subckt") - (line.keyword in (".ends", ".eom"))
         words = tokens(line.text)
         if depth == 0 and words[0][0] in "vV" and len(words) >= 3:
             value = [word for word in words[3:] if word.lower() != "dc"]
             if not value or (len(value) == 1 and number(value[0]) == 0.0):
-                found.append(words)
-    return found
+                sources.append(words)
+    return sources

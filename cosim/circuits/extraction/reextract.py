@@ -123,17 +123,17 @@ class Reextraction:
         paths = session.measure(self._sweep, self._gain)
         share = float(np.sqrt(1.0 + asked.tolerance) - 1.0)  # of each side: a + b (1 + a) <= tolerance
         try:
-            found = fitted(paths, self._batches, 2.0 * np.pi * asked.band_hz, share)
+            refitted = fitted(paths, self._batches, 2.0 * np.pi * asked.band_hz, share)
         except Unfit as reason:
-            whole = session.measure(SWEEP)
-            circuit = _told(extracted(session, asked, whole), str(reason))
-            self._learn(whole)
+            measured = session.measure(SWEEP)
+            circuit = _told(extracted(session, asked, measured), str(reason))
+            self._learn(measured)
             return circuit
-        self._batches = found.batches
+        self._batches = refitted.batches
         session.hold(dict.fromkeys(session.channels, 0.0))
         limit = self.circuit.limit
         limit = current_limits(session) if np.isfinite(limit).any() else limit
-        circuit = linear(paths, found.pre, found.post, limit, certificate=self._certificate(found))
+        circuit = linear(paths, refitted.pre, refitted.post, limit, certificate=self._certificate(refitted))
         return with_offsets(session, circuit)
 
     def _renew(self) -> None:
@@ -184,30 +184,30 @@ class Reextraction:
         self._batches = batches(paths, rows)
         self._sweep = points(self._batches)
 
-    def _certificate(self, found: Fitted) -> dict[str, Any]:
-        own, order = self.circuit.certificate, len(found.pre.a) + len(found.post.a)
-        told: dict[str, Any] = {
+    def _certificate(self, refitted: Fitted) -> dict[str, Any]:
+        own, order = self.circuit.certificate, len(refitted.pre.a) + len(refitted.post.a)
+        certificate: dict[str, Any] = {
             "model": "linear",
             "order": order,
-            "full_order": len(found.poles),
-            "poles_rad_per_s": [[float(p.real), float(p.imag)] for p in found.poles],
-            "fit_error": found.error,
-            "reduced": bool(found.lost),
+            "full_order": len(refitted.poles),
+            "poles_rad_per_s": [[float(p.real), float(p.imag)] for p in refitted.poles],
+            "fit_error": refitted.error,
+            "reduced": bool(refitted.lost),
             "from_nominal": [name for name in _NOMINAL if name in own],
         }
-        told |= {name: own[name] for name in told["from_nominal"]}
+        certificate |= {name: own[name] for name in certificate["from_nominal"]}
         if self._asked.band_hz > 0.0 and self._asked.tolerance > 0.0:
-            error = found.lost + found.lost * (1.0 + found.lost)
-            told |= {
+            error = refitted.lost + refitted.lost * (1.0 + refitted.lost)
+            certificate |= {
                 "band_hz": self._asked.band_hz,
                 "tolerance": self._asked.tolerance,
                 "error": error,
                 "sentence": f"up to {quantity(self._asked.band_hz, 'Hz', 6)} the model of order "
                 f"{order} differs "
-                f"from the circuit (order {len(found.poles)}) by {100.0 * error:.3g} % of the path's "
+                f"from the circuit (order {len(refitted.poles)}) by {100.0 * error:.3g} % of the path's "
                 f"maximum, looked at {GRID} frequencies",
             }
-        return told
+        return certificate
 
 
 def _told(circuit: LinearCircuit, reason: str) -> LinearCircuit:
@@ -238,13 +238,13 @@ def circuits(
         When the board as it is has no `linear` model.
     """
     board = Reextraction(payload["board"], payload["band_hz"], payload["tolerance"])
-    found: list[LinearCircuit | InputError | SimulationError] = []
+    answers: list[LinearCircuit | InputError | SimulationError] = []
     for values in payload["sets"]:
         try:
-            found.append(board.at(values))
+            answers.append(board.at(values))
         except (InputError, SimulationError) as reason:
-            found.append(reason)
+            answers.append(reason)
         except FitError as reason:
-            found.append(SimulationError(f"no `linear` model: {reason}"))
-        report({"done": len(found)})
-    return found
+            answers.append(SimulationError(f"no `linear` model: {reason}"))
+        report({"done": len(answers)})
+    return answers

@@ -55,7 +55,7 @@ def swings(simulator: Simulator, board: Deck) -> dict[str, Swing]:
     One is missing where it cannot be measured. A deck of its own is loaded for each such part.
     """
     measured: dict[str, Swing | None] = {}
-    found: dict[str, Swing] = {}
+    by_node: dict[str, Swing] = {}
     stated = board.text.lower()
     wanted = [
         a for a in board.amplifiers if a.swing_param is None or f".csparam {a.swing_param}" not in stated
@@ -68,8 +68,8 @@ def swings(simulator: Simulator, board: Deck) -> dict[str, Swing]:
                 measured[a.part] = _measured(simulator, board, a.part, a.role or "", wired.get(a.path))
             swing = measured[a.part]
             if swing is not None:
-                found[a.path] = swing
-    return found
+                by_node[a.path] = swing
+    return by_node
 
 
 def _instances(

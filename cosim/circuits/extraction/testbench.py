@@ -108,17 +108,17 @@ class Bench:
     def operating_point(self, nodes: Sequence[str]) -> Array:
         """Return DC voltages [V]."""
         self._analyse("op", nodes)
-        found = np.array([float(self.simulator.vector(node)[0]) for node in nodes])
+        volts = np.array([float(self.simulator.vector(node)[0]) for node in nodes])
         self.simulator.command("destroy")
-        return found
+        return volts
 
     def sweep(self, pin: str, begin: float, end: float, steps: int, node: str) -> Array:
         """Return the DC voltage of `node` [steps + 1] while `pin` goes from `begin` to `end` [V]."""
         step = (end - begin) / steps
         self._analyse(f"dc {self._source[pin]} {begin!r} {end!r} {step!r}", [node])
-        found = np.asarray(self.simulator.vector(node), float)
+        volts = np.asarray(self.simulator.vector(node), float)
         self.simulator.command("destroy")
-        return found
+        return volts
 
     def respond(self, source: str | Mapping[str, float], sweep: str, nodes: Sequence[str]) -> Complex:
         """Drive a pin or a probe with 1 V, or several with given voltages, and return what nodes do.
@@ -134,21 +134,21 @@ class Bench:
             if sweep not in self._hz:
                 self._hz[sweep] = np.real(self.simulator.vector("frequency")).astype(float)
             self.hz = self._hz[sweep]
-            found: Complex = np.zeros((len(self.hz), len(nodes)), np.complex128)
+            response: Complex = np.zeros((len(self.hz), len(nodes)), np.complex128)
             alive = [k for k, node in enumerate(nodes) if node != "0"]
-            found[:, alive] = self.simulator.vectors([nodes[k] for k in alive])
+            response[:, alive] = self.simulator.vectors([nodes[k] for k in alive])
         finally:
             for name in names:
                 self._rest.alter(f"@{name}[acmag]", 0.0)
         self.simulator.command("destroy")
-        return found
+        return response
 
     def transient(self, step_s: float, length_s: float, node: str) -> tuple[Array, Array]:
         """Return times [s] and the voltage of `node` with steps of at most `step_s`."""
         self._analyse(f"tran {step_s!r} {length_s!r} 0 {step_s!r}", [node])
-        time, found = (np.asarray(self.simulator.vector(name), float) for name in ("time", node))
+        time, volts = (np.asarray(self.simulator.vector(name), float) for name in ("time", node))
         self.simulator.command("destroy")
-        return time, found
+        return time, volts
 
     def noise(self, node: str, sweep: str) -> dict[str, Array]:
         """Return what each element adds to the noise of `node` by `.noise` [F] V/sqrt(Hz), by its name."""
@@ -161,10 +161,10 @@ class Bench:
         self._saved = ()
         self._rest.analyse(f"noise v({node}) {self._source[self.signals[0]]} {sweep} 1", ready)
         run("setplot noise1")
-        found, none = by_element(self.simulator, "onoise_")
+        densities, none = by_element(self.simulator, "onoise_")
         self.mute |= set(none)
         run("destroy all")
-        return found
+        return densities
 
     def reading(self, element: str, what: str) -> float:
         """Return what ngspice tells of an element at its operating point, such as ``resistance``."""

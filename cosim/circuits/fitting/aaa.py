@@ -50,7 +50,7 @@ def poles_of(s: Complex, f: Complex, good: float, reweighted: bool) -> Complex:
     """
     support: list[int] = []
     fitted = np.broadcast_to(f.real.mean(axis=0), f.shape).astype(complex)
-    best, found, stale = np.inf, (s[:0], s[:0]), 0
+    best, barycentric, stale = np.inf, (s[:0], s[:0]), 0
     size = np.ones(len(s))
     for _ in range(min(_MOST_PAIRS, len(s) // 4)):
         wrong = np.abs(f - fitted).max(axis=1)
@@ -76,10 +76,10 @@ def poles_of(s: Complex, f: Complex, good: float, reweighted: bool) -> Complex:
                 size[rest] = np.maximum(np.abs(below), np.finfo(float).eps * np.abs(below).max())
             stale = 0 if error < 0.1 * best else stale + 1
             if error < best:
-                best, found = error, (at, weight)
+                best, barycentric = error, (at, weight)
         if best < _FINE or (best < good and stale > _PATIENCE):
             break
-    return _zeros(*found)
+    return _zeros(*barycentric)
 
 
 def _null_vector(rows: NDArray[Any]) -> Complex:
@@ -108,11 +108,11 @@ def _zeros(at: Complex, weight: Complex) -> Complex:
         a[0, i], a[0, i + 1] = 2.0 * weight[k].real, -2.0 * weight[k].imag
     # one zero more than there are is infinite, and comes out so or very large
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = scipy.linalg.eigvals(a, b)
-    found = found[np.isfinite(found)]
-    found = found[np.abs(found) < _BEYOND * np.abs(at).max()]
-    real = found.imag == 0.0  # exactly, as the matrices are real
-    return _refined(found[real], found[found.imag > 0.0], at, weight)
+        zeros = scipy.linalg.eigvals(a, b)
+    zeros = zeros[np.isfinite(zeros)]
+    zeros = zeros[np.abs(zeros) < _BEYOND * np.abs(at).max()]
+    real = zeros.imag == 0.0  # exactly, as the matrices are real
+    return _refined(zeros[real], zeros[zeros.imag > 0.0], at, weight)
 
 
 def _refined(real: Complex, pairs: Complex, at: Complex, weight: Complex) -> Complex:

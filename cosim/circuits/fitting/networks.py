@@ -139,7 +139,7 @@ def _equal(first: Complex, second: Complex) -> bool:
 
 def _groups(linked: NDArray[np.bool_]) -> tuple[tuple[tuple[int, ...], tuple[int, ...]], ...]:
     """Split a table of which input reaches which output into parts that share neither."""
-    found = []
+    groups = []
     left = set(np.flatnonzero(linked.any(axis=1)).tolist())
     while left:
         rows, columns = {min(left)}, set[int]()
@@ -149,8 +149,8 @@ def _groups(linked: NDArray[np.bool_]) -> tuple[tuple[tuple[int, ...], tuple[int
             columns |= set(np.flatnonzero(linked[sorted(rows)].any(axis=0)).tolist())
             rows |= set(np.flatnonzero(linked[:, sorted(columns)].any(axis=1)).tolist())
         left -= rows
-        found.append((tuple(sorted(rows)), tuple(sorted(columns))))
-    return tuple(found)
+        groups.append((tuple(sorted(rows)), tuple(sorted(columns))))
+    return tuple(groups)
 
 
 def _problem(reason: FitError, where: str, file: str) -> Problem:

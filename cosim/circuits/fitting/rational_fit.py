@@ -120,18 +120,18 @@ def fit(s: Complex, h: Complex, worst: float = WORST) -> Modes:
         When no rational function fits, or when one fits that has a pole in the right half plane.
     """
     unstable: FitError | None = None
-    found: list[Modes] = []
+    fits: list[Modes] = []
     for reweighted in (True, False):
         try:
-            found.append(_fit(s, h, reweighted))
+            fits.append(_fit(s, h, reweighted))
         except FitError as reason:
             unstable = reason
             continue
-        if found[-1].worst <= GOOD:
-            return found[-1]
+        if fits[-1].worst <= GOOD:
+            return fits[-1]
     if unstable is not None:
         raise unstable
-    best = min(found, key=lambda modes: modes.worst)
+    best = min(fits, key=lambda modes: modes.worst)
     if not best.worst <= worst:
         raise FitError(f"order {len(best.a)} leaves an error of {best.worst:.1e} of the path's maximum")
     return best
@@ -149,14 +149,14 @@ def _fit(s: Complex, h: Complex, reweighted: bool) -> Modes:
     basis = chain_basis(s, chains)
     weights = least_squares(basis, f).reshape(-1, rows, columns)
     peaks = np.abs(basis).max(axis=0)
-    found: list[Modes] = []
+    fits: list[Modes] = []
     for rank in _RANK:
-        found.append(_polished(s, h / scale, _realise(chains, weights, peaks, scale, rank), scale))
-        if found[-1].worst <= _EXCELLENT:
+        fits.append(_polished(s, h / scale, _realise(chains, weights, peaks, scale, rank), scale))
+        if fits[-1].worst <= _EXCELLENT:
             break
-    good = [modes for modes in found if modes.worst <= GOOD]
+    good = [modes for modes in fits if modes.worst <= GOOD]
     if not good:
-        return min(found, key=lambda modes: modes.worst)
+        return min(fits, key=lambda modes: modes.worst)
     return min(good, key=lambda modes: (len(modes.a), modes.worst))
 
 
@@ -170,19 +170,19 @@ def _polished(s: Complex, f: Complex, modes: Modes, scale: Array) -> Modes:
     c, d = np.zeros((rows, len(modes.a))), np.zeros((rows, columns))
     for row in range(rows):
         here = (known / scale[row, :, None]).reshape(-1, known.shape[2]).astype(complex)
-        found = least_squares(here, f[:, row].reshape(-1, 1))[:, 0]
-        c[row], d[row] = found[: len(modes.a)], found[len(modes.a) :]
+        solution = least_squares(here, f[:, row].reshape(-1, 1))[:, 0]
+        c[row], d[row] = solution[: len(modes.a)], solution[len(modes.a) :]
     fitted = rational(s, modes.a, modes.b, c, d) / scale
     return replace(modes, c=c, d=d, error=np.abs(fitted - f).max(axis=0))
 
 
 def _distinct(f: Complex) -> list[int]:
     """Return the columns that are not equal to an earlier one (equal channels are common, and cost time)."""
-    found: list[int] = []
+    columns: list[int] = []
     for k in range(f.shape[1]):
-        if np.abs(f[:, k]).max() > 0.0 and all(np.abs(f[:, k] - f[:, i]).max() > _EQUAL for i in found):
-            found.append(k)
-    return found
+        if np.abs(f[:, k]).max() > 0.0 and all(np.abs(f[:, k] - f[:, i]).max() > _EQUAL for i in columns):
+            columns.append(k)
+    return columns
 
 
 def _needed(s: Complex, f: Complex, reweighted: bool) -> Complex:

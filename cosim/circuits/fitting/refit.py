@@ -99,7 +99,7 @@ def batches(paths: Paths, outputs: Sequence[tuple[bool, tuple[int, ...]]]) -> tu
         one node make one row.
     """
     known: list[tuple[Complex, Complex]] = []
-    found: dict[tuple[int, int], list[tuple[bool, tuple[int, ...], tuple[int, ...], Complex]]] = {}
+    groups: dict[tuple[int, int], list[tuple[bool, tuple[int, ...], tuple[int, ...], Complex]]] = {}
     for before, places in outputs:
         h = (paths.x if before else paths.post)[:, places[0]]
         peak = np.abs(h).max(axis=0)
@@ -113,9 +113,9 @@ def batches(paths: Paths, outputs: Sequence[tuple[bool, tuple[int, ...]]]) -> tu
             poles = np.concatenate([one, one[one.imag > 0.0].conj()])
             poles = poles[np.lexsort((poles.imag < 0.0, -np.abs(poles)))]
             known.append((h, poles))
-        found.setdefault((len(poles), len(inputs)), []).append((before, places, inputs, poles))
+        groups.setdefault((len(poles), len(inputs)), []).append((before, places, inputs, poles))
     out = []
-    for rows in found.values():
+    for rows in groups.values():
         sides, places_, inputs_, poles_ = zip(*rows, strict=True)
         out.append(Batch(sides, places_, inputs_, np.stack(poles_), (0,) * len(rows)))
     return tuple(out)
@@ -229,23 +229,25 @@ def _reduced(
     """Return each row with as few poles as its error may be, as a place among rows, and the largest error."""
     count = row.poles.shape[1]
     order = np.argsort(-weight(row, float(np.abs(grid).max())), axis=1, kind="stable")
-    found: dict[int, tuple[Fractions, int]] = {}
+    best: dict[int, tuple[Fractions, int]] = {}
     worst = 0.0
     for size in range(min(keep), count):
-        if len(found) == len(keep):
+        if len(best) == len(keep):
             break
-        left = [k for k in range(len(keep)) if keep[k] <= size and k not in found]
+        left = [k for k in range(len(keep)) if keep[k] <= size and k not in best]
         chosen = order[:, :size]
-        whole = np.abs(np.take_along_axis(row.poles, chosen, axis=1).imag.sum(axis=1))
-        left = [k for k in left if whole[k] <= 1e-9 * np.abs(row.poles[k]).max()]  # no pole without partner
+        unpaired = np.abs(np.take_along_axis(row.poles, chosen, axis=1).imag.sum(axis=1))
+        left = [
+            k for k in left if unpaired[k] <= 1e-9 * np.abs(row.poles[k]).max()
+        ]  # no pole without partner
         if not left:
             continue
         small, error = shortened(row.of(left), chosen[left], grid)
         for at, k in enumerate(left):
             if error[at] <= share:
-                found[k] = small, at
+                best[k] = small, at
                 worst = max(worst, float(error[at]))
-    return [found.get(k, (row, k)) for k in range(len(keep))], worst
+    return [best.get(k, (row, k)) for k in range(len(keep))], worst
 
 
 def _joined(rows: list[_System], outputs: int, inputs: int) -> Modes:

@@ -135,10 +135,10 @@ def shortened(full: Fractions, chosen: NDArray[np.int64], s: Complex) -> tuple[F
         away = 1.0 / (s[None, :, None] - poles[:, None, :]) + (1.0 / poles)[:, None, :]
         size = np.abs(away).max(axis=1)
         q, r = np.linalg.qr(away / size[:, None, :])
-        found = np.linalg.solve(
+        solution = np.linalg.solve(
             r, q.conj().transpose(0, 2, 1) @ (target - rest[:, :, None]).transpose(0, 2, 1)
         )
-        weights = found.transpose(0, 2, 1) / size[:, None, :]
+        weights = solution.transpose(0, 2, 1) / size[:, None, :]
     d = rest + (weights / poles[:, None, :]).sum(axis=2).real
     small = Fractions(poles, d, weights, full.misfit)
     peak = np.abs(target).max(axis=2)

@@ -56,8 +56,8 @@ def loop_ports(board: Deck, inside: Collection[str] = ()) -> list[Port]:
         Paths of amplifiers whose output is held by a voltage source, where no current shows anything: all
         nodes that the active elements inside them touch take its place.
     """
-    found = _Walk(board, inside).found.values()
-    return sorted(found, key=lambda port: not port.resonant)
+    ports = _Walk(board, inside).found.values()
+    return sorted(ports, key=lambda port: not port.resonant)
 
 
 class _Walk:

@@ -93,14 +93,14 @@ class _Court:
         none = dict.fromkeys(self.bench.channels, 0.0)
         full = dict.fromkeys(self.bench.channels, self.bench.v_fs)
         latched = tuple(self._latched())
-        at_rest, chosen, found = self._poles(none, None, "with all gains at zero")
-        if found:
-            return Verdict(found, latched)
-        at_full, _, found = self._poles(full, chosen, "with all gains at full scale")
+        at_rest, chosen, notes = self._poles(none, None, "with all gains at zero")
+        if notes:
+            return Verdict(notes, latched)
+        at_full, _, notes = self._poles(full, chosen, "with all gains at full scale")
         matter = bool(chosen) and not alike(at_rest.of(chosen), at_full.of(chosen))
-        if not found and matter and any(commanded.values()):
-            _, _, found = self._poles(none | dict(commanded), chosen, "at the commanded gains")
-        return Verdict(found, latched, matter)
+        if not notes and matter and any(commanded.values()):
+            _, _, notes = self._poles(none | dict(commanded), chosen, "at the commanded gains")
+        return Verdict(notes, latched, matter)
 
     def _poles(
         self, volts: Mapping[str, float], ports: list[int] | None, condition: str
@@ -157,8 +157,8 @@ class _Court:
         """Whether all poles of a loop in the right half plane lie beyond the band of any part."""
         far = Impedances(*self._ask(_BEYOND)).of(loop)
         fast = 2.0 * np.pi * _BAND_HZ[1]
-        found = (_right(far.hz, far.z[:, k, k], _BEYOND_HZ) for k in range(len(loop)))
-        most = max(sum(2 if p.imag else 1 for p in poles if abs(p) > fast) for poles in found)
+        counts = (_right(far.hz, far.z[:, k, k], _BEYOND_HZ) for k in range(len(loop)))
+        most = max(sum(2 if p.imag else 1 for p in poles if abs(p) > fast) for poles in counts)
         return most >= count(seen.of(loop)) > 0
 
     def _instability(
@@ -221,7 +221,7 @@ def _right(hz: Array, h: Complex, band_hz: tuple[float, float]) -> list[complex]
     s = 2j * np.pi * hz[inside].astype(complex)
     f = (h[inside] / np.abs(h[inside]).max())[:, None]
     first, second = (
-        found[(found.real > 0.0) & (np.abs(found) < np.abs(s[-1]))]
-        for found in (poles_of(s, f, 1e-4, True), poles_of(s[::2], f[::2], 1e-9, False))
+        poles[(poles.real > 0.0) & (np.abs(poles) < np.abs(s[-1]))]
+        for poles in (poles_of(s, f, 1e-4, True), poles_of(s[::2], f[::2], 1e-9, False))
     )
     return [p for p in first.tolist() if second.size and np.abs(second - p).min() <= _AGREE * abs(p)]

@@ -126,7 +126,7 @@ class Verdict:
         def number(value: float | None) -> float:
             return np.nan if value is None else float(value)
 
-        found = tuple(
+        instabilities = tuple(
             Instability(
                 number(row["real"]), number(row["imag"]), tuple(map(str, row["loop"])),
                 str(row["condition"]), bool(row["confirmed"]), bool(row["declared"]),
@@ -134,7 +134,7 @@ class Verdict:
             for row in stored["found"]
         )  # fmt: skip
         latched = tuple(Latched(str(row["path"]), float(row["volts"])) for row in stored["latched"])
-        return cls(found, latched, bool(stored["gains_matter"]), str(stored["unjudged"]))
+        return cls(instabilities, latched, bool(stored["gains_matter"]), str(stored["unjudged"]))
 
     def require(self, file: str) -> None:
         """Refuse a board that is certainly unstable.
