@@ -54,9 +54,9 @@ paper: setup
 
 # The published pictures: those of the paper, its three methods on the slope, and the effects ledger.
 gallery: paper
-	for method in combined discrete joint_pd; do \
+	for method in discrete combined joint_pd; do \
 	  $(BIN)/cosim run scenes/slope_$$method.toml --out out/gallery/$$method || exit 1; done
-	$(BIN)/cosim report out/gallery/combined out/gallery/discrete out/gallery/joint_pd --out out/gallery/report
+	$(BIN)/cosim report out/gallery/discrete out/gallery/combined out/gallery/joint_pd --out out/gallery/report
 	$(BIN)/cosim effects scenes/slope.toml --out out/gallery/effects
 	$(BIN)/cosim accuracy scenes/press.toml --out out/gallery/accuracy
 	mkdir -p reports/gallery
