@@ -1,5 +1,6 @@
 """The pages: the site builds without a warning, and what they tell a reader to type does what they say."""
 
+import json
 import os
 import re
 import subprocess
@@ -7,6 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from browser import Browser
+from contrast import faint_texts, prefer
 from doc_blocks import RUN, Reader, band, blocks, check_python, check_scene, commands, lacking, words
 
 from cosim.cli import build_parser, main
@@ -68,20 +71,97 @@ def test_code_of_a_page_is_understood(name):
             build_parser().parse_args(arguments)
 
 
-def test_the_site_builds(tmp_path):
-    """Every warning is an error: pages and headings that links name are there, all pages in the menu."""
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The site as `make docs` builds it; every warning is an error."""
+    folder = tmp_path_factory.mktemp("built") / "site"
     done = subprocess.run(
-        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path / "site")],
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)],
         cwd=ROOT, env={**os.environ, "NO_MKDOCS_2_WARNING": "1"}, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
-    for page in (tmp_path / "site").rglob("*.html"):
+    return folder
+
+
+def test_the_site_builds(site):
+    """Pages and headings that links name are there, all pages in the menu; nothing comes from the network."""
+    for page in site.rglob("*.html"):
         text = page.read_text(encoding="utf-8")
         loaded = re.findall(r"<(?:script|img|link|iframe)\b[^>]*?(?:src|href)=[\"']?([^\"' >]+)", text)
         assert not [each for each in loaded if each.startswith(("http", "//"))], page.name
         for picture in re.findall(r"<img\b[^>]*>", text):
             assert re.search(r'alt="[^"]{12,}"', picture), f"{page.name}: {picture}"
         assert "$$" not in re.sub(r"<(pre|code)\b.*?</\1>", "", text, flags=re.DOTALL), page.name
+
+
+@pytest.mark.parametrize("name", [name for name, text in PAGES.items() if "![" in text])
+def test_a_picture_says_what_to_see(name):
+    """A caption of a sentence or more stands right below it."""
+    picture = re.compile(r"^!\[([^\]]*)\]\([^)]+\)\n\s*(.*?)\n\n", re.MULTILINE | re.DOTALL)
+    found = picture.findall(PAGES[name])
+    assert len(found) == PAGES[name].count("![")
+    for alternative, caption in found:
+        assert len(alternative) > 30
+        assert re.fullmatch(r"\*[^*]{60,}\.\*", caption, re.DOTALL), caption
+
+
+#: What a designer asks, and the page that answers it.
+ASKED = {
+    "op-amp": "how-to/vendor-part.html",
+    "held contact": "glossary.html",
+    "csv": "how-to/read-results.html",
+    "tolerance one resistor": "tutorials/first-monte-carlo.html",
+    "not modelled": "explanation/not-modelled.html",
+    "slurm": "how-to/cluster.html",
+    "unstable refused": "how-to/own-board.html",
+    "how accurate": "tutorials/how-accurate.html",
+    "kicad": "how-to/kicad-ltspice.html",
+    "control law": "how-to/own-law.html",
+}
+_SEARCH = """
+(async () => {
+  const field = document.querySelector('.md-search__input');
+  document.getElementById('__search').click();
+  field.focus();
+  field.value = ASKED;
+  field.dispatchEvent(new KeyboardEvent('keyup', {bubbles: true}));
+  for (let tries = 0; tries < 200; tries++) {
+    await new Promise(done => setTimeout(done, 50));
+    const links = [...document.querySelectorAll('.md-search-result__item > .md-search-result__link')];
+    if (links.length) return links.slice(0, 3).map(link => link.pathname.split('/site/').pop());
+  }
+  return [];
+})()
+"""
+
+
+@pytest.mark.browser
+def test_a_question_finds_its_page_without_a_server(site):
+    """Pages opened from disk search as well: the answer is among the first three, and no network is asked."""
+    with Browser() as browser:
+        for asked, page in ASKED.items():
+            visit = browser.visit(site / "index.html")
+            assert visit.complaints == []
+            assert all(request.startswith("file:") for request in visit.requests)
+            assert page in browser.evaluate(_SEARCH.replace("ASKED", json.dumps(asked))), asked
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_pages_can_be_read_on_a_telephone_and_in_the_dark(site, scheme):
+    pages = ("paper", "glossary", "tutorials/first-monte-carlo", "explanation/exact-propagation",
+             "how-to/cluster", "reference/scene", "reference/python")  # fmt: skip
+    with Browser() as browser:
+        prefer(browser, scheme)
+        for page in pages:
+            browser.visit(site / f"{page}.html")
+            for width in (420, 1280):
+                browser.resize(width, 800)
+                browser.evaluate("new Promise(done => setTimeout(done, 300))")  # the menu slides
+                assert browser.evaluate("document.documentElement.scrollWidth") <= width, page
+                seen, faint = faint_texts(browser, ".md-search, .md-skip, .headerlink, .md-top, .md-tabs")
+                assert seen > 50
+                assert faint == {}, page
 
 
 def test_the_command_tells_where_the_pages_are(tmp_path, monkeypatch, capsys):

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 import cosim
 
@@ -30,6 +31,34 @@ def test_the_version_is_one():
     assert f'date-released: "{dated[2]}"' in citation
     home = (ROOT / "docs/index.md").read_text(encoding="utf-8")
     assert f"cosim-{cosim.__version__}-py3-none-any.whl" in home
+
+
+def test_the_citation_is_one():
+    """What the Citation File Format 1.2.0 requires; cffconvert --validate agrees."""
+    found = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert {"cff-version", "message", "title", "authors"} <= set(found)
+    assert found["cff-version"] == "1.2.0"
+    assert found["type"] in ("software", "dataset")
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d", found["date-released"])
+    assert isinstance(found["version"], str)
+    assert found["license"] == tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["license"]
+    person = {"family-names", "given-names", "affiliation", "email", "orcid", "alias", "website"}
+    for entry in (found, *found.get("references", [])):
+        assert entry["title"]
+        for author in entry["authors"]:
+            assert author
+            assert set(author) <= person or "name" in author
+    assert all({"type", "title", "authors"} <= set(each) for each in found["references"])
+    assert len(set(found["keywords"])) == len(found["keywords"])
+
+
+def test_readme_and_site_lead_to_what_a_contributor_needs():
+    readme, menu = ((ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "mkdocs.yml"))
+    for name in ("SECURITY.md", "CONTRIBUTING.md", "ARCHITECTURE.md", "CITATION.cff"):
+        assert f"]({name})" in readme
+        assert (ROOT / name).is_file()
+    for page in ("reference/security.md", "reference/contributing.md"):
+        assert page in menu
 
 
 def run(command, folder, **more):

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import Browser, require
+from contrast import faint_texts, prefer
 from synthetic import DRAG, PERIOD_S, SyntheticRun, slope_run
 
 from cosim.comparisons.sweep import Sweep
@@ -390,6 +391,28 @@ def test_a_telephone_shows_figures_that_can_be_read(page: Path) -> None:
         )
         assert held
         assert all(held)
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_texts_stand_out(page: Path, scheme: str) -> None:
+    require()
+    with Browser() as browser:
+        prefer(browser, scheme)
+        browser.visit(page)
+        seen, faint = faint_texts(browser)
+        assert seen > 100
+        assert faint == {}
+
+
+def test_every_figure_of_the_page_has_words(page: Path) -> None:
+    """An alternative text, and a caption of a sentence or more."""
+    text = page.read_text(encoding="utf-8")
+    figures = re.findall(r"<figure.*?</figure>", text, re.DOTALL)
+    assert len(figures) == len(FIGURES) + 1
+    for each in figures:
+        assert len(re.search(r'alt="([^"]+)"', each)[1]) > 40  # type: ignore[index]
+        assert len(re.search(r"<figcaption>(.*?)<span", each, re.DOTALL)[1].strip()) > 40  # type: ignore[index]
 
 
 def test_the_effects_picture_says_what_it_is(tmp_path: Path) -> None:
