@@ -48,9 +48,9 @@ def main() -> int:
     figures: list[Figure] = []
     for names, measure in SUITE.items():
         if not args.names or set(names) & set(args.names):
-            for found in measure(args.repetitions):
-                figures.append(found)
-                print(show(found), flush=True)
+            for each in measure(args.repetitions):
+                figures.append(each)
+                print(show(each), flush=True)
     slower = worse(figures, committed(COMMITTED))
     if figures:
         out = COMMITTED if args.commit else args.out
@@ -61,12 +61,12 @@ def main() -> int:
     if not args.names or "anatomy" in args.names:
         print(anatomy(), flush=True)
     accepted = args.commit or not slower
-    return 0 if accepted and all(found.met for found in figures) else 1
+    return 0 if accepted and all(each.met for each in figures) else 1
 
 
 def write(path: Path, figures: list[Figure]) -> None:
     """Write the figures in place of those of the same name; others in the file stay."""
-    fresh = {found.name: found.as_dict() for found in figures}
+    fresh = {each.name: each.as_dict() for each in figures}
     kept = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
     rows = [row for row in kept if row["name"] not in fresh] + list(fresh.values())
     path.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")

@@ -71,8 +71,8 @@ def compared(name: str, repetitions: int, child: Child | None = None) -> Compare
 def chosen(repetitions: int) -> list[Figure]:
     """Time of the chosen set over that of everything, of the scene where it is worst."""
     with Child() as child:
-        found = {name: compared(name, repetitions, child) for name in SCENES}
-    worst = max(found.values(), key=lambda each: statistics.median(each.ratios))
+        compared_scenes = {name: compared(name, repetitions, child) for name in SCENES}
+    worst = max(compared_scenes.values(), key=lambda each: statistics.median(each.ratios))
     details = {
         name: {
             "ratio": statistics.median(each.ratios),
@@ -80,13 +80,13 @@ def chosen(repetitions: int) -> list[Figure]:
             "runs_of_the_choice": each.runs,
             **{f"{measure}_over_tolerance": share for measure, share in each.share.items()},
         }
-        for name, each in found.items()
+        for name, each in compared_scenes.items()
     }
     return [
         figure(
             "auto_vs_all_effects",
             worst.ratios,
-            error_ours=max(share for each in found.values() for share in each.share.values()),
+            error_ours=max(share for each in compared_scenes.values() for share in each.share.values()),
             error_unit="largest difference of a measure, over the tolerance of 2 %",
             details=details,
         )

@@ -123,7 +123,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args(arguments)
     cases = random_cases(args.seed, args.random) if args.random else shipped(args.names)
-    found: list[Seen] = []
+    every: list[Seen] = []
     ratios: dict[str, list[float]] = {}
     reads = [ROOT / "scenes"]
     child = start_early("cosim.loop.spice.run_spice", reads=reads)
@@ -133,37 +133,37 @@ def main(arguments: list[str]) -> int:
         try:
             for each in seen(name, path, changes, child):
                 if isinstance(each, Seen):
-                    found.append(each)
+                    every.append(each)
                 else:
                     ratios.setdefault(each[0], []).append(each[1])
         except CosimError as error:
             print(f"{name}: {str(error).splitlines()[0]}", flush=True)
-        print(f"{name}: {sum(s.case == name for s in found)} errors", flush=True)
-        _keep(found)
+        print(f"{name}: {sum(s.case == name for s in every)} errors", flush=True)
+        _keep(every)
     child.close()
     for model in SETTINGS:
-        mine = [s for s in found if s.model == model]
+        mine = [s for s in every if s.model == model]
         if mine:
             print(f"{model}: {_words(mine)}; wall with the estimate over without, one process: median "
                   f"{statistics.median(ratios[model]):.2f}")  # fmt: skip
-    for s in found:
+    for s in every:
         if s.bound is None or s.error > s.bound:
             bound = "none" if s.bound is None else f"{s.bound:.2e}"
             print(f"  beyond: {s.case}, {s.model}, {s.measure}: error {s.error:.2e}, bound {bound}")
-    within = sum(s.bound is not None and s.error <= s.bound for s in found)
-    print(f"all: {_words(found)}" if found else "nothing is above the floor")
-    return 0 if within >= 0.95 * len(found) else 1
+    within = sum(s.bound is not None and s.error <= s.bound for s in every)
+    print(f"all: {_words(every)}" if every else "nothing is above the floor")
+    return 0 if within >= 0.95 * len(every) else 1
 
 
-def _keep(found: list[Seen]) -> None:
+def _keep(seen: list[Seen]) -> None:
     Path("out").mkdir(exist_ok=True)
-    Path("out/estimates.json").write_text(json.dumps([vars(s) for s in found], indent=1) + "\n", "utf-8")
+    Path("out/estimates.json").write_text(json.dumps([vars(s) for s in seen], indent=1) + "\n", "utf-8")
 
 
-def _words(found: list[Seen]) -> str:
-    one, three = (sum(s.bound is not None and s.error <= k * s.bound for s in found) for k in (1, 3))
-    tight = statistics.median(s.bound / s.error for s in found if s.bound is not None)
-    count = len(found)
+def _words(seen: list[Seen]) -> str:
+    one, three = (sum(s.bound is not None and s.error <= k * s.bound for s in seen) for k in (1, 3))
+    tight = statistics.median(s.bound / s.error for s in seen if s.bound is not None)
+    count = len(seen)
     return (
         f"{count} errors, {100 * one / count:.1f} % within the bound, {100 * three / count:.1f} % within "
         f"three times it, bound over error {tight:.2f} in the median"

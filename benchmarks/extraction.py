@@ -62,8 +62,10 @@ def deck(board: Deck) -> str:
 
 def _in_fresh_process(asked: dict[str, Any], times: int) -> list[float]:
     with Child() as child:
-        found: list[float] = child.call("benchmarks.extraction:seconds", {"asked": asked, "times": times})
-    return found
+        seconds_taken: list[float] = child.call(
+            "benchmarks.extraction:seconds", {"asked": asked, "times": times}
+        )
+    return seconds_taken
 
 
 #: Parts of the board with a tolerance, and a parameter that stands in expressions too.
@@ -186,6 +188,6 @@ def cached(repetitions: int) -> list[Figure]:
     """Extract an unchanged board, in fresh processes."""
     asked = _asked(slope(), True)
     _in_fresh_process(asked, 1)
-    found = [_in_fresh_process(asked, 3) for _ in range(repetitions)]
-    details = {"again_in_one_process_ms": 1e3 * statistics.median([t for times in found for t in times[1:]])}
-    return [figure("extraction_cached_ms", [1e3 * times[0] for times in found], details=details)]
+    times = [_in_fresh_process(asked, 3) for _ in range(repetitions)]
+    details = {"again_in_one_process_ms": 1e3 * statistics.median([t for times in times for t in times[1:]])}
+    return [figure("extraction_cached_ms", [1e3 * times[0] for times in times], details=details)]

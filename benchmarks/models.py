@@ -72,8 +72,8 @@ def model(plan: Plan, name: str, tolerance: float) -> LinearCircuit:
 
 def packed(plan: Plan, constants: DesignConstants, circuit: LinearCircuit, tol_rad: float) -> Propagation:
     """Pack a run at a tolerance, with no rows."""
-    told = retold(plan, coupling_rad=tol_rad)
-    return prepare(told.scene, constants, circuit, record=False, row_capacity=ROOM, sample_capacity=ROOM)
+    changed = retold(plan, coupling_rad=tol_rad)
+    return prepare(changed.scene, constants, circuit, record=False, row_capacity=ROOM, sample_capacity=ROOM)
 
 
 def finished(run: Propagation) -> Propagation:
@@ -141,7 +141,7 @@ class Prepared:
         points = int(self._first.memory.state[0]["points"])
         inside = statistics.median(loop_wall(self._ready()) for _ in range(4 * RUNS))
         empty = statistics.median(loop_wall(self._empty()) for _ in range(4 * RUNS))
-        whole = statistics.median(wall(self._pack()) for _ in range(4 * RUNS))
+        pack_s = statistics.median(wall(self._pack()) for _ in range(4 * RUNS))
         return {
             "points": points,
             "rejected": int(self._first.memory.state[0]["rejected"]),
@@ -149,7 +149,7 @@ class Prepared:
             "us_to_enter": 1e6 * empty,
             "us_per_point": 1e6 * (inside - empty) / points,
             "loop_ms": 1e3 * inside,
-            "from_nothing_ms": 1e3 * whole,
+            "from_nothing_ms": 1e3 * pack_s,
             "maps": int(self._first.plan.slots[1]),
             "exponentials": int(self._first.exact.made[0]),
         }
@@ -157,12 +157,12 @@ class Prepared:
 
 def tip_errors(run: Mapping[str, Array], truth: Mapping[str, Array], times: Array) -> tuple[float, float]:
     """Return the errors of position and of force, each as a share of its largest size."""
-    found = []
+    errors = []
     for pair in (("x", "y"), ("fx", "fy")):
         right = np.stack([at(truth, name, times) for name in pair])
         off = np.stack([at(run, name, times) for name in pair]) - right
-        found.append(float(np.hypot(*off).max() / np.hypot(*right).max()))
-    return found[0], found[1]
+        errors.append(float(np.hypot(*off).max() / np.hypot(*right).max()))
+    return errors[0], errors[1]
 
 
 def pair(payload: dict[str, Any], report: Report) -> dict[str, Any]:
@@ -185,8 +185,8 @@ def pair(payload: dict[str, Any], report: Report) -> dict[str, Any]:
 
         def peer(setting: tuple[str, float, float], feed: str) -> Outcome:
             method, rtol, longest = setting
-            told = retold(plan, rtol=rtol, method=method, max_step_s=longest)
-            return monolithic.run(told, constants, steps, feed, folder, monolithic.TIP)
+            changed = retold(plan, rtol=rtol, method=method, max_step_s=longest)
+            return monolithic.run(changed, constants, steps, feed, folder, monolithic.TIP)
 
         tried = []
         for method in METHODS:
@@ -209,13 +209,13 @@ def pair(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         errors = {feed: tip_errors(run.signals, reference.signals, times) for feed, run in feeds.items()}
         fit = [feed for feed in feeds if max(errors[feed]) <= ACCURACY]
         bound = off_peer
-        found = {
+        settings = {
             tol: tip_errors(signals(packed(plan, constants, circuit, tol)), reference.signals, times)
             for tol in TOLERANCES
         }
-        fitting = [tol for tol in TOLERANCES if max(found[tol]) <= bound]
+        fitting = [tol for tol in TOLERANCES if max(settings[tol]) <= bound]
         if not fitting:
-            raise RuntimeError(f"our errors are {found}, the deck's {bound:g}")
+            raise RuntimeError(f"our errors are {settings}, the deck's {bound:g}")
         ours = fitting[0]
         own = Prepared(plan, constants, circuit, ours)
 
@@ -231,9 +231,9 @@ def pair(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     fastest = min(peers, key=lambda feed: statistics.median(peers[feed]))
     return {
         "walls": (walls[0], peers[fastest]),
-        "errors": (found[ours], errors[fastest]),
+        "errors": (settings[ours], errors[fastest]),
         "our_tolerance_rad": ours,
-        "our_errors": {f"{tol:.0e}": max(off) for tol, off in found.items()},
+        "our_errors": {f"{tol:.0e}": max(off) for tol, off in settings.items()},
         "peer": {
             "feed": fastest,
             "method": setting[0],

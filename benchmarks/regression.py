@@ -46,8 +46,8 @@ def allowed(name: str, before: float) -> float:
 def worse(fresh: Sequence[Figure], before: dict[str, float]) -> list[str]:
     """Return a line for every figure that became worse beyond its band; smaller is better for all of them."""
     return [
-        f"{found.name}: {found.ratio:.4g}, committed {before[found.name]:.4g}, "
-        f"allowed up to {allowed(found.name, before[found.name]):.4g}"
-        for found in fresh
-        if found.name in before and not found.ratio <= allowed(found.name, before[found.name])
+        f"{each.name}: {each.ratio:.4g}, committed {before[each.name]:.4g}, "
+        f"allowed up to {allowed(each.name, before[each.name]):.4g}"
+        for each in fresh
+        if each.name in before and not each.ratio <= allowed(each.name, before[each.name])
     ]

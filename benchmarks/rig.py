@@ -80,13 +80,13 @@ def retold(
     if coupling_rad is not None:
         update["coupling_tolerance_rad"] = coupling_rad
     scene: Scene = plan.scene.model_copy(update={"solver": solver.model_copy(update=update)})
-    told = plan.tolerances
+    stated = plan.tolerances
     changes: dict[str, Any] = {
         key: value
         for key, value in (("rtol", rtol), ("charge_c", charge_c), ("method", method))
         if value is not None
     }
-    tolerances: Tolerances = replace(told, **changes)
+    tolerances: Tolerances = replace(stated, **changes)
     return replace(plan, scene=scene, tolerances=tolerances)
 
 

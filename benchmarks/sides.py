@@ -92,8 +92,8 @@ def monolithic_choice(payload: dict[str, Any], report: Report) -> dict[str, Any]
         folder = Path(name)
 
         def peer(method: str, feed: str, rtol: float, longest: float) -> Outcome:
-            told = retold(plan, rtol=rtol, method=method, max_step_s=longest)
-            return monolithic.run(told, constants, steps, feed, folder)
+            changed = retold(plan, rtol=rtol, method=method, max_step_s=longest)
+            return monolithic.run(changed, constants, steps, feed, folder)
 
         for method in ("trap", "gear"):
             for rtol in (1e-2, 1e-3, 1e-4, 1e-5):
@@ -168,11 +168,11 @@ def same_work(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     log.seconds()
     with tempfile.TemporaryDirectory(prefix="cosim-bench-") as folder:
         steps = monolithic.recorded_steps(plan, ours)
-        whole = monolithic.run(plan, ours.constants, steps, "pwl", Path(folder))
+        peer_run = monolithic.run(plan, ours.constants, steps, "pwl", Path(folder))
     return {
         "points": ours.stats["points"],
         "replay_points": peer.stats["points"],
         "replay_difference": error(peer.signals, ours.signals, CURRENTS, times),
         "calls": log.parts(),
-        "monolithic_difference": error(whole.signals, ours.signals, ("q1", "q2"), times),
+        "monolithic_difference": error(peer_run.signals, ours.signals, ("q1", "q2"), times),
     }

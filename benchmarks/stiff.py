@@ -70,9 +70,9 @@ class System:
         for k, (a, b) in enumerate(zip(self.a, self.b, strict=True)):
             key = (id(a), b.tobytes())
             if key not in maps:
-                whole = np.zeros((size + 1, size + 1))
-                whole[:size, :size], whole[:size, size] = a, b
-                maps[key] = expm(whole * self.period_s)
+                block = np.zeros((size + 1, size + 1))
+                block[:size, :size], block[:size, size] = a, b
+                maps[key] = expm(block * self.period_s)
             z = maps[key][:size, :size] @ z + maps[key][:size, size]
             out[k] = z
         return out
@@ -81,13 +81,13 @@ class System:
 def mechanics(run: Propagation) -> tuple[float, float, float, float]:
     """Return the acceleration of the slider as a0 + aq q + av v + at tau; it is affine."""
     s = run.memory.state[0]
-    found = np.zeros(s["a"].shape)
+    slopes = np.zeros(s["a"].shape)
 
     def at(q: float, v: float, tau: float) -> float:
-        zeros = np.zeros((3, len(found)))
+        zeros = np.zeros((3, len(slopes)))
         zeros[:, 0] = q, v, tau
-        dynamics(s["p"], s["op"], 0.0, zeros[0], zeros[1], zeros[2], found, s["w"])
-        return float(found[0])
+        dynamics(s["p"], s["op"], 0.0, zeros[0], zeros[1], zeros[2], slopes, s["w"])
+        return float(slopes[0])
 
     a0 = at(0.0, 0.0, 0.0)
     return a0, at(1.0, 0.0, 0.0) - a0, at(0.0, 1.0, 0.0) - a0, at(0.0, 0.0, 1.0) - a0
@@ -114,9 +114,9 @@ def system(run: Propagation, table: dict[str, Array]) -> System:
         d.append(through @ inputs)
     begin(fresh)
     z0 = np.concatenate([rest(circuit, fresh), fresh["q"][:1], fresh["v"][:1]])
-    found = System(period, a, b, c, d, z0, np.ones(len(z0)))
-    found.scale = np.abs(np.vstack([z0, found.exact()])).max(axis=0)
-    return found
+    made = System(period, a, b, c, d, z0, np.ones(len(z0)))
+    made.scale = np.abs(np.vstack([z0, made.exact()])).max(axis=0)
+    return made
 
 
 def _matrices(circuit: LinearCircuit, run: Propagation, gain: Array) -> tuple[Array, Array, Array, Array]:
@@ -210,8 +210,8 @@ def sundials() -> Solver | None:
     return cvode
 
 
-def _error(found: Array, truth: Array) -> float:
-    return float((np.abs(found - truth).max(axis=0) / np.abs(truth).max(axis=0)).max())
+def _error(computed: Array, truth: Array) -> float:
+    return float((np.abs(computed - truth).max(axis=0) / np.abs(truth).max(axis=0)).max())
 
 
 def _seconds(call: Callable[[], Any]) -> float:
@@ -227,10 +227,10 @@ def compare(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     assert constants is not None
     circuit = model(plan, "linear", 0.0)
     table = signals(packed(plan, constants, circuit, OUR_TOLERANCES[-1]))
-    told = prepare(plan.scene, constants, circuit, record=False)
-    whole = system(told, table)
-    truth = whole.outputs(whole.exact())
-    instants = whole.period_s * np.arange(1, len(whole.a) + 1)
+    ready = prepare(plan.scene, constants, circuit, record=False)
+    system_of_scene = system(ready, table)
+    truth = system_of_scene.outputs(system_of_scene.exact())
+    instants = system_of_scene.period_s * np.arange(1, len(system_of_scene.a) + 1)
 
     def ours(tol: float) -> float:
         got = signals(packed(plan, constants, circuit, tol))
@@ -250,7 +250,7 @@ def compare(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     chosen: dict[str, tuple[float, float]] = {}
     for name, solver in peers.items():
         for rtol in PEER_TOLERANCES:
-            off = _error(whole.outputs(solver(whole, rtol)), truth)
+            off = _error(system_of_scene.outputs(solver(system_of_scene, rtol)), truth)
             report({"time_s": rtol})
             if off <= ACCURACY:
                 chosen[name] = rtol, off
@@ -259,7 +259,7 @@ def compare(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         raise RuntimeError(f"no solver is within {ACCURACY:g}")
 
     def timed(name: str) -> Callable[[], float]:
-        return lambda: _seconds(lambda: peers[name](whole, chosen[name][0]))
+        return lambda: _seconds(lambda: peers[name](system_of_scene, chosen[name][0]))
 
     own_run = Prepared(plan, constants, circuit, fit[0])
     walls = interleaved(
@@ -269,7 +269,7 @@ def compare(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     )
     times = dict(zip(chosen, walls[1:], strict=True))
     best = min(times, key=lambda name: statistics.median(times[name]))
-    rates = np.abs(np.linalg.eigvals(whole.a[-1]))
+    rates = np.abs(np.linalg.eigvals(system_of_scene.a[-1]))
     return {
         "walls": (walls[0], times[best]),
         "errors": (own[fit[0]], chosen[best][1]),
@@ -277,9 +277,9 @@ def compare(payload: dict[str, Any], report: Report) -> dict[str, Any]:
         "our_tolerance_rad": fit[0],
         "our_errors": {f"{tol:.0e}": off for tol, off in own.items()},
         "profile": own_run.profile(),
-        "states": len(whole.z0),
+        "states": len(system_of_scene.z0),
         "fastest_pole_rad_per_s": float(rates.max()),
-        "periods": len(whole.a),
+        "periods": len(system_of_scene.a),
         "solvers": [
             {
                 "solver": name,

@@ -67,11 +67,11 @@ def fig13(repetitions: int) -> list[Figure]:
     scan(Job(warm.scene, warm.constants, warm.circuit, _few(warm)))  # compiled by then
     for place, job in work.items():
         begun = time.perf_counter()
-        found = scan(job)
-        exact[place] = found.exact_n_per_m
-        ours[place] = (time.perf_counter() - begun, found.runs, found.samples)
+        dropped = scan(job)
+        exact[place] = dropped.exact_n_per_m
+        ours[place] = (time.perf_counter() - begun, dropped.runs, dropped.samples)
         print(
-            f"  {place[0]}, {1e3 * place[1]:.3g} ms: {ours[place][0]:.2f} s, {found.runs} drops", flush=True
+            f"  {place[0]}, {1e3 * place[1]:.3g} ms: {ours[place][0]:.2f} s, {dropped.runs} drops", flush=True
         )
     periods = sorted({period for _, period in work})
     rates: dict[str, list[dict[str, Any]]] = {}
@@ -145,8 +145,8 @@ def deck_rate(payload: dict[str, Any], report: Report) -> dict[str, Any]:
 
         def peer(setting: tuple[str, float, float]) -> Outcome:
             method, rtol, share = setting
-            told = retold(plan, rtol=rtol, method=method, max_step_s=share * period)
-            return monolithic.run(told, constants, steps, "pwl", folder, monolithic.TIP)
+            changed = retold(plan, rtol=rtol, method=method, max_step_s=share * period)
+            return monolithic.run(changed, constants, steps, "pwl", folder, monolithic.TIP)
 
         tried = []
         for setting in SETTINGS:
@@ -172,18 +172,18 @@ def borders(repetitions: int) -> list[Figure]:
 
     def one() -> tuple[float, float]:
         begun = time.perf_counter()
-        found = border(
+        edge = border(
             lambda k: held(contact.with_computer(discrete_stiffness_n_per_m=k)),
             *SCANNED,
         )
-        return time.perf_counter() - begun, found.value
+        return time.perf_counter() - begun, edge.value
 
     one()
     rows = Axis("computer.analog_stiffness_n_per_m", tuple(float(k) for k in np.linspace(1.0, 400.0, SIDE)))
     columns = Axis("computer.period_s", tuple(float(t) for t in np.geomspace(3e-3, 0.1, SIDE)))
     before = [one()[0] for _ in range(5)]
     begun = time.perf_counter()
-    found = border_map(
+    limits = border_map(
         scene, contact.constants, contact.circuit, rows, columns, low=SCANNED[0], high=SCANNED[1], workers=1
     )
     wall = time.perf_counter() - begun
@@ -196,7 +196,7 @@ def borders(repetitions: int) -> list[Figure]:
             lambda k, at=there: held(at.with_computer(discrete_stiffness_n_per_m=k)),
             *SCANNED,
         ).value
-        errors.append(abs(found[i, j] / single - 1.0))
+        errors.append(abs(limits[i, j] / single - 1.0))
     ratios = [wall / single for single in singles]
     return [
         figure(

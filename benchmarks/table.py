@@ -7,20 +7,20 @@ from typing import Any
 from benchmarks.figure import TARGETS, Figure
 
 
-def show(found: Figure) -> str:
+def show(figure: Figure) -> str:
     """Return a figure as a few lines of text."""
-    _, unit, what = TARGETS[found.name]
+    _, unit, what = TARGETS[figure.name]
     unit = f" {unit}" if unit else ""
-    verdict = "met" if found.met else "MISSED"
+    verdict = "met" if figure.met else "MISSED"
     lines = [
-        f"{found.name}: {found.ratio:.4g}{unit} (from {found.min:.4g} to {found.max:.4g}), "
-        f"target {found.target:g}{unit}: {verdict}",
+        f"{figure.name}: {figure.ratio:.4g}{unit} (from {figure.min:.4g} to {figure.max:.4g}), "
+        f"target {figure.target:g}{unit}: {verdict}",
         f"    {what}",
     ]
-    if found.error_ours is not None or found.error_peer is not None:
-        ours, peer = ("-" if e is None else f"{e:.3g}" for e in (found.error_ours, found.error_peer))
-        lines.append(f"    errors: ours {ours}, peer {peer} ({found.error_unit})")
-    for key, value in found.details.items():
+    if figure.error_ours is not None or figure.error_peer is not None:
+        ours, peer = ("-" if e is None else f"{e:.3g}" for e in (figure.error_ours, figure.error_peer))
+        lines.append(f"    errors: ours {ours}, peer {peer} ({figure.error_unit})")
+    for key, value in figure.details.items():
         lines += _detail(key, value)
     return "\n".join(lines)
 

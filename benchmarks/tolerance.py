@@ -35,14 +35,14 @@ _SCENE = ROOT / "scenes" / "drop.toml"
 
 def passive(board: Deck) -> list[str]:
     """Return the keys of all resistors and capacitors of a board outside its parts."""
-    found = [
+    names = [
         f"{path}.{line.keyword}".removeprefix("xboard.")
         for path, block, *_ in walk(board_netlist(board), board.board)
         if not block.is_part
         for line in block.body
         if line.keyword[0] in "rc"
     ]
-    return sorted(found)
+    return sorted(names)
 
 
 def draw_seconds(payload: dict[str, Any], report: Report) -> dict[str, Any]:
@@ -113,12 +113,12 @@ def batch_against_single(repetitions: int) -> list[Figure]:
     """Compare a `linear` drop sample of a batch with one `cosim run` of the same scene."""
     scene = load_scene(_SCENE, ['solver.model="linear"'])
     plan = resolve(scene)
-    found = tolerances(scene, board=plan.board)
+    variables = tolerances(scene, board=plan.board)
     rng = np.random.default_rng(1)
-    values = found.values(rng.uniform(1e-9, 1.0, (_BATCH, len(found.variables))))
+    values = variables.values(rng.uniform(1e-9, 1.0, (_BATCH, len(variables.variables))))
     with (
         tempfile.TemporaryDirectory(prefix="cosim-bench-") as name,
-        Batch(plan, found.keys, ("max_penetration",), designed=found.nominal.tolist()) as batch,
+        Batch(plan, variables.keys, ("max_penetration",), designed=variables.nominal.tolist()) as batch,
     ):
         command = [sys.executable, "-m", "cosim", "run", str(_SCENE), "--set", "solver.model=linear",
                    "--out", f"{name}/run"]  # fmt: skip
@@ -137,7 +137,7 @@ def batch_against_single(repetitions: int) -> list[Figure]:
 
         walls = interleaved(repetitions, ours, peer)
     details = {
-        "components": len(found.keys),
+        "components": len(variables.keys),
         "ours_ms": 1e3 * statistics.median(walls[0]),
         "cosim_run_ms": 1e3 * statistics.median(walls[1]),
     }

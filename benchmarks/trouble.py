@@ -49,7 +49,7 @@ def drawn(seed: int, number: int) -> tuple[Path, tuple[str, ...]]:
     period = min(power(-3.5, -0.7), 0.2)
     method = str(rng.choice(["discrete", "continuous", "combined"]))
     discrete, analog, damping = power(0, 4), power(0, 2.3), power(-2, 0.5)
-    told = [
+    changes = [
         f"computer.period_s={period}", f"duration_s={max(0.3, 4 * period):.4g}",
         f"computer.method={method}",
         f"computer.discrete_stiffness_n_per_m={0.0 if method == 'continuous' else discrete}",
@@ -59,19 +59,19 @@ def drawn(seed: int, number: int) -> tuple[Path, tuple[str, ...]]:
         f"effects.motor={rng.choice(['ideal', 'emf', 'full'])}",
         f"effects.differentiator={rng.choice(['ideal', 'corner'])}",
     ]  # fmt: skip
-    told += [f"effects.{switch}={str(bool(rng.integers(2))).lower()}" for switch in _SWITCHES]
-    told += [f"device.values.{key}='{v * 2 ** rng.uniform(-1, 1):.5g}'" for key, v in _RESISTORS.items()]
-    told += [f"device.values.tl072_gbw='{power(5, 8)}'"] if rng.integers(2) else []
+    changes += [f"effects.{switch}={str(bool(rng.integers(2))).lower()}" for switch in _SWITCHES]
+    changes += [f"device.values.{key}='{v * 2 ** rng.uniform(-1, 1):.5g}'" for key, v in _RESISTORS.items()]
+    changes += [f"device.values.tl072_gbw='{power(5, 8)}'"] if rng.integers(2) else []
     if name == "drop":
-        told += [f"device.slider.mass_kg={power(-3, 1)}", f"operator.mass_kg={power(-3, 1)}"]
+        changes += [f"device.slider.mass_kg={power(-3, 1)}", f"operator.mass_kg={power(-3, 1)}"]
     else:
-        told += [f"operator.stiffness_n_per_m={power(0, 3)}", f"operator.mass_kg={power(-2, 0.5)}"]
-    return ROOT / "scenes" / f"{name}.toml", tuple(told)
+        changes += [f"operator.stiffness_n_per_m={power(0, 3)}", f"operator.mass_kg={power(-2, 0.5)}"]
+    return ROOT / "scenes" / f"{name}.toml", tuple(changes)
 
 
 def outcome(file: Path, changes: tuple[str, ...], child: Child | None) -> dict[str, Any]:
     """Run a scene on both models and say what came of it."""
-    found: list[dict[str, float]] = []
+    answers: list[dict[str, float]] = []
     doubts: list[dict[str, float]] = []
     for model in ("linear", "spice"):
         try:
@@ -79,17 +79,17 @@ def outcome(file: Path, changes: tuple[str, ...], child: Child | None) -> dict[s
                 plan = resolve(load_scene(file, (*changes, f"solver.model={model}")))
                 errors = estimator(plan, child)
                 rows = run(plan, folder / "run", formats=(), child=child, errors=errors).measures
-            found.append({name: float(rows[name]["value"]) for name in MEASURES if name in rows})
-            doubts.append({name: float(rows[name].get("error") or 0.0) for name in found[-1]})
+            answers.append({name: float(rows[name]["value"]) for name in MEASURES if name in rows})
+            doubts.append({name: float(rows[name].get("error") or 0.0) for name in answers[-1]})
         except InputError as error:
             return {"outcome": "refused", "model": model, "words": error.problems[0].message}
         except CosimError as error:
             return {"outcome": "failed", "model": model, "words": str(error).splitlines()[0]}
         except Exception as error:
             return {"outcome": "crashed", "model": model, "words": repr(error)}
-    if not all(math.isfinite(value) for each in found for value in each.values()):
-        return {"outcome": "no number", "measures": [{k: repr(v) for k, v in m.items()} for m in found]}
-    linear, spice = found
+    if not all(math.isfinite(value) for each in answers for value in each.values()):
+        return {"outcome": "no number", "measures": [{k: repr(v) for k, v in m.items()} for m in answers]}
+    linear, spice = answers
     shares = {
         name: abs(linear[name] - spice[name]) / max(abs(linear[name]), abs(spice[name]))
         for name in linear
@@ -99,8 +99,8 @@ def outcome(file: Path, changes: tuple[str, ...], child: Child | None) -> dict[s
     off = shares.get(worst, 0.0)
     if off <= APART:
         return {"outcome": "agreed", "measure": worst, "share": off}
-    told = abs(linear[worst] - spice[worst]) <= sum(each[worst] for each in doubts)
-    return {"outcome": "told" if told else "apart", "measure": worst, "share": off}
+    explained = abs(linear[worst] - spice[worst]) <= sum(each[worst] for each in doubts)
+    return {"outcome": "told" if explained else "apart", "measure": worst, "share": off}
 
 
 def main() -> int:
@@ -119,12 +119,12 @@ def main() -> int:
             if not child.alive:
                 child = start_early("cosim.loop.early_imports", reads=[ROOT / "scenes"])
             file, changes = drawn(args.seed, number)
-            told = outcome(file, changes, child)
-            counts[told["outcome"]] += 1
-            row = {"seed": args.seed, "number": number, "scene": file.stem, "changes": changes, **told}
+            seen = outcome(file, changes, child)
+            counts[seen["outcome"]] += 1
+            row = {"seed": args.seed, "number": number, "scene": file.stem, "changes": changes, **seen}
             stream.write(json.dumps(row) + "\n")
             stream.flush()
-            if told["outcome"] in TROUBLE:
+            if seen["outcome"] in TROUBLE:
                 print(json.dumps(row), flush=True)
     child.close()
     print(", ".join(f"{count} {kind}" for kind, count in counts.most_common()))

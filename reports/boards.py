@@ -101,12 +101,12 @@ def tables(sides: "Sequence[Side]", rows: "Sequence[Row]") -> list[Table]:
     """Return one table a section with all that changed."""
     head = ("", "where", *(side.label for side in sides))
     numbers = frozenset(range(2, len(head)))
-    found = []
+    out = []
     for section, title in _TITLES.items():
         inside = tuple((r.quantity, r.where, *cells(r)) for r in rows if r.section == section)
         if inside:
-            found.append(Table(section.replace(" ", "-"), title, head, inside, "", numbers))
-    return found
+            out.append(Table(section.replace(" ", "-"), title, head, inside, "", numbers))
+    return out
 
 
 def felt(rows: "Sequence[Row]", most: int = 4) -> list[str]:
@@ -114,39 +114,39 @@ def felt(rows: "Sequence[Row]", most: int = 4) -> list[str]:
     beyond = [row for row in rows if row.felt is not None and row.felt >= 1.0]
     if not beyond:
         return ["No force, stiffness or damping at the hand changes by what is noticed or tolerated."]
-    said = [
+    lines = [
         f"{row.quantity}{f' ({row.where})' if row.where else ''}: {', '.join(cells(row))}; "
         + (f"{row.felt:.3g} times" if math.isfinite(row.felt or 0.0) else "beyond any")
         + f" what matters: {row.by}"
         for row in beyond[:most]
     ]
-    more = len(beyond) - len(said)
-    return [f"Felt: {line}." for line in said] + ([f"{more} more are felt."] if more else [])
+    more = len(beyond) - len(lines)
+    return [f"Felt: {line}." for line in lines] + ([f"{more} more are felt."] if more else [])
 
 
 def _summary(sides: "Sequence[Side]", rows: "Sequence[Row]") -> list[str]:
-    said = []
+    lines = []
     changed = {row.section for row in rows}
     same = [title for section, title in _TITLES.items() if section not in changed]
-    said.append(
+    lines.append(
         f"{len(rows)} figures differ by more than rounding."
         if rows
         else "No figure differs by more than rounding."
     )
-    said += felt(rows) if rows else []
+    lines += felt(rows) if rows else []
     if same and rows:
-        said.append(f"Nothing changed in: {'; '.join(title[0].lower() + title[1:] for title in same)}.")
+        lines.append(f"Nothing changed in: {'; '.join(title[0].lower() + title[1:] for title in same)}.")
     for name in dict.fromkeys(name for side in sides for name, _ in side.said):
         words = [(side.label, dict(side.said).get(name, "not known")) for side in sides]
         if len({text for _, text in words}) == 1:
-            said.append(f"{name[0].upper()}{name[1:]}, on all sides: {words[0][1]}.")
+            lines.append(f"{name[0].upper()}{name[1:]}, on all sides: {words[0][1]}.")
         else:
-            said.append(
+            lines.append(
                 f"{name[0].upper()}{name[1:]}: "
                 + "; ".join(f"{label}: {text}" for label, text in words)
                 + "."
             )
-    return said
+    return lines
 
 
 def bars(sides: "Sequence[Side]", rows: "Sequence[Row]") -> Drawn | None:
@@ -228,13 +228,13 @@ def rendered(
     """Return stiffness [N m/rad] and damping [N m s/rad] of a joint over frequency at full-scale gain."""
     stated, n = side.plan.stated(), circuit.joints
     s = 2j * np.pi * hz
-    found = []
+    responses = []
     for first, rate in ((0, np.ones_like(s)), (n * n, s)):
         volts = np.zeros(2 * n * n)
         volts[first + joint * n + joint] = stated.v_fs
         current = circuit.response(s, volts)[:, joint, joint]
-        found.append(-current / rate * stated.kt * stated.gear)
-    return found[0], found[1]
+        responses.append(-current / rate * stated.kt * stated.gear)
+    return responses[0], responses[1]
 
 
 def _joint(known: "Sequence[tuple[Side, LinearCircuit]]", hz: NDArray[np.float64]) -> int:
@@ -255,8 +255,8 @@ def poles(sides: "Sequence[Side]") -> Drawn | None:
         return None
     drawing, grid = figure(3.4)
     axes = grid[0, 0]
-    for number, (side, found) in enumerate(known):
-        upper = found[found.imag >= 0.0]
+    for number, (side, roots) in enumerate(known):
+        upper = roots[roots.imag >= 0.0]
         hz, ratio = np.abs(upper) / (2 * np.pi), -upper.real / np.abs(upper)
         mark = _MARKS[number]
         filled = (

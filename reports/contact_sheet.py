@@ -37,16 +37,16 @@ def contact_sheet(folders: list[Path], columns: int = 4) -> bytes:
         ...
     ValueError: no picture in no-such-folder
     """
-    found = [(folder, path) for folder in folders for path in sorted(folder.rglob("*.png"))]
-    if not found:
+    files = [(folder, path) for folder in folders for path in sorted(folder.rglob("*.png"))]
+    if not files:
         raise ValueError(f"no picture in {', '.join(map(str, folders))}")
-    rows = math.ceil(len(found) / columns)
+    rows = math.ceil(len(files) / columns)
     with look():
         drawing, grid = figure(rows * _TALL_IN, rows, columns)
         drawing.set_size_inches(columns * _CELL_IN, rows * _TALL_IN)
         for axes in grid.flat:
             axes.set_axis_off()
-        for axes, (folder, path) in zip(grid.flat, found, strict=False):
+        for axes, (folder, path) in zip(grid.flat, files, strict=False):
             axes.imshow(imread(path), interpolation="antialiased")
             name = path.relative_to(folder).as_posix()
             axes.set_title(f"{folder.name}/{name}"[-52:], fontsize=6, fontweight="normal", color=INK)

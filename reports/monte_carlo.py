@@ -37,7 +37,7 @@ _BARS, _POINTS, _ROWS, _WORST = 15, 4000, 40, 5
 
 
 def write_monte_carlo(
-    found: "Findings",
+    findings: "Findings",
     out: Path,
     replay: str,
     digest: str,
@@ -48,7 +48,7 @@ def write_monte_carlo(
 
     Parameters
     ----------
-    found
+    findings
         What the study tells.
     out
         Folder; made when it is absent.
@@ -67,76 +67,76 @@ def write_monte_carlo(
         The folder cannot be written.
     """
     with look():
-        sections = [_overview(found), *(_measure(found, name, replay) for name in found.study.names)]
-        sections += [_bill(found)] if found.bill else []
-        sections += [two_models(found.levels)] if found.levels is not None else []
-        sections += [rare_failures(found.rare)] if found.rare is not None else []
+        sections = [_overview(findings), *(_measure(findings, name, replay) for name in findings.study.names)]
+        sections += [_bill(findings)] if findings.bill else []
+        sections += [two_models(findings.levels)] if findings.levels is not None else []
+        sections += [rare_failures(findings.rare)] if findings.rare is not None else []
     html = render(
         "study.html.j2", title="Tolerances: what the built devices do",
         command=replay.removesuffix(" --sample"),
-        summary=[*sentences(found), CONVENTION], sections=sections, claims=[], warnings=grouped(cautions),
+        summary=[*sentences(findings), CONVENTION], sections=sections, claims=[], warnings=grouped(cautions),
     )  # fmt: skip
-    record = json_text({"digest": digest, "replay": replay, "asked": asked, **found.as_dict()}) + "\n"
-    tables = (found.samples_csv(), components_csv(found.study.tolerances), found.bill_csv(), record)
+    record = json_text({"digest": digest, "replay": replay, "asked": asked, **findings.as_dict()}) + "\n"
+    tables = (findings.samples_csv(), components_csv(findings.study.tolerances), findings.bill_csv(), record)
     files = dict(zip(FILES[1:], tables, strict=False))
-    if found.surfaces:
-        files[SLIDERS] = sliders_page(found)
+    if findings.surfaces:
+        files[SLIDERS] = sliders_page(findings)
     pictures = [each for section in sections for each in section.pictures]
     return write_page(out, html, pictures, files, MANIFEST)
 
 
-def draw(found: "Findings", part: str, name: str) -> Drawn:
+def draw(findings: "Findings", part: str, name: str) -> Drawn:
     """Return one figure of a measure; parts are those of `PARTS`."""
     if part == "distribution":
-        return _distribution(found, name, _known(found, name))
+        return _distribution(findings, name, _known(findings, name))
     if part == "estimate":
-        return _estimates(found, name, _known(found, name))
-    return (_tornado if part == "blame" else _scatter)(found, name)
+        return _estimates(findings, name, _known(findings, name))
+    return (_tornado if part == "blame" else _scatter)(findings, name)
 
 
-def _known(found: "Findings", name: str) -> Array:
-    column = found.study.column(name)
+def _known(findings: "Findings", name: str) -> Array:
+    column = findings.study.column(name)
     return column[np.isfinite(column)]
 
 
-def sentences(found: "Findings") -> list[str]:
+def sentences(findings: "Findings") -> list[str]:
     """Return what was found in sentences."""
-    study = found.study
+    study = findings.study
     how = study.sampling
     kind = {"plain": "plain samples", "lhs": "Latin hypercubes", "sobol": "scrambled Sobol points"}
-    said = [
+    lines = [
         f"{how.n} devices ({kind[how.method]}, seed {how.seed}) with {len(study.tolerances.components)} "
         f"varying components, measured on the model {study.model} in {study.seconds:.3g} s."
     ]
-    for text, each in found.yields.items():
+    for text, each in findings.yields.items():
         what = "All specifications are met" if text == "all" else f"{text} holds"
-        said.append(f"{what} for {percent(each)} of the devices ({each.how}).")
-    return [*said, *found.notes]
+        lines.append(f"{what} for {percent(each)} of the devices ({each.how}).")
+    return [*lines, *findings.notes]
 
 
-def _overview(found: "Findings") -> Section:
-    study = found.study
+def _overview(findings: "Findings") -> Section:
+    study = findings.study
     rows = []
-    for name, each in found.summaries.items():
+    for name, each in findings.summaries.items():
         unit = UNITS.get(name, "")
         ends = [value(each.quantiles[share], unit) for share in (0.01, 0.5, 0.99)]
         rows.append(
             [name, quantity(each.nominal, unit, 5), value(each.mean, unit), value(each.spread, unit), *ends]
         )
-    how = next(iter(found.summaries.values())).mean.how
+    how = next(iter(findings.summaries.values())).mean.how
     tables = [
         Table(
             "What the devices do",
             ["measure", "nominal", "mean", "standard deviation", "1 % are below", "median", "1 % are above"],
             rows,
             f"In parentheses the interval that holds with 95 %: mean by {how}, quantiles by "
-            f"{next(iter(found.summaries.values())).quantiles[0.5].how}.",
+            f"{next(iter(findings.summaries.values())).quantiles[0.5].how}.",
             "samples.csv",
         )
     ]
-    if found.corners:
+    if findings.corners:
         rows = []
-        for name, corner in found.corners.items():
+        for name, corner in findings.corners.items():
             unit = UNITS.get(name, "")
             rows.append([name, quantity(corner.low, unit, 5), quantity(corner.high, unit, 5),
                          str(corner.evaluations), str(corner.outside)])  # fmt: skip
@@ -145,34 +145,36 @@ def _overview(found: "Findings") -> Section:
         tables.append(Table("Worst case within all limits", head, rows, note))
     pictures = []
     if len(study.names) > 1:
-        pictures.append(picture("correlation", "Correlation of the measures", _correlation(found)))
+        pictures.append(picture("correlation", "Correlation of the measures", _correlation(findings)))
     return Section("overview", "What the batch does", (), pictures, tables)
 
 
-def _measure(found: "Findings", name: str, replay: str) -> Section:
-    study, unit = found.study, UNITS.get(name, "")
-    column = _known(found, name)
+def _measure(findings: "Findings", name: str, replay: str) -> Section:
+    study, unit = findings.study, UNITS.get(name, "")
+    column = _known(findings, name)
     title = name.replace("_", " ").capitalize()
-    pictures = [picture(f"{name}_distribution", "Distribution", _distribution(found, name, column))]
-    pictures.append(picture(f"{name}_estimate", "Estimate against samples", _estimates(found, name, column)))
-    if name in found.surfaces:
-        pictures.append(picture(f"{name}_tornado", "Who is to blame", _tornado(found, name)))
-        pictures.append(picture(f"{name}_scatter", "Leading components", _scatter(found, name)))
+    pictures = [picture(f"{name}_distribution", "Distribution", _distribution(findings, name, column))]
+    pictures.append(
+        picture(f"{name}_estimate", "Estimate against samples", _estimates(findings, name, column))
+    )
+    if name in findings.surfaces:
+        pictures.append(picture(f"{name}_tornado", "Who is to blame", _tornado(findings, name)))
+        pictures.append(picture(f"{name}_scatter", "Leading components", _scatter(findings, name)))
     rows = [[str(k), quantity(value, unit, 5), f"{replay} {k}"] for k, value in worst(study, name, _WORST)]
     note = "Farthest from the nominal device; the command measures the same device again, alone."
     table = Table("Worst samples", ["sample", name, "replay"], rows, note, "samples.csv")
     return Section(name, title, (), pictures, [table])
 
 
-def _distribution(found: "Findings", name: str, column: Array) -> Drawn:
+def _distribution(findings: "Findings", name: str, column: Array) -> Drawn:
     drawing, grid = figure(3.4, columns=2)
     bars, normal = grid[0]
-    summary = found.summaries[name]
+    summary = findings.summaries[name]
     axis = heading(name.replace("_", " "), UNITS.get(name, ""))
     bars.hist(column, bins=min(60, max(10, int(2 * len(column) ** (1 / 3)))), color=FORCE, alpha=0.55)
     bars.axvline(summary.nominal, color=INK, linestyle="--", label="nominal")
     bars.axvline(summary.mean.value, color=JOINTS[1], label="mean")
-    _limits(found, name, bars.axvline)
+    _limits(findings, name, bars.axvline)
     bars.set_xlabel(axis)
     bars.set_ylabel("devices")
     legend(bars, columns=3)
@@ -186,7 +188,7 @@ def _distribution(found: "Findings", name: str, column: Array) -> Drawn:
         color=FAINT,
         label="Gaussian of that mean and sd",
     )
-    _limits(found, name, normal.axhline)
+    _limits(findings, name, normal.axhline)
     normal.set_xlabel("standard deviations of a Gaussian")
     normal.set_ylabel(axis)
     caption = (
@@ -196,16 +198,16 @@ def _distribution(found: "Findings", name: str, column: Array) -> Drawn:
     return Drawn(drawing, caption)
 
 
-def _limits(found: "Findings", name: str, line: object) -> None:
+def _limits(findings: "Findings", name: str, line: object) -> None:
     label = "specification"
-    for spec in found.specs:
+    for spec in findings.specs:
         for end in (spec.low, spec.high):
             if spec.measure == name and math.isfinite(end):
                 line(end, color=LIMIT, linewidth=1.0, label=label)  # type: ignore[operator]
                 label = "_"
 
 
-def _estimates(found: "Findings", name: str, column: Array) -> Drawn:
+def _estimates(findings: "Findings", name: str, column: Array) -> Drawn:
     drawing, grid = figure(2.6)
     axes = grid[0, 0]
     n = np.arange(1, len(column) + 1)
@@ -219,16 +221,16 @@ def _estimates(found: "Findings", name: str, column: Array) -> Drawn:
     )
     axes.set_xlabel("samples")
     axes.set_ylabel(heading(name.replace("_", " "), UNITS.get(name, "")))
-    each = found.study.seconds / max(found.study.sampling.n, 1)
+    each = findings.study.seconds / max(findings.study.sampling.n, 1)
     seconds = axes.secondary_xaxis("top", functions=(lambda x: x * each, lambda x: x / max(each, 1e-12)))
     seconds.set_xlabel("seconds")
-    plain = found.study.sampling.method == "plain"
+    plain = findings.study.sampling.method == "plain"
     band = "The band holds with 95 % at each number alone" if plain else "The band is that of plain sampling"
     return Drawn(drawing, f"Mean of the first samples. {band}: to stop when it looks right would bias it.")
 
 
-def _tornado(found: "Findings", name: str) -> Drawn:
-    surface = found.surfaces[name]
+def _tornado(findings: "Findings", name: str) -> Drawn:
+    surface = findings.surfaces[name]
     order = np.argsort(-np.abs(surface.linear))[:_BARS]
     drawing, grid = figure(1.2 + 0.26 * len(order))
     axes = grid[0, 0]
@@ -249,8 +251,8 @@ def _tornado(found: "Findings", name: str) -> Drawn:
     )
 
 
-def _scatter(found: "Findings", name: str) -> Drawn:
-    study, surface = found.study, found.surfaces[name]
+def _scatter(findings: "Findings", name: str) -> Drawn:
+    study, surface = findings.study, findings.surfaces[name]
     z = deviations(study.tolerances, study.uniforms())
     order = np.argsort(-np.abs(surface.linear))[:3]
     drawing, grid = figure(2.9, columns=len(order), sharey=True)
@@ -268,8 +270,8 @@ def _scatter(found: "Findings", name: str) -> Drawn:
     )
 
 
-def _correlation(found: "Findings") -> Drawn:
-    names, table = found.study.names, found.correlation()
+def _correlation(findings: "Findings") -> Drawn:
+    names, table = findings.study.names, findings.correlation()
     drawing, grid = figure(1.4 + 0.5 * len(names))
     axes = grid[0, 0]
     axes.imshow(table, vmin=-1.0, vmax=1.0, cmap="RdBu_r", aspect="auto")
@@ -284,16 +286,16 @@ def _correlation(found: "Findings") -> Drawn:
     return Drawn(drawing, "Pearson's correlation over the samples that have all measures.")
 
 
-def bill_table(found: "Findings", most: int = _ROWS) -> tuple[list[str], list[list[str]]]:
+def bill_table(findings: "Findings", most: int = _ROWS) -> tuple[list[str], list[list[str]]]:
     """Return heading and rows of the tolerance bill, what costs most first."""
-    names = list(found.surfaces)
+    names = list(findings.surfaces)
     rows = [
         [
             line.name, line.tolerance, *(percent(line.share[n]) for n in names),
             *(f"{line.slope[n]:.4g}" for n in names), grade_text(line.loosest), grade_text(line.better),
             "-" if line.gain is None else percent(line.gain),
         ]
-        for line in found.bill[:most]
+        for line in findings.bill[:most]
     ]  # fmt: skip
     head = [
         "component", "tolerance", *(f"share of variance, {n}" for n in names),
@@ -303,15 +305,15 @@ def bill_table(found: "Findings", most: int = _ROWS) -> tuple[list[str], list[li
     return head, rows
 
 
-def _bill(found: "Findings") -> Section:
-    head, rows = bill_table(found)
-    wanted = "the present yield" if found.wanted is None else f"a yield of {100 * found.wanted:g} %"
+def _bill(findings: "Findings") -> Section:
+    head, rows = bill_table(findings)
+    wanted = "the present yield" if findings.wanted is None else f"a yield of {100 * findings.wanted:g} %"
     note = (
         f"Loosest: the largest sold tolerance with which {wanted} is kept, all others as they are. Both "
         "columns at the right go through the fitted surface, on the same samples."
     )
-    if len(found.bill) > _ROWS:
-        note += f" {len(found.bill)} rows, all of them in the file."
+    if len(findings.bill) > _ROWS:
+        note += f" {len(findings.bill)} rows, all of them in the file."
     table = Table("Tolerance bill", head, rows, note, "bill.csv")
     return Section(
         "bill", "What to buy better", (), [], [table], link=(SLIDERS, "Sliders over the fitted surfaces")

@@ -43,8 +43,8 @@ def figure(run: RunLike, name: str | None = None) -> "Figure":
             if name is None or each == name:
                 drawn = getattr(import_module(f"reports.{module}"), function)(view)
                 if drawn is not None:
-                    found: Figure = drawn.figure
-                    return found
+                    drawing: Figure = drawn.figure
+                    return drawing
     raise ValueError(f"the run lacks the signals of {name or 'every figure'}")
 
 
@@ -60,7 +60,7 @@ def html(run: RunLike) -> str:
     return _cell(title, summary(view), doubts, _table([], rows), pictures)
 
 
-def sweep_figure(found: "Sweep") -> "Figure":
+def sweep_figure(sweep: "Sweep") -> "Figure":
     """Return a sweep's figure.
 
     Raises
@@ -71,30 +71,30 @@ def sweep_figure(found: "Sweep") -> "Figure":
     from reports.sweep import draw
 
     with look():
-        drawn = draw(found)
+        drawn = draw(sweep)
     if drawn is None:
         raise ValueError("nothing to draw: the first range is not of numbers, or no point has a measure")
     return drawn.figure
 
 
-def sweep_html(found: "Sweep") -> str:
+def sweep_html(sweep: "Sweep") -> str:
     """Return a sweep's table, what failed, and its picture as HTML."""
     from reports.sweep import draw
 
     rows = [
         [*values, *("-" if column[k] is None else _number(column[k], UNITS.get(name, ""))
-                    for name, column in found.measures.items())]
-        for k, values in enumerate(found.values)
+                    for name, column in sweep.measures.items())]
+        for k, values in enumerate(sweep.values)
     ]  # fmt: skip
     with look():
-        drawn = draw(found)
-        pictures = [] if drawn is None else [picture("sweep", f"Sweep of {', '.join(found.names)}", drawn)]
-    failed = [f"{point}: {why}" for point, why in found.failed.items()]
-    table = _table([*found.names, *found.measures], rows)
-    return _cell(f"Sweep of {', '.join(found.names)}", [], failed, table, pictures)
+        drawn = draw(sweep)
+        pictures = [] if drawn is None else [picture("sweep", f"Sweep of {', '.join(sweep.names)}", drawn)]
+    failed = [f"{point}: {why}" for point, why in sweep.failed.items()]
+    table = _table([*sweep.names, *sweep.measures], rows)
+    return _cell(f"Sweep of {', '.join(sweep.names)}", [], failed, table, pictures)
 
 
-def findings_figure(found: "Findings", part: str, measure: str | None = None) -> "Figure":
+def findings_figure(findings: "Findings", part: str, measure: str | None = None) -> "Figure":
     """Return a figure of a batch of devices: a part of `reports.monte_carlo.PARTS`, of one measure.
 
     Raises
@@ -104,25 +104,25 @@ def findings_figure(found: "Findings", part: str, measure: str | None = None) ->
     """
     from reports.monte_carlo import PARTS, draw
 
-    name = found.study.names[0] if measure is None else measure
-    if part not in PARTS or name not in found.study.names:
+    name = findings.study.names[0] if measure is None else measure
+    if part not in PARTS or name not in findings.study.names:
         raise ValueError(f"no figure {part!r} of {name!r}; there are {', '.join(PARTS)} of "
-                         f"{', '.join(found.study.names)}")  # fmt: skip
-    if part in PARTS[2:] and name not in found.surfaces:
+                         f"{', '.join(findings.study.names)}")  # fmt: skip
+    if part in PARTS[2:] and name not in findings.surfaces:
         raise ValueError(f"{name} has no fitted surface: more samples, or a measure that changes")
     with look():
-        return draw(found, part, name).figure
+        return draw(findings, part, name).figure
 
 
-def findings_html(found: "Findings") -> str:
+def findings_html(findings: "Findings") -> str:
     """Return what a batch of devices does: sentences, distribution, and the head of the bill as HTML."""
     from reports.monte_carlo import bill_table, draw, sentences
 
-    name = found.study.names[0]
+    name = findings.study.names[0]
     with look():
-        pictures = [picture(name, f"Distribution of {name}", draw(found, "distribution", name))]
-    head, rows = bill_table(found, _MOST_ROWS) if found.surfaces else ([], [])
-    return _cell("The built devices", sentences(found), [], _table(head, rows), pictures)
+        pictures = [picture(name, f"Distribution of {name}", draw(findings, "distribution", name))]
+    head, rows = bill_table(findings, _MOST_ROWS) if findings.surfaces else ([], [])
+    return _cell("The built devices", sentences(findings), [], _table(head, rows), pictures)
 
 
 def study_figure(result: "StudyResult", name: str | None = None) -> "Figure":
@@ -135,9 +135,9 @@ def study_figure(result: "StudyResult", name: str | None = None) -> "Figure":
     """
     with look():
         drawn = import_module(f"reports.studies.{result.study}").draw(result)
-        for each, _, found in drawn:
+        for each, _, drawing in drawn:
             if name is None or each == name:
-                chosen: Figure = found.figure
+                chosen: Figure = drawing.figure
                 return chosen
     raise ValueError(f"no figure {name!r}; there are {', '.join(each[0] for each in drawn)}")
 

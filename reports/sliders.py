@@ -27,14 +27,14 @@ _SLIDERS, _SAMPLES = 10, 500
 _REACH = 2.0
 
 
-def sliders_page(found: "Findings") -> str:
+def sliders_page(findings: "Findings") -> str:
     """Return the page; at most 500 kB, whatever the study's size."""
-    data = json.dumps(_data(found), allow_nan=False, separators=(",", ":"))
+    data = json.dumps(_data(findings), allow_nan=False, separators=(",", ":"))
     return render("sliders.html.j2", data=data.replace("<", "\\u003c"))
 
 
-def _data(found: "Findings") -> dict[str, Any]:
-    study, surfaces = found.study, found.surfaces
+def _data(findings: "Findings") -> dict[str, Any]:
+    study, surfaces = findings.study, findings.surfaces
     known = np.flatnonzero(np.isfinite(study.results).all(axis=1))[:_SAMPLES]
     weight = np.zeros(len(study.tolerances.variables))
     for surface in surfaces.values():
@@ -66,7 +66,7 @@ def _data(found: "Findings") -> dict[str, Any]:
         }
         for name, s in surfaces.items()
     ]  # fmt: skip
-    every = [spec for spec in found.specs if spec.measure in surfaces]
+    every = [spec for spec in findings.specs if spec.measure in surfaces]
     passing = [spec.passed(study.column(spec.measure)[known]) for spec in every]
     specs = [
         {

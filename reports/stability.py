@@ -23,7 +23,7 @@ FILES, MANIFEST = ("stability.csv", "stability.svg", "stability.png"), manifest_
 _POINTS, _PERIODS = 161, np.geomspace(0.2, 5.0, 9)
 
 
-def write_stability(found: Limits, contact: HeldContact, folder: Path) -> Path:
+def write_stability(limits: Limits, contact: HeldContact, folder: Path) -> Path:
     """Write ``stability.png``, ``.svg`` and ``.csv`` (limits over the period); return the PNG.
 
     Raises
@@ -39,7 +39,7 @@ def write_stability(found: Limits, contact: HeldContact, folder: Path) -> Path:
     writer.writeheader()
     writer.writerows(rows)
     with look():
-        drawn = pictures(draw(found, contact, rows))
+        drawn = pictures(draw(limits, contact, rows))
     content = (table.getvalue().encode(), drawn["svg"], drawn["png"])
     write_files(folder, dict(zip(FILES, content, strict=True)), MANIFEST)
     return folder / FILES[-1]
@@ -63,27 +63,27 @@ def over_period(contact: HeldContact) -> list[dict[str, float | None]]:
     return rows
 
 
-def draw(found: Limits, contact: HeldContact, rows: list[dict[str, float | None]]) -> "Figure":
+def draw(limits: Limits, contact: HeldContact, rows: list[dict[str, float | None]]) -> "Figure":
     """Return the figure: root locus beside limits over the sampling period."""
     from reports.style import figure as new_figure
 
     drawing, axes = new_figure(4.6, columns=2, gridspec_kw={"width_ratios": (1, 1)})
     plane, over = axes[0]
-    edge = found.border.value if np.isfinite(found.border.value) and found.border.value > 0.0 else 1e4
+    edge = limits.border.value if np.isfinite(limits.border.value) and limits.border.value > 0.0 else 1e4
     values = np.geomspace(edge / 30.0, edge * 3.0, _POINTS)
     _locus(plane, locus(contact, values), values, edge)
-    if found.border.stability is not None and found.border.stability.critical is not None:
-        at = found.border.stability.critical.z
+    if limits.border.stability is not None and limits.border.stability.critical is not None:
+        at = limits.border.stability.critical.z
         plane.plot([at.real] * 2, [at.imag, -at.imag], "o", color="#B2182B", markersize=5,
-                   label=f"border, {found.border.value:.4g} N/m")  # fmt: skip
-    z = np.array([mode.z for mode in found.stability.modes if abs(mode.z) > 0.05])
+                   label=f"border, {limits.border.value:.4g} N/m")  # fmt: skip
+    z = np.array([mode.z for mode in limits.stability.modes if abs(mode.z) > 0.05])
     if len(z):
         plane.plot(
             np.concatenate([z.real, z.real]), np.concatenate([z.imag, -z.imag]), "x", color="#222222",
-            label=f"scene, {found.stiffness:.4g} N/m",
+            label=f"scene, {limits.stiffness:.4g} N/m",
         )  # fmt: skip
     plane.legend(loc="lower left")
-    _over(over, rows, contact.scene, found)
+    _over(over, rows, contact.scene, limits)
     return drawing
 
 
@@ -115,7 +115,7 @@ def _locus(plane: "Axes", roots: list[Any], values: Any, edge: float) -> None:
     bar.ax.axhline(edge, color="#B2182B", linewidth=2)
 
 
-def _over(over: "Axes", rows: list[dict[str, float | None]], scene: Scene, found: Limits) -> None:
+def _over(over: "Axes", rows: list[dict[str, float | None]], scene: Scene, limits: Limits) -> None:
     from matplotlib.ticker import NullFormatter
 
     from reports.style import JOINTS, LIMIT
@@ -133,14 +133,14 @@ def _over(over: "Axes", rows: list[dict[str, float | None]], scene: Scene, found
     ):
         if rows[0][name] is not None:
             over.loglog(period, column(name), line, color=shade, label=label)
-    if found.stiffness > 0.0:
-        over.plot([1e3 * scene.computer.period_s], [found.stiffness], "x", color="#222222", label="scene")
+    if limits.stiffness > 0.0:
+        over.plot([1e3 * scene.computer.period_s], [limits.stiffness], "x", color="#222222", label="scene")
     ticks = [m * 10.0**d for d in range(-3, 4) for m in (1, 2, 5)]
     over.set_xticks([x for x in ticks if period[0] * 0.9 < x < period[-1] * 1.1])
     over.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
     over.xaxis.set_minor_formatter(NullFormatter())
     over.set_xlabel("sampling period [ms]")
-    name = found.key.split("_")[0]
+    name = limits.key.split("_")[0]
     over.set_ylabel(f"{name} stiffness [N/m]")
     over.set_title("How stiff the wall may be")
     over.legend(loc="lower left")

@@ -135,12 +135,12 @@ def write_study_page(
 
 def _claims(results: Sequence[tuple[str, StudyResult]], asked: Sequence[Claim]) -> list[_Claim]:
     """Return every claim with its verdicts, those that nobody listed behind the others."""
-    found: dict[str, _Claim] = {claim.id: _Claim(claim.id, claim.says, claim.counts, []) for claim in asked}
+    by_id: dict[str, _Claim] = {claim.id: _Claim(claim.id, claim.says, claim.counts, []) for claim in asked}
     for name, result in results:
         for v in result.verdicts:
             row = _Judged(v.claim, v.expected, v.found, verdict_word(v), name, result.title)
-            found.setdefault(v.id, _Claim(v.id, "", "", [])).rows.append(row)
-    return list(found.values())
+            by_id.setdefault(v.id, _Claim(v.id, "", "", [])).rows.append(row)
+    return list(by_id.values())
 
 
 def verdict_word(verdict: Verdict) -> str:
@@ -152,22 +152,22 @@ def _summary(claims: Sequence[_Claim]) -> list[str]:
     """Say how many verdicts hold, which do not, and what was not judged."""
     if not claims:
         return []
-    said = [(claim, row.holds) for claim in claims for row in claim.rows]
+    judged = [(claim, row.holds) for claim in claims for row in claim.rows]
 
     def which(word: str) -> list[str]:
-        names = (f"{c.id} ({c.says})" if c.says else c.id for c, holds in said if holds == word)
+        names = (f"{c.id} ({c.says})" if c.says else c.id for c, holds in judged if holds == word)
         return list(dict.fromkeys(names))
 
-    held = sum(holds == _HOLDS[True] for _, holds in said)
-    decided = held + sum(holds == _HOLDS[False] for _, holds in said)
+    held = sum(holds == _HOLDS[True] for _, holds in judged)
+    decided = held + sum(holds == _HOLDS[False] for _, holds in judged)
     out = f"{held} of {decided} verdicts on the paper hold"
     if failed := which(_HOLDS[False]):
         out += f"; not all of {'; '.join(failed)}"
-    answered = sum(holds == _HOLDS[None] for _, holds in said)
+    answered = sum(holds == _HOLDS[None] for _, holds in judged)
     if answered:
         out += f". {answered} more answer a question with a number"
     sentences = [out + "."]
-    passed, missed = (sum(holds == _OWN[each] for _, holds in said) for each in (True, False))
+    passed, missed = (sum(holds == _OWN[each] for _, holds in judged) for each in (True, False))
     if passed or missed:
         sentences.append(
             f"{passed} of {passed + missed} checks of this program's own closed forms and models pass; they "

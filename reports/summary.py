@@ -212,29 +212,27 @@ def _cost(view: View) -> str:
 
 def tiles(view: View) -> list[Tile]:
     """Return the numbers at the head of the page, as far as the run has them."""
-    found = []
+    out = []
     feel = _feel(view)
     if feel is not None:
-        found.append(Tile("deepest", quantity(feel.depth_m, "m"), "into the wall"))
-        found.append(
+        out.append(Tile("deepest", quantity(feel.depth_m, "m"), "into the wall"))
+        out.append(
             Tile("normal force", quantity(feel.mean_n, "N"), f"mean; peak {quantity(feel.peak_n, 'N')}")
         )
         if feel.drag is not None:
-            found.append(Tile("tangential drag", share(feel.drag), "of the normal force, whole contact"))
+            out.append(Tile("tangential drag", share(feel.drag), "of the normal force, whole contact"))
     if view.amplifiers:
         first = view.amplifiers[0]
         left = first.swing_v - first.peak_v
         value = f"{quantity(left, 'V', 2)} left" if left > 0 else "clips"
-        found.append(Tile("least headroom", value, first.name))
+        out.append(Tile("least headroom", value, first.name))
     closure = _closure(view)
     if closure is not None:
         residual, relative = closure
         note = f"left over, {ratio(relative)} of what moved" if relative is not None else "left over"
-        found.append(Tile("energy ledger", quantity(residual, "J", 2), note))
+        out.append(Tile("energy ledger", quantity(residual, "J", 2), note))
     price = _price(view)
     if price is not None:
         points, wall, each = price
-        found.append(
-            Tile("cost", f"{quantity(wall, 's')}", f"{points:.0f} points, {quantity(each, 's')} each")
-        )
-    return found
+        out.append(Tile("cost", f"{quantity(wall, 's')}", f"{points:.0f} points, {quantity(each, 's')} each"))
+    return out

@@ -180,11 +180,13 @@ def command_line(command: Any) -> str:
 
 def inputs_table(labels: Sequence[str], rows: Sequence[tuple[str, Sequence[str | None]]]) -> Table:
     """Return the inputs that are not the same in all runs, one row an input, one column a run."""
-    told = tuple((name, *("-" if value is None else value for value in values)) for name, values in rows)
+    shown = tuple((name, *("-" if value is None else value for value in values)) for name, values in rows)
     note = (
-        "Scene, board and versions; a dash where a run does not have it." if told else "All inputs are equal."
+        "Scene, board and versions; a dash where a run does not have it."
+        if shown
+        else "All inputs are equal."
     )
-    return Table("inputs", "Inputs that differ", ("input", *labels), told, note)
+    return Table("inputs", "Inputs that differ", ("input", *labels), shown, note)
 
 
 def compare_table(trials: Sequence[Trial]) -> Table:

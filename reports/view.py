@@ -273,11 +273,11 @@ class View:
     @cached_property
     def amplifiers(self) -> list[Amplifier]:
         """Amplifiers in order of the share of their swing that was used, the fullest first."""
-        found = [
+        rows = [
             Amplifier(
                 str(row["path"]), str(row.get("part", "")), abs(float(row["peak_v"])), float(row["swing_v"])
             )
             for row in self.plan.get("amplifiers") or ()
             if isinstance(row, Mapping) and row.get("swing_v") and row.get("peak_v") is not None
         ]
-        return sorted(found, key=lambda amplifier: -amplifier.used)
+        return sorted(rows, key=lambda amplifier: -amplifier.used)

@@ -22,13 +22,13 @@ def results_below(folder: Path, records: Collection[str]) -> str:
     ...     results_below(Path(top), ['run.json'])
     '; name one of those below it: drop, press'
     """
-    found = []
+    folders = []
     for inner in _folders(folder):
         for each in (inner, *_folders(inner)):
             if any(os.path.isfile(each / record) for record in records):
-                found.append(each.relative_to(folder).as_posix())
-    shown = found[:_SHOWN] + ([f"and {len(found) - _SHOWN} more"] if len(found) > _SHOWN else [])
-    return f"; name one of those below it: {', '.join(shown)}" if found else ""
+                folders.append(each.relative_to(folder).as_posix())
+    shown = folders[:_SHOWN] + ([f"and {len(folders) - _SHOWN} more"] if len(folders) > _SHOWN else [])
+    return f"; name one of those below it: {', '.join(shown)}" if folders else ""
 
 
 def _folders(folder: Path) -> list[Path]:

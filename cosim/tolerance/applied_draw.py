@@ -49,15 +49,15 @@ def motors(plan: Plan, keys: Sequence[str]) -> dict[int, int]:
 
     It turns current into torque as well as speed into back-EMF; only the second is an element of the board.
     """
-    found = {}
+    columns = {}
     places = {".".join(split(key)[0]): k for k, key in enumerate(keys) if key.endswith(f":{MOTOR_CONSTANT}")}
     board = plan.board
     for path, _block, _instance, nets in walk(board_netlist(board), board.board) if places else ():
         place = places.get(path.removeprefix("xboard."))
         for node in nets.values():
             if place is not None and node.startswith("imot") and node[4:].isdigit():
-                found[place] = int(node[4:]) - 1
-    return found
+                columns[place] = int(node[4:]) - 1
+    return columns
 
 
 def with_motors(

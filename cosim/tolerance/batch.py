@@ -122,7 +122,7 @@ class Batch:
         }  # fmt: skip
         columns = [self.names.index(name) for name in names]
         try:
-            found, failed = self._call("cosim.tolerance.batch:measured", payload, len(values))
+            rows, failed = self._call("cosim.tolerance.batch:measured", payload, len(values))
         except SimulationError as reason:
             if len(values) == 1:
                 self.failures[start] = _words(reason)
@@ -130,7 +130,7 @@ class Batch:
             for k in range(len(values)):  # one of them has taken the process with it
                 self._some(start + k, values[k : k + 1], table)
             return
-        table[start : start + len(values), columns] = found
+        table[start : start + len(values), columns] = rows
         self.failures |= {start + k: why for k, why in failed.items()}
         if alone:
             for k in range(len(values)):
@@ -289,7 +289,7 @@ def _one(
         constants = calibrated(constants, circuit)
     # what is asked of the plan is the board's design, but for its motors
     plan = replace(plan, scene=scene, board=draws.deck(on_board), _asked={"stated": constants})
-    found: dict[str, float] = {}
+    values_of: dict[str, float] = {}
     runs = [name for name in names if MEASURES[name].needs is Need.RUN]
     if runs:
         from cosim.measures import standard
@@ -297,12 +297,12 @@ def _one(
         small = draws.at(on_board, solver.band_hz, solver.reduction_tolerance)
         result = held_run(scene, constants, small)
         rows = standard(scene, constants, result.signals, result.samples, [], result.ledger)
-        found |= {name: float(row["value"]) for name, row in rows.items()}
+        values_of |= {name: float(row["value"]) for name, row in rows.items()}
     of = BoardMeasures(plan, _Here(), circuit)
     for name in names:
         if name not in runs:
             try:
-                found[name] = float(of.row(name)["value"])
+                values_of[name] = float(of.row(name)["value"])
             except Lacking:
-                found[name] = np.nan
-    return [found.get(name, np.nan) for name in names]
+                values_of[name] = np.nan
+    return [values_of.get(name, np.nan) for name in names]

@@ -151,8 +151,8 @@ def best_pair(
     pairs = list(combinations([name for name in leading if _looser(study, name, grade)][:_CANDIDATES], 2))
     if not specs or not pairs:
         return None
-    found = [(pair, bought(study, surfaces, specs, dict.fromkeys(pair, grade))) for pair in pairs]
-    return max(found, key=lambda each: each[1].value)  # of equal ones the first: the most variance
+    yields = [(pair, bought(study, surfaces, specs, dict.fromkeys(pair, grade))) for pair in pairs]
+    return max(yields, key=lambda each: each[1].value)  # of equal ones the first: the most variance
 
 
 def _looser(study: Study, name: str, grade: float) -> bool:

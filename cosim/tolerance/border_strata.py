@@ -53,12 +53,12 @@ class Border:
 
     def margins(self, cheap: Mapping[str, Array]) -> Array:
         """Return by how many deviations samples pass (n,); 0, the border, where the cheap model is silent."""
-        found = []
+        columns = []
         for spec in self.specs:
             constant, factor, deviation = self.lines[spec.measure]
             expected = constant + factor * cheap[spec.measure]
-            found.append(np.minimum(expected - spec.low, spec.high - expected) / deviation)
-        least = np.min(found, axis=0)
+            columns.append(np.minimum(expected - spec.low, spec.high - expected) / deviation)
+        least = np.min(columns, axis=0)
         return np.where(np.isnan(least), 0.0, least)
 
     def strata(self, cheap: Mapping[str, Array]) -> NDArray[np.int64]:
@@ -121,8 +121,8 @@ def allocation(weights: Array, plain: int, most: int) -> tuple[int, int, int]:
     there = plain * weights
     more = np.maximum(wanted - there, 0.0)
     more *= min(1.0, most / max(more.sum(), 1e-300))
-    found = np.ceil(there + more)
-    return int(found[FAILS]), int(found[BORDER]), int(found[PASSES])
+    numbers = np.ceil(there + more)
+    return int(numbers[FAILS]), int(numbers[BORDER]), int(numbers[PASSES])
 
 
 def failure_rate(weights: Array, failed: Sequence[int], counted: Sequence[int], cheap: int) -> Estimate:

@@ -32,11 +32,11 @@ def calibrated(constants: Stated, circuit: LinearCircuit) -> Stated:
     per_amp = constants.torques_per_amp(n)
     springs, dampers = list[float](), list[float]()
     for joint in range(n):
-        for first, s, found in ((0, 0.0, springs), (n * n, 1j * _SLOW, dampers)):
+        for first, s, gains in ((0, 0.0, springs), (n * n, 1j * _SLOW, dampers)):
             volts = np.zeros(m)
             volts[first + joint * n + joint] = constants.v_fs
             row = circuit.response(s, volts)[0][joint, joint]
-            found.append(float(-per_amp[joint]) * float(row.real if s == 0.0 else row.imag / _SLOW))
+            gains.append(float(-per_amp[joint]) * float(row.real if s == 0.0 else row.imag / _SLOW))
     command = circuit.response(0.0, np.zeros(m))[0].real[:, 2 * n : 3 * n]
     per_volt = float(np.mean(np.diag(command) * per_amp))
     return replace(constants, k_fs=float(np.mean(springs)), c_fs=float(np.mean(dampers)), v_nm=1.0 / per_volt)

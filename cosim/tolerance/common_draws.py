@@ -51,13 +51,13 @@ class Named:
 
     def uniforms(self, first: int, count: int) -> Array:
         """Return samples ``first`` to ``first + count - 1``, (count, variables), within (0, 1)."""
-        found = np.empty((count, len(self.variables)))
+        out = np.empty((count, len(self.variables)))
         blocks, before = divmod(first, _BLOCK)
         for j, name in enumerate(self.variables):
             digest = hashlib.sha256(f"{self.seed} {name}".encode()).digest()
             generator = np.random.Philox(key=np.frombuffer(digest[:16], np.uint64)).advance(blocks)
-            found[:, j] = np.random.Generator(generator).random(before + count)[before:]
-        return found + _HALF
+            out[:, j] = np.random.Generator(generator).random(before + count)[before:]
+        return out + _HALF
 
     def as_dict(self) -> dict[str, Any]:
         """Return what the points depend on, JSON-ready."""
@@ -124,7 +124,7 @@ def sides(
             Problem(f"{label}: nothing varies: give tolerances in the netlist or in [tolerance]", key="--mc")
             for label in steady
         )
-    found: list[Side] = []
+    out: list[Side] = []
     for number, (label, each) in enumerate(prepared):
 
         def show(at: int, of: int, _: str, number: int = number, label: str = label) -> None:
@@ -132,8 +132,8 @@ def sides(
                 on_progress(number * of + at, len(prepared) * of, label)
 
         study = _measured(each, n, Processes(folder / _file_name(number, label)), show)
-        found.append(_side(label, study, specs, found[0].study if found else study))
-    return found
+        out.append(_side(label, study, specs, out[0].study if out else study))
+    return out
 
 
 def _file_name(number: int, label: str) -> str:

@@ -29,12 +29,12 @@ def extracted_calls(text: str) -> tuple[str, dict[str, tuple[float, Shape]], str
 
     def put(match: re.Match[str]) -> str:
         nonlocal wrong
-        found = _shape(match[1].lower(), [part.strip(" {}'") for part in match[2].split(",")])
-        if isinstance(found, str):
-            wrong = wrong or f"{match[0]}: {found}"
+        shape = _shape(match[1].lower(), [part.strip(" {}'") for part in match[2].split(",")])
+        if isinstance(shape, str):
+            wrong = wrong or f"{match[0]}: {shape}"
             return "0"
         name = f"drawn__{len(calls) + 1}"
-        calls[name] = found
+        calls[name] = shape
         return name
 
     text = _CALL.sub(put, text)

@@ -202,11 +202,11 @@ class Processes:
 
     def measured(self, job: Job, on_progress: Progress | None = None) -> tuple[Array, dict[int, str]]:
         """Measure what of a job is not there yet; return all of it."""
-        found = run(
+        rows = run(
             job, self.folder, workers=self.workers, chunk=self.chunk, cluster=self.cluster,
             on_progress=on_progress,
         )  # fmt: skip
-        return found.read()
+        return rows.read()
 
 
 def shard(n: int, part: tuple[int, int]) -> tuple[int, int]:

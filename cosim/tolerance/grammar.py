@@ -56,8 +56,8 @@ def begins(comment: str) -> str | None:
 
     It ends at a semicolon, behind which words for people stand.
     """
-    found = _BEGIN.search(comment)
-    return comment[found.start() :].partition(";")[0].strip() if found else None
+    match = _BEGIN.search(comment)
+    return comment[match.start() :].partition(";")[0].strip() if match else None
 
 
 def parse(text: str, folder: Path | None = None) -> Stated:
@@ -75,7 +75,7 @@ def parse(text: str, folder: Path | None = None) -> Stated:
     Wrong
         For anything that cannot be read, and for an impossible one.
     """
-    said: dict[str, str] = {}
+    words: dict[str, str] = {}
     shape: tuple[Kind, float] | None = None
     bare = text.strip().rstrip(";,").strip()
     if not bare:
@@ -84,61 +84,61 @@ def parse(text: str, folder: Path | None = None) -> Stated:
         name, equals, value = (part.strip() for part in word.partition("="))
         lower = word.lower().rstrip(",")
         if equals and name.lower() in _KEYS and "=" not in value:
-            if name.lower() in said:
+            if name.lower() in words:
                 raise Wrong(f"{name} is stated twice")
-            said[name.lower()] = value.rstrip(",")
+            words[name.lower()] = value.rstrip(",")
         elif lower in _SHAPES or lower.startswith("sorted"):
             if shape is not None:
                 raise Wrong("states two shapes")
             shape = (_SHAPES[lower], 0.0) if lower in _SHAPES else ("sorted", _inner(lower))
         elif place == 0 and not equals:
-            said["tol"] = lower
+            words["tol"] = lower
         else:
             keys = ", ".join(f"{key}=" for key in _KEYS)
             raise Wrong(
                 f"'{word}' is no part of a tolerance ({keys}, uniform, gauss, truncated, "
                 "sorted(inner=1%)); words for people stand behind a semicolon"
             )
-    return _built(said, shape or ("truncated", 0.0), folder)
+    return _built(words, shape or ("truncated", 0.0), folder)
 
 
-def _built(said: dict[str, str], shape: tuple[Kind, float], folder: Path | None) -> Stated:
-    sigmas = number(said["sigmas"]) if "sigmas" in said else SIGMAS
+def _built(words: dict[str, str], shape: tuple[Kind, float], folder: Path | None) -> Stated:
+    sigmas = number(words["sigmas"]) if "sigmas" in words else SIGMAS
     if sigmas is None or not 0.0 < sigmas <= MOST_SIGMAS:
-        raise Wrong(f"sigmas = {said['sigmas']} (allowed: > 0 and <= {MOST_SIGMAS:g})")
-    if "tol" in said and ("dev" in said) and "match" not in said:
+        raise Wrong(f"sigmas = {words['sigmas']} (allowed: > 0 and <= {MOST_SIGMAS:g})")
+    if "tol" in words and ("dev" in words) and "match" not in words:
         raise Wrong("tol and dev are two words for one thing")
-    if "tol" in said and "lot" in said:
+    if "tol" in words and "lot" in words:
         raise Wrong("tol and lot cannot both be stated: what each component has for itself is dev")
-    make: Callable[[str], Shape] = lambda key: _shape(said[key], key, shape, sigmas)  # noqa: E731
-    if "histogram" in said:
-        if {"tol", "lot", "dev"} & said.keys():
+    make: Callable[[str], Shape] = lambda key: _shape(words[key], key, shape, sigmas)  # noqa: E731
+    if "histogram" in words:
+        if {"tol", "lot", "dev"} & words.keys():
             raise Wrong("a histogram stands instead of tol, lot and dev")
-        return Stated(own=_measured(said["histogram"], folder))
-    if "match" in said:
-        if said["match"].rpartition(":")[0] not in ("", "board") or not said["match"].rpartition(":")[2]:
-            raise Wrong(f"match = {said['match']} (allowed: the name of a network, or board: and the name)")
-        size = "lot" if "lot" in said else "tol"
+        return Stated(own=_measured(words["histogram"], folder))
+    if "match" in words:
+        if words["match"].rpartition(":")[0] not in ("", "board") or not words["match"].rpartition(":")[2]:
+            raise Wrong(f"match = {words['match']} (allowed: the name of a network, or board: and the name)")
+        size = "lot" if "lot" in words else "tol"
         return Stated(
-            make("dev") if "dev" in said else None,
-            make(size) if size in said else None,
-            said["match"].lower(),
+            make("dev") if "dev" in words else None,
+            make(size) if size in words else None,
+            words["match"].lower(),
         )
-    if "lot" in said:
-        return Stated(make("dev") if "dev" in said else None, make("lot"))
-    return Stated(make("dev" if "dev" in said else "tol"))
+    if "lot" in words:
+        return Stated(make("dev") if "dev" in words else None, make("lot"))
+    return Stated(make("dev" if "dev" in words else "tol"))
 
 
 def _shape(text: str, key: str, shape: tuple[Kind, float], sigmas: float) -> Shape:
     low, high, relative = _limits(text, key)
     kind, inner = shape
-    found = Shape(kind, low, high, sigmas, inner, relative)
+    distribution = Shape(kind, low, high, sigmas, inner, relative)
     if kind == "sorted":
         if not relative:
             raise Wrong("sorted needs a tolerance in per cent")
         if not 0.0 < inner < min(high, -low):
             raise Wrong(f"sorted(inner={100 * inner:g}%) leaves nothing of {key} = {text}")
-    return found
+    return distribution
 
 
 def _limits(text: str, key: str) -> tuple[float, float, bool]:
@@ -160,8 +160,8 @@ def _limits(text: str, key: str) -> tuple[float, float, bool]:
 
 
 def _inner(word: str) -> float:
-    found = re.fullmatch(r"sorted\s*\(\s*(?:inner\s*=\s*)?([^)\s]+)%\s*\)", word)
-    inner = number(found[1]) if found else None
+    match = re.fullmatch(r"sorted\s*\(\s*(?:inner\s*=\s*)?([^)\s]+)%\s*\)", word)
+    inner = number(match[1]) if match else None
     if inner is None:
         raise Wrong(f"'{word}' must look like sorted(inner=1%)")
     return inner / 100.0

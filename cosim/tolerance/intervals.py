@@ -119,10 +119,10 @@ def share(passed: NDArray[np.bool_], how: Sampling) -> Estimate:
     exact = clopper_pearson(hits, n)
     if how.replicates == 1:
         return Estimate(hits / n, *exact, "Clopper-Pearson")
-    found = _replicated(passed.astype(float), how, np.mean)
-    if found.half == 0.0:  # all randomisations agree: their scatter tells nothing of what none has met
-        return Estimate(found.value, *exact, "Clopper-Pearson, the randomisations being equal")
-    return Estimate(found.value, max(found.low, 0.0), min(found.high, 1.0), found.how)
+    estimate = _replicated(passed.astype(float), how, np.mean)
+    if estimate.half == 0.0:  # all randomisations agree: their scatter tells nothing of what none has met
+        return Estimate(estimate.value, *exact, "Clopper-Pearson, the randomisations being equal")
+    return Estimate(estimate.value, max(estimate.low, 0.0), min(estimate.high, 1.0), estimate.how)
 
 
 def _replicated(
@@ -130,10 +130,10 @@ def _replicated(
 ) -> Estimate:
     """Return an estimate from all samples, and its error by leaving one randomisation out after the other."""
     r = how.replicates
-    whole = float(of(values))
+    value = float(of(values))
     groups = np.array_split(np.arange(len(values)), r)
     without = [float(of(np.delete(values, group))) for group in groups]
-    pseudo = r * whole - (r - 1) * np.array(without)
+    pseudo = r * value - (r - 1) * np.array(without)
     middle = float(np.mean(pseudo))
     error = _t(r - 1) * float(np.std(pseudo, ddof=1)) / math.sqrt(r)
     return Estimate(middle, max(middle - error, at_least), middle + error, f"Student t, {r} randomisations")

@@ -44,8 +44,8 @@ class Chosen:
     def uniforms(self, first: int, count: int) -> Array:
         """Return points of the unit cube (count, variables)."""
         chosen = self.numbers[first : first + count]
-        found = [self.among.uniforms(number, 1) for number in chosen]
-        return np.concatenate(found) if found else np.empty((0, self.among.variables))
+        rows = [self.among.uniforms(number, 1) for number in chosen]
+        return np.concatenate(rows) if rows else np.empty((0, self.among.variables))
 
     def as_dict(self) -> dict[str, Any]:
         """Return what the points depend on, JSON-ready."""
@@ -104,15 +104,15 @@ class LevelSamples:
         """Return seconds of a dear and of a cheap sample, each measured after one that warms up."""
 
         def timed() -> list[float]:
-            found = []
+            times = []
             for model, count in zip((self.study.model, self.cheap), _TIMED, strict=True):
                 batch = self.prepared.batch(self.names, model)
                 values = self.study.tolerances.values(self.study.sampling.uniforms(0, count + _WARM))
                 batch.measures(values[:_WARM])
                 begun = time.perf_counter()
                 batch.measures(values[_WARM:])
-                found.append((time.perf_counter() - begun) / count)
-            return found
+                times.append((time.perf_counter() - begun) / count)
+            return times
 
         dear, cheap = self.decided("seconds", timed)
         return float(dear), float(cheap)

@@ -132,8 +132,8 @@ def check(prepared: Prepared) -> None:
             Problem("is of plain samples", key="--two-level", value=asked.method, allowed="--sampling plain")
         )
     if asked.until:
-        said = "needs -n: how far two models agree, and so what a precision takes, only their samples tell"
-        problems.append(Problem(said, key="--two-level", value=asked.until))
+        reason = "needs -n: how far two models agree, and so what a precision takes, only their samples tell"
+        problems.append(Problem(reason, key="--two-level", value=asked.until))
     if asked.n < LEAST_DEAR:
         allowed = f">= {LEAST_DEAR}"
         problems.append(

@@ -199,12 +199,12 @@ def summary(study: Study, name: str) -> Summary:
 
 def yields(study: Study, specs: Sequence[Spec]) -> dict[str, Estimate]:
     """Return the share of devices that pass each specification, and all of them where there are several."""
-    found = {
+    estimates = {
         spec.text: intervals.share(spec.passed(study.column(spec.measure)), study.sampling) for spec in specs
     }
     if len(specs) > 1:
-        found["all"] = intervals.share(passed(study, specs), study.sampling)
-    return found
+        estimates["all"] = intervals.share(passed(study, specs), study.sampling)
+    return estimates
 
 
 def passed(study: Study, specs: Sequence[Spec]) -> NDArray[np.bool_]:

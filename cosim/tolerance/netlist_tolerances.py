@@ -169,8 +169,8 @@ class Board:
         """Yield the parameters outside subcircuits that a part's elements depend on, varying or not."""
         body = " ".join(line.text for line in block.body if line.keyword not in (".param", ".params"))
         seen: set[str] = set()
-        said = self._parse(instance.line) if instance is not None and not instance.extra else None
-        network = said if said is not None and said.match else None
+        stated = self._parse(instance.line) if instance is not None and not instance.extra else None
+        network = stated if stated is not None and stated.match else None
         for param in self._reached(body, env):
             if param.name not in seen and (param.varies or self.top.get(param.name) is param):
                 seen.add(param.name)
@@ -197,13 +197,13 @@ class Board:
 
     def _params(self, line: Line, texts: Mapping[str, str], env: Mapping[str, Param]) -> dict[str, Param]:
         written = self._parse(line) if texts else None
-        found = {}
+        params = {}
         for name, value in texts.items():
             text, calls, wrong = extracted_calls(value.lower())
             self._problem(wrong, line)
             stated = self._named(name) or (None if calls else written)
-            found[name] = Param(name, text.strip("{}'"), env, _place(line), stated, calls, line.comment)
-        return found
+            params[name] = Param(name, text.strip("{}'"), env, _place(line), stated, calls, line.comment)
+        return params
 
     def _named(self, *names: str) -> Stated | None:
         for name in names:
@@ -213,11 +213,11 @@ class Board:
         return None
 
     def _parse(self, line: Line) -> Stated | None:
-        said = begins(line.comment)
-        if said is None or line.keyword == ".csparam":
+        words = begins(line.comment)
+        if words is None or line.keyword == ".csparam":
             return None
         try:
-            return parse(said, Path(line.file).parent if line.file else None)
+            return parse(words, Path(line.file).parent if line.file else None)
         except Wrong as wrong:
             self._problem(str(wrong), line)
             return None

@@ -93,18 +93,18 @@ class Prepared:
 
     def batch(self, names: Sequence[str], model: str) -> Measurer:
         """Return what measures devices, trimmed where the scene asks for it."""
-        told = trims(self.plan.scene)
-        needed = tuple(dict.fromkeys((*names, *(trim.measure for trim in told))))
+        trimmers = trims(self.plan.scene)
+        needed = tuple(dict.fromkeys((*names, *(trim.measure for trim in trimmers))))
         designed = self.tolerances.nominal.tolist()
-        found: Measurer = Batch(self.plan, self.tolerances.keys, needed, model, designed)
-        for trim in told:
-            found = Trimmed(found, needed, trim, _columns(trim.resistor, self.tolerances))
-        return found if needed == tuple(names) else _Some(found, len(names))
+        measurer: Measurer = Batch(self.plan, self.tolerances.keys, needed, model, designed)
+        for trim in trimmers:
+            measurer = Trimmed(measurer, needed, trim, _columns(trim.resistor, self.tolerances))
+        return measurer if needed == tuple(names) else _Some(measurer, len(names))
 
     def job(self, points: Points, n: int, model: str | None = None) -> Job:
         """Return samples as the engine takes them; `model` where it is not the study's."""
-        told = [self.digest(), points.as_dict(), *([model] if model is not None else [])]
-        digest = hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+        identity = [self.digest(), points.as_dict(), *([model] if model is not None else [])]
+        digest = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
         return Job(digest, self.names, n, _Work(self, points, model or self.plan.model))
 
     def digest(self) -> str:
@@ -158,8 +158,8 @@ def prepare(asked: Asked) -> Prepared:
         file = str(scene.file) if scene.file else None
         fail("runs on the models linear and ideal only: give --model linear", file=file,
              key="tolerance.calibration", value="gains")  # fmt: skip
-    found = tolerances(scene, board=plan.board)
-    for name in found.idle:
+    variables = tolerances(scene, board=plan.board)
+    for name in variables.idle:
         warn(
             Caution(
                 "tolerance-unused",
@@ -170,14 +170,14 @@ def prepare(asked: Asked) -> Prepared:
     seed = scene.seed if asked.seed is None else asked.seed
     own = tuple(name for name in scene.measures.names if ":" not in name)
     names = names or own or ("peak_force", "max_penetration")
-    return Prepared(asked, plan, _with_trimmers(plan, found), names, seed)
+    return Prepared(asked, plan, _with_trimmers(plan, variables), names, seed)
 
 
-def _with_trimmers(plan: Plan, found: Tolerances) -> Tolerances:
+def _with_trimmers(plan: Plan, variables: Tolerances) -> Tolerances:
     """Return what varies and what is trimmed: a trimmer without a tolerance begins at its nominal value."""
-    missing = [trim.resistor for trim in trims(plan.scene) if not _columns(trim.resistor, found)]
+    missing = [trim.resistor for trim in trims(plan.scene) if not _columns(trim.resistor, variables)]
     if not missing:
-        return found
+        return variables
     table = plan.scene.tolerance
     named = {**table.components, **dict.fromkeys(missing, "1%")}
     scene = plan.scene.model_copy(update={"tolerance": table.model_copy(update={"components": named})})
@@ -191,16 +191,16 @@ def _with_trimmers(plan: Plan, found: Tolerances) -> Tolerances:
     still = [
         replace(each, distribution="trimmed", lots=(), recipe=Recipe(each.nominal))
         for each in every.components
-        if each.key not in found.keys
+        if each.key not in variables.keys
     ]
-    return replace(found, components=(*found.components, *still))
+    return replace(variables, components=(*variables.components, *still))
 
 
-def _columns(name: str, found: Tolerances) -> tuple[int, ...]:
+def _columns(name: str, variables: Tolerances) -> tuple[int, ...]:
     """Return the places of a resistor's components: its own, or those of all instances or of a parameter."""
     return tuple(
         place
-        for place, each in enumerate(found.components)
+        for place, each in enumerate(variables.components)
         if name in (each.key, each.key.rpartition(".")[2], *each.names)
     )
 
@@ -214,6 +214,6 @@ class _Some:
 
     def measures(self, values: Any) -> Any:
         """Return the first measures."""
-        found = self._batch.measures(values)
+        rows = self._batch.measures(values)
         self.failures = self._batch.failures
-        return found[:, : self._count]
+        return rows[:, : self._count]

@@ -107,10 +107,10 @@ class Tolerances:
         return self._values(len(points), deviation)
 
     def _values(self, n: int, deviation: Callable[[Term], Array]) -> Array:
-        found = np.empty((n, len(self.components)))
+        values = np.empty((n, len(self.components)))
         for column, component in enumerate(self.components):
-            found[:, column] = component.recipe.values(n, deviation)
-        return found
+            values[:, column] = component.recipe.values(n, deviation)
+        return values
 
     def shape(self, variable: int) -> Shape:
         """Return the deviation that a random variable stands for: of the first component that it moves."""

@@ -141,9 +141,9 @@ def nearest_failures(
     for wide in _WIDE if begin is None else ():
         drawn = wide * rng.standard_normal((starts, variables))
         values = margin(drawn)
-        found = drawn[values < 0.0]
+        failures = drawn[values < 0.0]
         count += len(drawn)
-        failing = np.concatenate([failing, found[: most // 2]])
+        failing = np.concatenate([failing, failures[: most // 2]])
         low = np.concatenate([low, drawn[np.argsort(values)[:1]]])
         if len(failing) >= most:
             break
@@ -202,13 +202,13 @@ def _slope(margin: Margin, u: Array) -> tuple[Array, Array]:
 
 def _apart(u: Array, farther: float = _FARTHER) -> Array:
     """Return the places that matter, the nearest first, those that are the same once."""
-    found: list[Array] = []
+    kept: list[Array] = []
     for place in u[np.argsort(np.linalg.norm(u, axis=1))]:
-        if found and np.linalg.norm(place) > np.linalg.norm(found[0]) + farther:
+        if kept and np.linalg.norm(place) > np.linalg.norm(kept[0]) + farther:
             break
-        if all(np.linalg.norm(place - other) > _SAME for other in found):
-            found.append(place)
-    return np.array(found).reshape(len(found), u.shape[1])
+        if all(np.linalg.norm(place - other) > _SAME for other in kept):
+            kept.append(place)
+    return np.array(kept).reshape(len(kept), u.shape[1])
 
 
 def count_failures(dear: Margin, places: Places, *, samples: int, seed: int) -> RareEstimate:
@@ -251,8 +251,8 @@ def importance_points(places: Places, samples: int, seed: int) -> Array:
     if samples > numbers.sum():
         more = rng.choice(len(weights), samples - numbers.sum(), replace=False, p=left / left.sum())
         numbers[more] += 1
-    found = np.repeat(centres, numbers, axis=0) + rng.standard_normal((samples, centres.shape[1]))
-    return np.asarray(found)
+    points = np.repeat(centres, numbers, axis=0) + rng.standard_normal((samples, centres.shape[1]))
+    return np.asarray(points)
 
 
 def failure_estimate(places: Places, u: Array, failed: NDArray[np.bool_]) -> RareEstimate:

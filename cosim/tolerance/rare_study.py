@@ -124,12 +124,12 @@ def rare_failures(
         if on_progress is not None:
             on_progress(0, 0, f"{looked} devices on {cheap} in search of failures")
         table = batch.measures(values)
-        found = []
+        margins = []
         for spec in specs:
             column = table[:, names.index(spec.measure)]
-            found.append(np.minimum(column - spec.low, spec.high - column) / sizes[spec.measure])
+            margins.append(np.minimum(column - spec.low, spec.high - column) / sizes[spec.measure])
         # what cannot be measured does not pass
-        return np.asarray(np.nan_to_num(np.min(found, axis=0), nan=-1.0))
+        return np.asarray(np.nan_to_num(np.min(margins, axis=0), nan=-1.0))
 
     tolerances = study.tolerances
     count = len(tolerances.variables)
@@ -152,11 +152,12 @@ def rare_failures(
     else:
         table = processes.beside("rare").measured(job, on_progress)[0]
     good = [spec.passed(table[:, prepared.names.index(spec.measure)]) for spec in specs]
-    found = failure_estimate(places, u, ~np.all(good, axis=0))
-    how = f"importance sampling, {found.effective:.0f} effective failing samples"
+    estimate = failure_estimate(places, u, ~np.all(good, axis=0))
+    how = f"importance sampling, {estimate.effective:.0f} effective failing samples"
     return Rare(
-        Estimate(found.rate, *found.interval, how), model, cheap, places.distance, places.first_order,
-        len(places.at), looked, found.samples, found.effective, _device(tolerances, places), found.word,
+        Estimate(estimate.rate, *estimate.interval, how), model, cheap, places.distance, places.first_order,
+        len(places.at), looked, estimate.samples, estimate.effective, _device(tolerances, places),
+        estimate.word,
     )  # fmt: skip
 
 
@@ -192,9 +193,9 @@ def _device(tolerances: Tolerances, places: Places) -> dict[str, float]:
     """Return the components of the most probable failing device that deviate most."""
     nearest = places.nearest
     values = tolerances.values(_uniform(nearest[None, :]))[0]
-    found: dict[str, float] = {}
+    by_key: dict[str, float] = {}
     for j in np.argsort(-np.abs(nearest)):
         for place in tolerances.members(int(j)):
-            if len(found) < _TOLD:
-                found[tolerances.components[place].key] = float(values[place])
-    return found
+            if len(by_key) < _TOLD:
+                by_key[tolerances.components[place].key] = float(values[place])
+    return by_key

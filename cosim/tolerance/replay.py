@@ -141,8 +141,8 @@ def repeat_samples(
             on_progress(done, len(numbers), f"sample {number}")
         table, failed = work(number, 1)
         if failed.get(0, "") != failures.get(number, ""):
-            said = (failed.get(0) or "has measures", failures.get(number) or "had measures")
-            different.append(f"sample {number}: {said[0]}; kept: {said[1]}")
+            states = (failed.get(0) or "has measures", failures.get(number) or "had measures")
+            different.append(f"sample {number}: {states[0]}; kept: {states[1]}")
         for name, now, before in zip(prepared.names, table[0], kept[number], strict=True):
             if now.tobytes() != before.tobytes() and not (math.isnan(now) and math.isnan(before)):
                 different.append(f"sample {number}: {name} = {now!r}, kept {before!r}")

@@ -108,13 +108,13 @@ class Samples:
         """Return which samples are there, as (first, behind the last) in order; damaged ones are not."""
         if self._whole():
             return [(self.first, self.last)]
-        found: list[tuple[int, int]] = []
+        spans: list[tuple[int, int]] = []
         for first, count, _ in self._listed():
-            if found and first <= found[-1][1]:
-                found[-1] = found[-1][0], max(found[-1][1], first + count)
+            if spans and first <= spans[-1][1]:
+                spans[-1] = spans[-1][0], max(spans[-1][1], first + count)
             else:
-                found.append((first, first + count))
-        return found
+                spans.append((first, first + count))
+        return spans
 
     def missing(self) -> list[tuple[int, int]]:
         """Return which samples are not there, as (first, behind the last) in order."""
@@ -153,10 +153,10 @@ class Samples:
         if not (self.first <= first < last <= self.last and known["names"] == list(self.names)):
             fail("holds no samples of this study", file=str(other))
         source = Samples(other, self.digest, self.names, first, last)
-        whole = source.folder / SAMPLES
+        samples = source.folder / SAMPLES
         tables: Iterator[Any] = (
-            (pa.Table.from_batches([batch]) for batch in pq.ParquetFile(whole).iter_batches(_GROUP))
-            if whole.exists()
+            (pa.Table.from_batches([batch]) for batch in pq.ParquetFile(samples).iter_batches(_GROUP))
+            if samples.exists()
             else source._ordered()
         )
         for table in tables:
@@ -176,15 +176,15 @@ class Samples:
                 at = first + count
 
     def _listed(self) -> list[tuple[int, int, Path]]:
-        found = []
+        files = []
         for path in self._parts.iterdir() if self._parts.is_dir() else ():
             match = _PART.fullmatch(path.name)
             if match is None:
                 continue
             first, count = int(match[1]), int(match[2])
             if self.first <= first < first + count <= self.last and self._sound(path, first, count):
-                found.append((first, count, path))
-        return sorted(found, key=lambda part: (part[0], -part[1]))
+                files.append((first, count, path))
+        return sorted(files, key=lambda part: (part[0], -part[1]))
 
     def _whole(self) -> bool:
         """Whether the file of all samples is there and sound."""
@@ -235,9 +235,9 @@ def _regrouped(tables: Iterator[Any]) -> Iterator[Any]:
         held.append(table)
         count += len(table)
         while count >= _GROUP:
-            whole = pa.concat_tables(held).combine_chunks()
-            yield whole.slice(0, _GROUP).combine_chunks()
-            held, count = [whole.slice(_GROUP)], count - _GROUP
+            joined = pa.concat_tables(held).combine_chunks()
+            yield joined.slice(0, _GROUP).combine_chunks()
+            held, count = [joined.slice(_GROUP)], count - _GROUP
     if count:
         yield pa.concat_tables(held).combine_chunks()
 

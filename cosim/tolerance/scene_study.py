@@ -38,12 +38,12 @@ def measure_shard(
 ) -> str:
     """Measure one of n shards of a study and keep its samples; return what was done, in words."""
     how, _ = sampled(prepared, prepared.batch(prepared.names, prepared.plan.model), on_progress)
-    found = run(
+    summary = run(
         prepared.job(how, how.n), processes.folder, workers=processes.workers, chunk=processes.chunk,
         part=part, on_progress=on_progress,
     )  # fmt: skip
-    failed = len(found.read()[1])
-    return f"samples {found.first} to {found.last - 1} of {how.n}, {failed} of them without measures"
+    failed = len(summary.read()[1])
+    return f"samples {summary.first} to {summary.last - 1} of {how.n}, {failed} of them without measures"
 
 
 def monte_carlo(
@@ -141,13 +141,13 @@ def _corners(prepared: Prepared, study: Study, on_progress: Progress | None) -> 
         return {}
     model = prepared.plan.model
     cheap = "linear" if model == "spice" else model
-    found = {}
+    corners = {}
     for place, name in enumerate(prepared.names):
         if on_progress is not None:
             on_progress(place, len(prepared.names), f"worst case of {name}")
         own = prepared.batch((name,), model) if model != cheap else None
-        found[name] = corner(study, name, prepared.batch((name,), cheap), own)
-    return found
+        corners[name] = corner(study, name, prepared.batch((name,), cheap), own)
+    return corners
 
 
 def _until(asked: Asked) -> tuple[str, float]:

@@ -81,9 +81,9 @@ class _Reader:
         board = Board(netlist(self._deck), self._deck.board, self._named)
         seen: list[str] = []
         classes: set[str] = set()
-        for found in board.found():
-            seen += [found.key, found.key.rpartition(":")[2].rpartition(".")[2]]
-            classes.add(self._add(found))
+        for place in board.found():
+            seen += [place.key, place.key.rpartition(":")[2].rpartition(".")[2]]
+            classes.add(self._add(place))
         for each in numbers(self._scene) if self._scene is not None else ():
             seen.append(each.path)
             classes.add(self._add_mechanical(each))
@@ -96,33 +96,33 @@ class _Reader:
         idle = tuple(name for name in self._classes if name not in classes)
         return Tolerances(tuple(self._found.values()), tuple(self._variables), idle)
 
-    def _add(self, found: Found) -> str:
+    def _add(self, written: Found) -> str:
         """Take a component of the board, if it varies; return its class."""
-        param, kind = found.value, self._class(found)
+        param, kind = written.value, self._class(written)
         default = self._classes.get(kind)
-        if found.kind == ":" and found.key in self._named:
-            self._used.add(found.key)
-            param = replace(param, stated=self._named[found.key])
+        if written.kind == ":" and written.key in self._named:
+            self._used.add(written.key)
+            param = replace(param, stated=self._named[written.key])
         by_class = default is not None and not _outermost(param)
         if default is not None and by_class:
-            lot = param.name if found.kind == ":" else f"{kind} of {param.text}"
+            lot = param.name if written.kind == ":" else f"{kind} of {param.text}"
             param = replace(param, stated=self._about_percent(default, kind), name=lot)
-        if found.network is not None and param.stated is not None and not param.stated.match:
-            param = replace(param, stated=merged(found.network, param.stated))
+        if written.network is not None and param.stated is not None and not param.stated.match:
+            param = replace(param, stated=merged(written.network, param.stated))
         origin = _outermost(param)
-        if not origin or found.key in self._found:
+        if not origin or written.key in self._found:
             return kind
-        recipe = self._recipe(found, param, kind)
+        recipe = self._recipe(written, param, kind)
         if recipe is not None:
             place = origin[0].place
             where = self._scene_place(kind) if by_class else (place.file, place.line)
-            names = (found.key, found.key.rpartition(".")[2], origin[0].name)
+            names = (written.key, written.key.rpartition(".")[2], origin[0].name)
             named = [name for name in names if name in self._named]
             where = self._scene_place(f"components.{named[0]}") if named else where
             self._sizeless(origin, where, kind)
-            unit = _UNITS.get(found.kind, "") or _unit(param.comment)
-            signed = kind in _ABOUT_ZERO or found.kind in "viegfh"
-            self._take(found.key, recipe, unit, where, not signed, tuple(each.name for each in origin))
+            unit = _UNITS.get(written.kind, "") or _unit(param.comment)
+            signed = kind in _ABOUT_ZERO or written.kind in "viegfh"
+            self._take(written.key, recipe, unit, where, not signed, tuple(each.name for each in origin))
         return kind
 
     def _about_percent(self, stated: Stated, kind: str) -> Stated:
@@ -164,30 +164,30 @@ class _Reader:
             key, recipe.nominal, unit, recipe.text(unit), shared, *where, recipe, names
         )
 
-    def _recipe(self, found: Found, param: Param, kind: str) -> Recipe | None:
+    def _recipe(self, place: Found, param: Param, kind: str) -> Recipe | None:
         """Return how a component's value comes about."""
         several = len(_outermost(param)) > 1
         if value_of(param) is None:
             self._problem(
-                f"the tolerance of {found.key} cannot be drawn: its value {param.text} is more than "
+                f"the tolerance of {place.key} cannot be drawn: its value {param.text} is more than "
                 "arithmetic; give the tolerance to a plain number",
                 (param.place.file, param.place.line),
             )
             return None
 
         def own(name: str) -> str:
-            return f"{found.key}/{name}" if several else found.key
+            return f"{place.key}/{name}" if several else place.key
 
         def made(each: Param) -> Recipe:
             value = value_of(each)
             assert value is not None
-            if self._series and found.kind == "r" and number(each.text) is not None:
+            if self._series and place.kind == "r" and number(each.text) is not None:
                 value = preferred(value, self._series)
-            terms = self._terms(each, found, own(each.name), kind) if each.stated is not None else ()
+            terms = self._terms(each, place, own(each.name), kind) if each.stated is not None else ()
             names: dict[str, Recipe] = {}
             for call, (middle, shape) in each.calls.items() if each.stated is None else ():
                 alone = not several and len(each.calls) == 1
-                variable = self._variable(found.key if alone else f"{found.key}/{each.name}.{call[7:]}")
+                variable = self._variable(place.key if alone else f"{place.key}/{each.name}.{call[7:]}")
                 names[call] = Recipe(middle, terms=(Term(variable, shape),))
             words = tuple(split(each.text) or ())
             if each.stated is None:
@@ -207,18 +207,18 @@ class _Reader:
             return param.stated
         return merged(param.stated, self._about_percent(default, kind))
 
-    def _terms(self, param: Param, found: Found, own: str, kind: str) -> tuple[Term, ...]:
+    def _terms(self, param: Param, place: Found, own: str, kind: str) -> tuple[Term, ...]:
         stated = self._sized(param, kind)
         assert stated is not None
         terms = []
         if stated.shared is not None or stated.match:
-            whole, _, name = stated.match.rpartition(":")
+            head, _, name = stated.match.rpartition(":")
             # a network of parts is one of the instance that holds them, and one for each of their numbers
-            path = found.path.rpartition(".")[0] if found.network is not None else found.path
-            name += f":{param.name}" if found.network is not None else ""
-            shared = f"match:{whole}:{name}" if whole else f"match:{path or 'board'}/{name}"
+            path = place.path.rpartition(".")[0] if place.network is not None else place.path
+            name += f":{param.name}" if place.network is not None else ""
+            shared = f"match:{head}:{name}" if head else f"match:{path or 'board'}/{name}"
             shared = shared if stated.match else f"lot:{param.name}"
-            self._members.setdefault(shared, []).append((found.key, param.place.file, param.place.line))
+            self._members.setdefault(shared, []).append((place.key, param.place.file, param.place.line))
             if stated.shared is not None:
                 terms.append(Term(self._variable(shared), stated.shared))
         if stated.own is not None:
@@ -228,14 +228,14 @@ class _Reader:
     def _variable(self, name: str) -> int:
         return self._variables.setdefault(name, len(self._variables))
 
-    def _class(self, found: Found) -> str:
-        if found.kind != ":":
-            return _CLASSES.get(found.kind, "")
-        name = found.key.rpartition(":")[2]
-        role = self._roles.get(found.owner)
+    def _class(self, place: Found) -> str:
+        if place.kind != ":":
+            return _CLASSES.get(place.kind, "")
+        name = place.key.rpartition(":")[2]
+        role = self._roles.get(place.owner)
         if role == "motor":
             return "k_t" if name == _K_T else ""
-        return _PART_CLASSES.get(name.removeprefix(f"{found.owner}_"), "") if role else ""
+        return _PART_CLASSES.get(name.removeprefix(f"{place.owner}_"), "") if role else ""
 
     def _add_mechanical(self, each: Mechanical) -> str:
         name = next((n for n in (each.path, each.path.partition("[")[0]) if n in self._named), None)
@@ -254,16 +254,16 @@ class _Reader:
     def _of_scene(self, table: Mapping[str, float | str], prefix: str) -> dict[str, Stated]:
         """Read the tolerances of a table of the scene."""
         file = self._scene.file if self._scene is not None else None
-        found: dict[str, Stated] = {}
+        stated_by_key: dict[str, Stated] = {}
         for name, value in table.items():
             text = f"{100.0 * value:.12g}%" if isinstance(value, float) else value
             try:
-                found[name] = parse(text, file.parent if file is not None else None)
+                stated_by_key[name] = parse(text, file.parent if file is not None else None)
             except Wrong as wrong:
                 where, line = self._scene_place(prefix + name)
                 key = f"tolerance.{prefix}{name}"
                 self._problems.append(Problem(str(wrong), where or None, key, value, line=line or None))
-        return found
+        return stated_by_key
 
     def _scene_place(self, name: str) -> tuple[str, int]:
         file = self._scene.file if self._scene is not None else None
@@ -291,10 +291,10 @@ class _Reader:
         for name in self._named:
             if name not in self._used:
                 near = nearest(name, known)
-                said = "nothing that could vary has this name" + (f"; nearest is {near}" if near else "")
+                reason = "nothing that could vary has this name" + (f"; nearest is {near}" if near else "")
                 file, line = self._scene_place(f"components.{name}")
                 key = f"tolerance.components.{name}"
-                self._problems.append(Problem(said, file or None, key, line=line or None))
+                self._problems.append(Problem(reason, file or None, key, line=line or None))
 
     def _alone(self) -> None:
         """Refuse a network with one member: its name is misspelt, or nothing is matched to anything."""
@@ -324,11 +324,11 @@ def _outermost(param: Param, depth: int = 0) -> list[Param]:
     if param.varies:
         return [param]
     words = split(param.text) or [] if depth < 40 else []
-    found: dict[int, Param] = {}
+    by_id: dict[int, Param] = {}
     for word in words:
         if word in param.env:
-            found |= {id(each): each for each in _outermost(param.env[word], depth + 1)}
-    return list(found.values())
+            by_id |= {id(each): each for each in _outermost(param.env[word], depth + 1)}
+    return list(by_id.values())
 
 
 def _unit(comment: str) -> str:

@@ -53,21 +53,21 @@ def parse_specs(texts: Iterable[str]) -> tuple[Spec, ...]:
     InputError
         With all that is wrong: form, measure, unit, an empty range.
     """
-    found: dict[str, Spec] = {}
+    specs: dict[str, Spec] = {}
     problems = []
     for text in texts:
         made = _parsed(text)
         if isinstance(made, Problem):
             problems.append(made)
             continue
-        old = found.get(made.measure, Spec(made.measure))
+        old = specs.get(made.measure, Spec(made.measure))
         both = Spec(made.measure, max(old.low, made.low), min(old.high, made.high))
         if both.low >= both.high:
             problems.append(Problem("is an empty range: nothing can pass", key="--spec", value=text))
-        found[made.measure] = both
+        specs[made.measure] = both
     if problems:
         raise InputError(problems)
-    return tuple(found.values())
+    return tuple(specs.values())
 
 
 def _parsed(text: str) -> Spec | Problem:
@@ -77,15 +77,15 @@ def _parsed(text: str) -> Spec | Problem:
     name, sign, written = match[1], match[2], match[3]
     if name not in NAMES:
         near = nearest(name, NAMES)
-        said = "no such measure" + (f"; nearest is {near}" if near else "")
-        return Problem(said, key="--spec", value=text, allowed=", ".join(NAMES))
+        reason = "no such measure" + (f"; nearest is {near}" if near else "")
+        return Problem(reason, key="--spec", value=text, allowed=", ".join(NAMES))
     unit = UNITS[name]
     written, scale = _without_unit(written, unit)
     ends = [_number(part, scale) for part in (written.split("..") if sign == "in" else [written])]
     if len(ends) != (2 if sign == "in" else 1) or any(end is None for end in ends):
         of = f"in {unit}" if unit else "without a unit"
-        said = f"is no specification of a measure {of}"
-        return Problem(said, key="--spec", value=text, allowed=_ALLOWED)
+        reason = f"is no specification of a measure {of}"
+        return Problem(reason, key="--spec", value=text, allowed=_ALLOWED)
     low, high = ends[0], ends[-1]
     assert low is not None
     assert high is not None

@@ -89,9 +89,9 @@ def yields_by_strata(
     results = work.own()[first:]
     if len(more):
         points = Chosen(among, tuple(chosen))
-        found = work.measured("border", points, len(more), study.model)
+        rows = work.measured("border", points, len(more), study.model)
         lower = work.measured("border-cheap", points, len(more))
-        results = np.concatenate([results, found])
+        results = np.concatenate([results, rows])
         strata = np.concatenate([strata, border.strata(work.named(lower))])
     strata = strata[first:]
     every = {spec.text: (spec,) for spec in specs} | ({"all": tuple(specs)} if len(specs) > 1 else {})
@@ -105,7 +105,7 @@ def _chosen(
 ) -> list[int]:
     """Return the numbers of further samples at the border and beyond, as the cheap model finds them."""
     missing = [max(wanted[h] - int(np.sum(strata == h)), 0) for h in range(BORDER + 1)]
-    n, found = work.study.sampling.n, list[int]()
+    n, chosen = work.study.sampling.n, list[int]()
     mean = weights.mean(axis=0)
     length = max((m / mean[h] for h, m in enumerate(missing) if m and mean[h] > 0.0), default=0.0)
     length = min(1.3 * length, _LOOKED_THROUGH, n * work.seconds()[0] / work.seconds()[1])
@@ -116,8 +116,8 @@ def _chosen(
     for number, h in zip(further.numbers, border.strata(work.named(table)), strict=True):
         if h <= BORDER and missing[h] > 0:
             missing[h] -= 1
-            found.append(number)
-    return found
+            chosen.append(number)
+    return chosen
 
 
 def _stratified(
@@ -136,16 +136,16 @@ def _stratified(
     failed = [int(np.sum((strata == h) & ~good)) for h in range(len(STRATA))]
     own = passed(study, specs)
     plain = intervals.share(~own, study.sampling)
-    found = failure_rate(weights, failed, counted, cube.n)
+    rate = failure_rate(weights, failed, counted, cube.n)
     lower = passing(same)
     correlation = math.nan
     if 0 < own.sum() < len(own) and 0 < lower.sum() < len(lower):
         correlation = float(np.corrcoef(own, lower)[0, 1])
     word = ""
-    if found.half >= plain.half:
-        word = f"strata leave +-{100 * found.half:.3g} %: the plain samples of {study.model} alone tell more"
+    if rate.half >= plain.half:
+        word = f"strata leave +-{100 * rate.half:.3g} %: the plain samples of {study.model} alone tell more"
     return Stratified(
-        found,
+        rate,
         plain,
         tuple(map(float, weights.mean(axis=0))),
         tuple(counted),

@@ -166,41 +166,41 @@ def find(
     summaries = {name: summary(study, name) for name in study.names}
     fitted = {name: fit_surface(study, name) for name in study.names}
     surfaces = {name: surface for name, surface in fitted.items() if surface is not None}
-    said = [*notes]
+    notes_of = [*notes]
     for name, surface in fitted.items():
         if surface is None:
             count = len(study.tolerances.variables)
-            said.append(
+            notes_of.append(
                 f"{name}: no sensitivities; {count} random variables need at least {count + 12} samples, and "
                 "a measure that changes"
             )
         elif surface.held_out < GOOD:
-            said.append(
+            notes_of.append(
                 f"{name}: the fitted surface explains R^2 = {surface.held_out:.4g} of samples that it was "
                 f"not fitted to, less than {GOOD:g}: shares and bill are rough; more samples help"
             )
-    said += _decision(study, surfaces, specs)
+    notes_of += _decision(study, surfaces, specs)
     shares = yields(study, specs)
     if levels is not None:
         summaries = {name: _corrected(each, levels) for name, each in summaries.items()}
         shares |= {text: each.passing for text, each in levels.yields.items()}
-        said += _of_levels(levels)
-    said += _of_rare(rare) if rare is not None else []
+        notes_of += _of_levels(levels)
+    notes_of += _of_rare(rare) if rare is not None else []
     return Findings(
         study, tuple(specs), summaries, shares, surfaces,
-        tuple(bill(study, surfaces, specs, wanted)), wanted, dict(corners or {}), tuple(said), levels,
+        tuple(bill(study, surfaces, specs, wanted)), wanted, dict(corners or {}), tuple(notes_of), levels,
         rare,
     )  # fmt: skip
 
 
 def _corrected(summary: Summary, levels: Levels) -> Summary:
     """Return mean and standard deviation by two models, where these pay."""
-    found = levels.moments.get(summary.name)
-    if found is None or found.word:
+    moments = levels.moments.get(summary.name)
+    if moments is None or moments.word:
         return summary
     how = f"{levels.dear} corrected by {levels.cheap}"
-    mean = Estimate(found.mean, found.mean_low, found.mean_high, how)
-    spread = Estimate(found.spread, found.spread_low, found.spread_high, how)
+    mean = Estimate(moments.mean, moments.mean_low, moments.mean_high, how)
+    spread = Estimate(moments.spread, moments.spread_low, moments.spread_high, how)
     return replace(
         summary,
         mean=mean if mean.half < summary.mean.half else summary.mean,
@@ -213,13 +213,13 @@ def _of_levels(levels: Levels) -> list[str]:
     dear, cheap = levels.seconds
     if not levels.moments:
         return [f"no measure needs a run: {levels.dear} and {levels.cheap} would tell the same"]
-    said = [f"a sample takes {dear:.3g} s on {levels.dear} and {cheap:.3g} s on {levels.cheap}"]
+    lines = [f"a sample takes {dear:.3g} s on {levels.dear} and {cheap:.3g} s on {levels.cheap}"]
     for name, each in levels.moments.items():
         if each.word:
-            said.append(f"{name}: {each.word}")
+            lines.append(f"{name}: {each.word}")
             continue
         pilot = each.pilot
-        said.append(
+        lines.append(
             f"{name}: correlation of both models {pilot.correlation:.5f}, of the squares "
             f"{pilot.of_squares:.5f}; {each.dear} samples on {levels.dear}, {each.cheap} on {levels.cheap}: "
             f"variance times cost {pilot.gain():.3g} of plain sampling for the mean, "
@@ -234,10 +234,10 @@ def _of_levels(levels: Levels) -> list[str]:
             )
         )
         what = "all specifications" if text == "all" else text
-        said.append(f"yield, {what}: by {levels.cheap}, {counted}; correlation of passing {agreed}")
+        lines.append(f"yield, {what}: by {levels.cheap}, {counted}; correlation of passing {agreed}")
         if share.word:
-            said.append(f"yield, {what}: {share.word}")
-    return said
+            lines.append(f"yield, {what}: {share.word}")
+    return lines
 
 
 def _of_rare(rare: Rare) -> list[str]:
@@ -245,12 +245,12 @@ def _of_rare(rare: Rare) -> list[str]:
     if not rare.places:
         return [f"rare failures: {rare.word}"]
     nearest = ", ".join(f"{key} = {value:.5g}" for key, value in list(rare.device.items())[:3])
-    said = [
+    lines = [
         f"rare failures: {rare.rate.value:.3g} ({rare.rate.low:.3g} to {rare.rate.high:.3g}) of the devices, "
         f"by {rare.samples} samples on {rare.model}, {rare.effective:.1f} effective; first order on "
         f"{rare.cheap}: {rare.first_order:.3g}, {rare.distance:.3g} standard deviations away at {nearest}"
     ]
-    return [*said, *([f"rare failures: {rare.word}"] if rare.word else [])]
+    return [*lines, *([f"rare failures: {rare.word}"] if rare.word else [])]
 
 
 def _decision(study: Study, surfaces: Mapping[str, Surface], specs: Sequence[Spec]) -> list[str]:

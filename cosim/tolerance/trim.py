@@ -42,26 +42,26 @@ def trims(scene: Scene) -> tuple[Trim, ...]:
     InputError
         For what is not ``"NAME to VALUE UNIT"``, an unknown measure, a wrong unit.
     """
-    found, problems = [], []
+    out, problems = [], []
     for name, text in scene.tolerance.trim.items():
         match = _FORM.fullmatch(text.strip())
         value = number(match[2]) if match else None
-        said, allowed = "", '"rendered_stiffness to 100 N/m"'
+        reason, allowed = "", '"rendered_stiffness to 100 N/m"'
         if match is None or value is None or value == 0.0:
-            said = "is no trim"
+            reason = "is no trim"
         elif match[1] not in NAMES:
             near = nearest(match[1], NAMES)
-            said, allowed = "no such measure" + (f"; nearest is {near}" if near else ""), ", ".join(NAMES)
+            reason, allowed = "no such measure" + (f"; nearest is {near}" if near else ""), ", ".join(NAMES)
         elif match[3] and match[3] != UNITS[match[1]]:
-            said, allowed = "is not the measure's unit", UNITS[match[1]] or "no unit"
-        if said:
+            reason, allowed = "is not the measure's unit", UNITS[match[1]] or "no unit"
+        if reason:
             file = str(scene.file) if scene.file else None
-            problems.append(Problem(said, file, f"tolerance.trim.{name}", text, allowed=allowed))
+            problems.append(Problem(reason, file, f"tolerance.trim.{name}", text, allowed=allowed))
         elif match is not None and value is not None:
-            found.append(Trim(name.lower(), match[1], value))
+            out.append(Trim(name.lower(), match[1], value))
     if problems:
         raise InputError(problems)
-    return tuple(found)
+    return tuple(out)
 
 
 class Trimmed:
@@ -91,15 +91,15 @@ class Trimmed:
         """
         n = len(values)
         old, new = np.zeros(n), np.full(n, 0.02)
-        found = self._at(values, old)
+        rows = self._at(values, old)
         failures = dict(self._batch.failures)
-        left_old = found[:, self._place] / self._trim.target - 1.0
-        best, best_left, best_rows = old.copy(), left_old.copy(), found.copy()
+        left_old = rows[:, self._place] / self._trim.target - 1.0
+        best, best_left, best_rows = old.copy(), left_old.copy(), rows.copy()
         for _ in range(_ROUNDS):
-            found = self._at(values, new)
-            left = found[:, self._place] / self._trim.target - 1.0
+            rows = self._at(values, new)
+            left = rows[:, self._place] / self._trim.target - 1.0
             better = ~(np.abs(left) >= np.abs(best_left))
-            best[better], best_left[better], best_rows[better] = new[better], left[better], found[better]
+            best[better], best_left[better], best_rows[better] = new[better], left[better], rows[better]
             if not np.any(np.abs(best_left) > 0.01 * _CLOSE):
                 break
             slope = (left - left_old) / np.where(new == old, 1.0, new - old)
@@ -108,8 +108,8 @@ class Trimmed:
             old, left_old = new, left
             new = np.clip(new + np.nan_to_num(step), -np.log(_RANGE), np.log(_RANGE))
         for k in np.flatnonzero(~(np.abs(best_left) <= _CLOSE)):
-            said = f"{self._trim.resistor} does not bring {self._trim.measure} to {self._trim.target:g}"
-            failures.setdefault(int(k), said)
+            reason = f"{self._trim.resistor} does not bring {self._trim.measure} to {self._trim.target:g}"
+            failures.setdefault(int(k), reason)
             best_rows[k] = np.nan
         self.failures = failures
         return best_rows

@@ -177,8 +177,8 @@ def corrected(pilot: Pilot, high: Array, low: Array, cheap: Array, word: str = "
     shifted = high - pilot.middle
     if word or pilot.words:
         none = np.zeros(REPLICATES)
-        found = _told(shifted, shifted**2, none, none, high, 0, pilot)
-        return replace(found, word=word or pilot.words)
+        result = _told(shifted, shifted**2, none, none, high, 0, pilot)
+        return replace(result, word=word or pilot.words)
     about = pilot.middle_of_cheap  # not of the same samples: that would be a bias
     centred, values = low - about, cheap - about
     means = pilot.factor * values.mean(axis=1)

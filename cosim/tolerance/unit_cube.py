@@ -58,15 +58,15 @@ class Sampling:
         """Return samples ``first`` to ``first + count - 1``, (count, variables), within (0, 1)."""
         if self.method == "plain":
             return self._plain(first, count)
-        found = np.empty((count, self.variables))
+        out = np.empty((count, self.variables))
         at = 0
         while at < count:
             replicate, start = divmod(first + at, self.each)
             rows = _replicate(self.method, self.each, self.variables, self.seed, replicate)[start:]
             take = min(len(rows), count - at)
-            found[at : at + take] = rows[:take]
+            out[at : at + take] = rows[:take]
             at += take
-        return found
+        return out
 
     def _plain(self, first: int, count: int) -> Array:
         blocks = -(-self.variables // _BLOCK)
@@ -111,6 +111,6 @@ def _replicate(method: str, each: int, variables: int, seed: int, replicate: int
         points = qmc.LatinHypercube(variables, seed=rng).random(each)
     else:
         points = qmc.Sobol(variables, scramble=True, seed=rng).random(each)
-    found: Array = np.clip(np.asarray(points, dtype=float), _HALF, 1.0 - _HALF)
-    found.setflags(write=False)
-    return found
+    clipped: Array = np.clip(np.asarray(points, dtype=float), _HALF, 1.0 - _HALF)
+    clipped.setflags(write=False)
+    return clipped

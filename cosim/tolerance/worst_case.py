@@ -94,15 +94,15 @@ class _Search:
         self.settled = False
 
     def look(self, points: Array) -> Array:
-        found = self._sign * self._known.values(points)
-        found = np.where(np.isfinite(found), found, -np.inf)
-        self._keep(points, found)
-        return found
+        values = self._sign * self._known.values(points)
+        values = np.where(np.isfinite(values), values, -np.inf)
+        self._keep(points, values)
+        return values
 
-    def _keep(self, points: Array, found: Array) -> None:
-        k = int(np.argmax(found))
-        if found[k] > self.value:
-            self.value, self.best, self.settled = float(found[k]), points[k].copy(), False
+    def _keep(self, points: Array, values: Array) -> None:
+        k = int(np.argmax(values))
+        if values[k] > self.value:
+            self.value, self.best, self.settled = float(values[k]), points[k].copy(), False
 
     def gradient(self, at: Array) -> Array:
         value, slopes = self._known.slopes(at)

@@ -70,7 +70,7 @@ def scene() -> str:
         "effect is idle while that is off. Names in angle brackets are yours.",
         "",
     ]
-    for name, found in sections.items():
+    for name, keys_of in sections.items():
         anchor = re.sub(r"[<>.]+", "-", name).strip("-") or "top"
         text += [f"## {_prose(f'[{name}]') if name else 'Top level'} {{ #{anchor} }}", ""]
         rows = [
@@ -80,7 +80,7 @@ def scene() -> str:
                 "**required**" if key.default == "required" else code(key.default),
                 key.meaning + (f"; through `effects.{through[key.path]}`" if key.path in through else ""),
             ]
-            for key in found
+            for key in keys_of
         ]  # fmt: skip
         text += [table(["key", "unit", "what is written", "default", "meaning"], rows), ""]
     return "\n".join(text)
@@ -102,9 +102,9 @@ def effects() -> str:
     homes: dict[str, list[Any]] = {}
     for effect in EFFECTS:
         homes.setdefault(effect.home, []).append(effect)
-    for home, found in homes.items():
+    for home, effects_of in homes.items():
         rows = []
-        for effect in found:
+        for effect in effects_of:
             values = ", ".join(code(_toml(value)) for value in effect.on)
             levels = effect.at_full if "full" in effect.on and effect.at_full != effect.models else None
             carried = _models(effect.models) + (f"; `full`: {_models(levels)}" if levels else "")
@@ -243,9 +243,9 @@ def _object(name: str, value: Any, level: int) -> list[str]:
     text += [docstring(inspect.getdoc(value) or ""), ""]
     if inspect.isclass(value) and level == 2:
         for member, method in vars(value).items():
-            found = getattr(method, "__func__", method)
-            if not member.startswith(("_", "model_")) and inspect.isfunction(found) and found.__doc__:
-                text += _object(f"{name}.{member}", found, 3)
+            plain = getattr(method, "__func__", method)
+            if not member.startswith(("_", "model_")) and inspect.isfunction(plain) and plain.__doc__:
+                text += _object(f"{name}.{member}", plain, 3)
             elif not member.startswith("_") and isinstance(method, property) and method.__doc__:
                 text += [
                     f"### {name}.{member} {{ #{name}.{member} }}",
@@ -258,21 +258,21 @@ def _object(name: str, value: Any, level: int) -> list[str]:
 
 def _signature(value: Any) -> str:
     try:
-        found = inspect.signature(value)
+        signature = inspect.signature(value)
     except (TypeError, ValueError):
         return "(...)"
-    text = _short(str(found))
+    text = _short(str(signature))
     if len(text) < _LINE:
         return text
     lines, keyword = [], False
-    for each in found.parameters.values():
+    for each in signature.parameters.values():
         if each.kind is each.KEYWORD_ONLY and not keyword:
             keyword = True
             lines.append("*")
         lines.append(_short(str(each)))
-    gives = found.return_annotation
+    gives = signature.return_annotation
     gives = gives.__name__ if inspect.isclass(gives) else _short(str(gives))
-    back = "" if found.return_annotation is found.empty else f" -> {gives}"
+    back = "" if signature.return_annotation is signature.empty else f" -> {gives}"
     return "(\n" + "".join(f"    {line},\n" for line in lines) + f"){back}"
 
 

@@ -28,8 +28,8 @@ def _presets(table: Table) -> Drawn:
         colours = [JOINTS[0], *[FAINT] * (len(names) - 1)]
         place.barh(places, values, color=colours, height=0.6)
         for y, value in zip(places, values, strict=True):
-            told = f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
-            place.annotate(told, (value, y), xytext=(3, 0), textcoords="offset points", va="center",
+            text = f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
+            place.annotate(text, (value, y), xytext=(3, 0), textcoords="offset points", va="center",
                            fontsize=8)  # fmt: skip
         place.set_xlim(0.0, 1.25 * max(values))
         place.set_title(key)

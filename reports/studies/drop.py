@@ -27,13 +27,13 @@ def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
 
 
 def _curves(table: Table, column: str) -> dict[str, tuple[list[float], list[float]]]:
-    found: dict[str, tuple[list[float], list[float]]] = defaultdict(lambda: ([], []))
+    curves: dict[str, tuple[list[float], list[float]]] = defaultdict(lambda: ([], []))
     rows = zip(table.columns["curve"], table.columns["period [ms]"], table.columns[column], strict=True)
     for name, period, value in rows:
         if value is not None:
-            found[name][0].append(period)
-            found[name][1].append(value)
-    return found
+            curves[name][0].append(period)
+            curves[name][1].append(value)
+    return curves
 
 
 def _limits(table: Table, passive: Table) -> Drawn:

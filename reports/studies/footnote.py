@@ -131,8 +131,8 @@ def _map(place: Axes, table: dict[str, list[Any]], x: str, y: str) -> None:
 def _finer(x: Array, y: Array, values: Array) -> tuple[Array, Array, Array]:
     """Interpolate between grid points; in logarithms what is a power of x and y is exact."""
     finer_x, finer_y = (np.linspace(axis[0], axis[-1], _FINE) for axis in (x, y))
-    found = RegularGridInterpolator((y, x), values)
-    return finer_x, finer_y, found(tuple(np.meshgrid(finer_y, finer_x, indexing="ij")))
+    interpolated = RegularGridInterpolator((y, x), values)
+    return finer_x, finer_y, interpolated(tuple(np.meshgrid(finer_y, finer_x, indexing="ij")))
 
 
 def _legend(drawing: Any, gains: bool) -> None:

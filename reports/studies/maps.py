@@ -77,13 +77,13 @@ def _plane(result: StudyResult, name: str, *, logarithmic: bool) -> Drawn:
 
 def _all_handles(places: Any) -> tuple[list[Any], list[str]]:
     """Return the legend's entries of all panels, each once, in the order of the limits."""
-    found: dict[str, Any] = {}
+    handles: dict[str, Any] = {}
     for place in places:
         for handle, label in zip(*place.get_legend_handles_labels(), strict=True):
-            found.setdefault(label, handle)
+            handles.setdefault(label, handle)
     order = [_label(heading) for heading in _LINES]
-    names = sorted(found, key=lambda label: order.index(label) if label in order else len(order))
-    return [found[name] for name in names], names
+    names = sorted(handles, key=lambda label: order.index(label) if label in order else len(order))
+    return [handles[name] for name in names], names
 
 
 def _label(heading: str) -> str:
@@ -142,8 +142,8 @@ def _widths(table: Table, walls: Table) -> Drawn:
                            fontsize=8, color=FAINT)  # fmt: skip
             upper.loglog(hz, free, color=INK, linewidth=1.8, label="free air")
             upper.fill_between(hz, free, wall, where=list(wall > free), color=WALL, alpha=0.45, linewidth=0)
-        told = f"{name}: {walls.columns['displayed [N/m]'][number]:.0f} N/m"
-        upper.loglog(hz, wall, dashes, color=colour, label=told)
+        text = f"{name}: {walls.columns['displayed [N/m]'][number]:.0f} N/m"
+        upper.loglog(hz, wall, dashes, color=colour, label=text)
         lower.semilogx(hz, width, dashes, color=colour)
     upper.set_ylabel("|Z| at the tip [N s/m]")
     lower.set_ylabel("width [dB]")
