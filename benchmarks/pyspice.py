@@ -184,24 +184,26 @@ class PythonLockstep(NgSpiceShared):  # type: ignore[misc]  # PySpice carries no
         else:
             self.a = self.acceleration(t, self.q, self.v)
             self.history = 1
-        self.rows.append([t, *self.q, *(actual_vector_values[name].real for name in self.names)])
+        tip = (*self.w["r"].tolist(), *self.w["f_op"].tolist())
+        self.rows.append([t, *self.q, *tip, *(actual_vector_values[name].real for name in self.names)])
         return 0
 
     def run(self) -> Outcome:
         """Run once."""
         self.load_circuit(self.deck)
         longest = self.plan.scene.solver.max_step_s
-        begun = time.perf_counter()
+        begun, busy = time.perf_counter(), time.process_time()
         self.exec_command(f"tran {longest!r} {self.end!r} 0 {longest!r}")
-        wall = time.perf_counter() - begun
+        wall, cpu = time.perf_counter() - begun, time.process_time() - busy
         if self.failure is not None:
             raise self.failure
         table = np.array(self.rows)
-        columns = ["time", *(f"q{j + 1}" for j in range(self.n)), *self.names]
+        columns = ["time", *(f"q{j + 1}" for j in range(self.n)), "x", "y", "fx", "fy", *self.names]
         signals: Signals = {name: table[:, i] for i, name in enumerate(columns)}
         self.exec_command("destroy all")
         self.exec_command("remcirc")
-        return Outcome({"wall_s": wall, "points": len(table)}, signals, np.empty((0, 0)), ())
+        stats = {"wall_s": wall, "cpu_s": cpu, "points": len(table)}
+        return Outcome(stats, signals, np.empty((0, 0)), ())
 
 
 _simulator: PythonLockstep | None = None
@@ -214,3 +216,9 @@ def run(payload: dict[str, Any], report: Any) -> Outcome:
         _simulator = PythonLockstep()
     _simulator.begin(payload["plan"], payload["constants"], payload.get("order", 2))
     return _simulator.run()
+
+
+def run_as_data(payload: dict[str, Any], report: Any) -> dict[str, Any]:
+    """Run a plan as `run`; returns 'signals' and 'stats', which a child may send."""
+    outcome = run(payload, report)
+    return {"signals": outcome.signals, "stats": outcome.stats}

@@ -31,10 +31,12 @@ _MARKS = {
     "relative tolerance": "o",
     "charge tolerance": "D",
     "all together": "P",
+    "trapezoids": "X",
     "order of the circuit": "v",
     "coupling tolerance": "s",
     "longest step": "^",
     "one deck in ngspice": "x",
+    "PySpice, callbacks in Python": "+",
 }
 #: Effects that a scene leaves out and that are named.
 _MOST_NEGLECTED = 5
@@ -93,7 +95,8 @@ def words(found: Accuracy) -> list[str]:
     if found.scene.effects.encoder:
         said.append(
             "The encoder counts in steps: a count that comes a sample early or late is an error of its own, "
-            "the same for all settings that have it."
+            "the same for all settings that have it. One deck in plain ngspice is given the codes and has "
+            "no such error."
         )
     large = [f"{name} {size:.1e}" for name, size in found.neglected.items() if size > found.tolerance]
     if large:
@@ -123,8 +126,8 @@ def draw(found: Accuracy) -> Drawn:
         f"Error of each quantity over the time of the simulation alone, medians of {count} runs with their "
         "spread. The line is the Pareto front of this program's own settings; grey below is the floor, where "
         "the references disagree. Dashed: what a model's missing effects cost; dotted: the largest effect "
-        "that the scene itself leaves out, from above. Crosses: one deck in plain ngspice with the recorded "
-        "voltages of the DACs."
+        "that the scene itself leaves out, from above. Crosses: one deck in plain ngspice, which is given "
+        "the recorded voltages of the DACs and closes no loop."
     )
     failed = sum(bool(row.failed) for row in found.rows)
     if failed:
@@ -189,13 +192,12 @@ def _key(found: Accuracy) -> list[object]:
     series = dict.fromkeys(row.setting.series for row in found.rows if row.errors)
     handles: list[object] = [
         Line2D([], [], color=_COLORS[model], marker="o", linestyle="",
-               label="peer: one deck in ngspice" if model == "peer" else model)
+               label="peers" if model == "peer" else model)
         for model in models
     ]  # fmt: skip
     handles += [
         Line2D([], [], color=INK, marker=_MARKS[name], linestyle="", markersize=5, label=name)
         for name in series
-        if name != "one deck in ngspice"
     ]
     handles.append(Line2D([], [], color=INK, linewidth=0.8, label="Pareto front"))
     handles.append(Line2D([], [], color=FAINT, linewidth=0.7, label=f"tolerance {found.tolerance:g}"))

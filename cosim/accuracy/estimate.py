@@ -32,7 +32,7 @@ Measures = Mapping[str, Mapping[str, Any]]
 #: (`python -m benchmarks.estimates`), 95 % of the errors are within the bound with 1.4.
 _MARGIN = 1.6
 #: Of a twin with half the step: at first order its error is half of the run's, as large as the difference.
-_OWN_MARGIN = 2.5
+OWN_MARGIN = 2.5
 #: The twin's steps are an eighth of the scene's, of its period, and of this, the usual longest step [s].
 _FINER, _USUAL_STEP_S = 8.0, 2e-3
 #: Sums over rows are right to this share of the value.
@@ -74,7 +74,7 @@ def twin_of(plan: Plan, *, own: bool = False) -> Twin:
             "coupling_tolerance_rad": max(solver.coupling_tolerance_rad / 10.0, 1e-14),
             "charge_tolerance_c": max(solver.charge_tolerance_c / 10.0, 1e-18),
         }
-        words, margin = "the same model with tolerances ten times tighter", _OWN_MARGIN
+        words, margin = "the same model with tolerances ten times tighter", OWN_MARGIN
     else:
         finer = {
             "max_step_s": max(min(solver.max_step_s, scene.computer.period_s, _USUAL_STEP_S) / _FINER, 1e-9),

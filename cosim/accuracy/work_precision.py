@@ -18,7 +18,15 @@ import numpy as np
 import cosim
 from cosim.accuracy.pareto import Row, cheapest, clipped, finest, marked
 from cosim.accuracy.run_outcome import Failed, First, Second, Summary, instants, peers, summary, trace_errors
-from cosim.accuracy.solver_settings import MODELS, Setting, carries, grid, reference, second_reference
+from cosim.accuracy.solver_settings import (
+    MODELS,
+    SHORTEST_S,
+    Setting,
+    carries,
+    grid,
+    reference,
+    second_reference,
+)
 from cosim.catalogue import OF_A_RUN, UNITS
 from cosim.caution import collected
 from cosim.circuits.decks import Tolerances
@@ -40,7 +48,9 @@ _FORM = "accuracy 1"
 #: Measures that say what a run has, not how right it is.
 _NO_ERROR = frozenset({"ledger_closure", "dac_saturations", "unreachable_samples", "headroom"})
 #: Relative tolerances and methods at which the peer, one deck in plain ngspice, is run.
-_PEER_RTOL, _PEER_METHODS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6), ("trap", "gear")
+_PEER_RTOL, _PEER_METHODS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7), ("trap", "gear")
+#: Longest steps over the scene's own, at a loose tolerance: a smooth deck may be best by steps alone.
+_PEER_STEPS, _PEER_LOOSE = (0.5, 0.25, 0.125, 0.0625), 1e-3
 _PEER = "one deck in ngspice"
 _TIGHT_PEER = "one deck in ngspice, tight"
 
@@ -268,10 +278,16 @@ class _Runner:
         decks = {_TIGHT_PEER: replace(plan, tolerances=Tolerances(1e-7, "gear", 1e-13))}
         for method in _PEER_METHODS:
             for rtol in _PEER_RTOL:
-                given_tolerances = Tolerances(rtol, method, given.charge_tolerance_c)
+                tolerances = Tolerances(rtol, method, given.charge_tolerance_c)
                 decks[f"{_PEER}, {method}, rtol {rtol:g}"] = replace(
-                    plan, scene=coarse, tolerances=given_tolerances
+                    plan, scene=coarse, tolerances=tolerances
                 )
+        for share in _PEER_STEPS:
+            step = max(share * given.max_step_s, SHORTEST_S)
+            tolerances = Tolerances(_PEER_LOOSE, "trap", given.charge_tolerance_c)
+            finer = {"solver": plan.scene.solver.model_copy(update={"max_step_s": step})}
+            label = f"{_PEER}, trap, rtol {_PEER_LOOSE:g}, max_step_s {step:g}"
+            decks[label] = replace(plan, scene=plan.scene.model_copy(update=finer), tolerances=tolerances)
         return {label: "\n".join(deck_lines(each, result)) + "\n" for label, each in decks.items()}
 
     def point(self, setting: Setting, repetition: int) -> dict[str, Any]:
