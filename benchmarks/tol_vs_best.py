@@ -2,8 +2,9 @@
 
 `python -m benchmarks.tol_vs_best [SCENE ...]` asks each scene for its usual measures at 1e-2, 1e-3 and 1e-4.
 Errors are against the references of `cosim accuracy`, whose full sweep also tells the cheapest setting within
-the tolerance. Times are those of the simulations alone: of the run that is kept, and of all its attempts and
-twins. Exit code 1 where an error is beyond its tolerance that was not told.
+the tolerance. Times are processor times of the simulations alone, the least of three: of the run that is kept
+and of the cheapest setting; all attempts and twins are wall time. Exit code 1 where an error is beyond its
+tolerance that was not told.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from cosim.storage.staging import scratch_folder
 
 SCENES = ("press", "drop", "slope", "slope_combined", "slope_discrete", "slope_joint_pd")
 TOLERANCES = (1e-2, 1e-3, 1e-4)
+REPETITIONS = 3
 #: Measures that decide, where a scene has them.
 USUAL = ("peak_force", "max_penetration", "rendered_stiffness")
 
@@ -42,13 +44,16 @@ def truth(path: Path, child: Child | None) -> dict[str, float]:
 def asked(path: Path, tolerance: float, child: Child | None) -> dict[str, Any]:
     """Run a scene within a tolerance; returns measures, seconds and what was missed."""
     wanted = Wanted({}, tolerance, of=USUAL)
+    cpu_s = []
     with scratch_folder("tol") as folder, collected(forward=False) as heard:
         plan = resolve(load_scene(path))
-        begun = time.perf_counter()
-        found = run_within(plan, folder / "run", wanted, child=child, formats=())
-        in_all = time.perf_counter() - begun
+        for k in range(REPETITIONS):
+            begun = time.perf_counter()
+            found = run_within(plan, folder / f"run{k}", wanted, child=child, formats=())
+            in_all = time.perf_counter() - begun
+            cpu_s.append(float(found.stats["cpu_s"]))
     missed = {c.text.partition(" ")[0] for c in heard if c.code == "tolerance-missed"}
-    return {"measures": found.measures, "wall_s": float(found.stats["wall_s"]), "in_all_s": in_all,
+    return {"measures": found.measures, "cpu_s": min(cpu_s), "in_all_s": in_all,
             "missed": missed, "model": found.plan["model"]}  # fmt: skip
 
 
@@ -65,15 +70,17 @@ def main(names: list[str]) -> int:
                 beyond = {n for n, e in errors.items() if e > tolerance}
                 silent += len(beyond - got["missed"])
                 with scratch_folder("tol") as folder:
-                    best = accuracy(path, folder, tolerance=tolerance, measures=[*right], repeats=1,
-                                    models=("linear", "spice"), peer=False, child=child).cheapest  # fmt: skip
+                    study = accuracy(path, folder, tolerance=tolerance, measures=[*right], peer=False,
+                                     repeats=REPETITIONS, models=("linear", "spice"), child=child)  # fmt: skip
+                good = [row for row in study.rows if row.worst(study.quantities) <= tolerance]
+                best = min(good, key=lambda row: min(row.cpu_s), default=None)
                 words = "none does" if best is None else (
-                    f"{best.seconds * 1e3:.3g} ms ({best.setting.label}), "
-                    f"{got['wall_s'] / best.seconds:.2g} times"
+                    f"{min(best.cpu_s) * 1e3:.3g} ms ({best.setting.label}), "
+                    f"{got['cpu_s'] / min(best.cpu_s):.2g} times"
                 )  # fmt: skip
                 told = f", told: {', '.join(got['missed'])}" if got["missed"] else ""
                 print(f"{name} {tolerance:g}: {got['model']}, worst error {max(errors.values()):.1e}{told}; "
-                      f"{got['wall_s'] * 1e3:.3g} ms, {got['in_all_s']:.2g} s in all; cheapest {words}",
+                      f"{got['cpu_s'] * 1e3:.3g} ms, {got['in_all_s']:.2g} s in all; cheapest {words}",
                       flush=True)  # fmt: skip
     print(f"{silent} beyond the tolerance in silence")
     return int(silent > 0)

@@ -29,6 +29,9 @@ T = TypeVar("T")
 _WITHOUT = frozenset({"ledger_closure", "headroom"})
 #: How often the tolerances are tightened before a tolerance counts as out of reach.
 _LEVELS = 5
+#: Our own loop begins with steps four times those of the scene: a run that misses takes milliseconds, and
+#: where measures need no rows in between (press) the longer ones do. With ngspice a vain run is too dear.
+_FIRST_LEVEL = -1
 
 
 @dataclass(frozen=True)
@@ -180,10 +183,13 @@ def _refined(
     attempt: Callable[[Plan, Errors], tuple[T, Measures]],
 ) -> tuple[T, list[Caution]]:
     """Attempt a plan with ever tighter settings until its measures are within tolerances, or none helps."""
-    level = tries = 0
+    level, tries = _FIRST_LEVEL, 0
     while True:
         with collected(forward=False) as heard:
             tried = _at_level(plan, wanted, level, free)
+            if level < 0 and tried.model == "spice":
+                level = 0
+                tried = _at_level(plan, wanted, level, free)
             result, measures = attempt(tried, estimator(tried, child))
         tries += 1
         missed = wanted.missed(measures)
