@@ -71,7 +71,8 @@ def main(names: list[str]) -> int:
                 silent += len(beyond - got["missed"])
                 with scratch_folder("tol") as folder:
                     study = accuracy(path, folder, tolerance=tolerance, measures=[*right], peer=False,
-                                     repeats=REPETITIONS, models=("linear", "spice"), child=child)  # fmt: skip
+                                     models=("linear", "spice"), repeats=REPETITIONS,
+                                     child=child)  # fmt: skip
                 good = [row for row in study.rows if row.worst(study.quantities) <= tolerance]
                 best = min(good, key=lambda row: min(row.cpu_s), default=None)
                 words = "none does" if best is None else (
