@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from cosim.accuracy.outcome import motion, trace_errors
 
 from benchmarks.rig import retold
 from cosim.accuracy.pareto import Row
+from cosim.accuracy.run_outcome import motion, trace_errors
 from cosim.accuracy.solver_settings import Setting, reference
 from cosim.accuracy.work_precision import POINTS
 from cosim.caution import collected

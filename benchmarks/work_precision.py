@@ -70,9 +70,9 @@ def wp_spice(out: Path) -> float:
                 ours, peer = best["spice"], best["peer"]
                 ratio = cpu_s(ours) / cpu_s(peer) if ours and peer else math.inf if peer else 0.0
                 worst = max(worst, ratio)
-                told = [f"{who} {1e3 * cpu_s(row):.3g} ms ({row.setting.label}, {row.worst(TRACES):.1e})"
+                lines = [f"{who} {1e3 * cpu_s(row):.3g} ms ({row.setting.label}, {row.worst(TRACES):.1e})"
                         if row else f"{who}: none" for who, row in best.items()]  # fmt: skip
-                print(f"{name} {wanted:g}: {'; '.join(told)}; ratio {ratio:.3g}", flush=True)
+                print(f"{name} {wanted:g}: {'; '.join(lines)}; ratio {ratio:.3g}", flush=True)
     return worst
 
 
@@ -134,12 +134,12 @@ def wp_linear(out: Path) -> float:
         peer = min((e for e in fit if e["who"] != "ours"), key=lambda e: e["wall_s"], default=None)
         ratio = ours["wall_s"] / peer["wall_s"] if ours and peer else math.inf if peer else 0.0
         worst = max(worst, ratio)
-        told = [
+        lines = [
             f"{e['who']} {1e3 * e['wall_s']:.3g} ms ({e['tolerance']:g}, error {e['error']:.1e})"
             for e in (ours, peer)
             if e
         ]
-        print(f"linear {wanted:g}: {'; '.join(told)}; ratio {ratio:.3g}", flush=True)
+        print(f"linear {wanted:g}: {'; '.join(lines)}; ratio {ratio:.3g}", flush=True)
     return worst
 
 

@@ -41,6 +41,6 @@ def test_two_bit_adder_by_ida_is_what_the_set_published():
         # behind resistors without current; a load's current moves them, in some of its time constants
         y[si - 1], y[di - 1] = (start[circuit.names[n]] for n in (s, d))
     end = by_ida(circuit, settled(circuit, y), 320.0, 1e-7, 1e-9)
-    found = np.array([end[circuit.names.index(n) - 1] for n in ("49", "130", "148")])
+    outputs = np.array([end[circuit.names.index(n) - 1] for n in ("49", "130", "148")])
     exact = np.array(logic_gates.ADDER_END)
-    assert (np.abs(found - exact) / (1 + np.abs(exact))).max() < 1e-5
+    assert (np.abs(outputs - exact) / (1 + np.abs(exact))).max() < 1e-5

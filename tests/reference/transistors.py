@@ -1,7 +1,7 @@
 """Circuits of Shichman-Hodges transistors as equations C(v) v' = f(v, t), without any netlist.
 
 Written from the description of the test set for IVP solvers (NAND gate, two-bit adding unit), a second time
-and apart from the decks: a flat table of transistors in arrays, branches told by the case in which a
+and apart from the decks: a flat table of transistors in arrays, branches by the case in which a
 transistor is, and not by `max`. What a node is charged with is the sum of what its branches take.
 """
 
