@@ -31,9 +31,9 @@ PATIENCE_S = 30.0
 def require() -> str:
     """Return the path of a browser, or skip the test with a word."""
     for name in NAMES:
-        found = shutil.which(name)
-        if found:
-            return found
+        result = shutil.which(name)
+        if result:
+            return result
     pytest.skip(f"no browser on this machine (looked for {', '.join(NAMES)})")
 
 
@@ -100,12 +100,12 @@ class Browser:
             self._receive(deadline)
         self.evaluate("document.fonts.ready.then(() => 0)")
         sent = [e["params"]["request"]["url"] for e in self._named("Network.requestWillBeSent")]
-        said = [
+        rows = [
             json.dumps(e["params"].get("entry") or e["params"])
             for name in ("Log.entryAdded", "Runtime.exceptionThrown", "Runtime.consoleAPICalled")
             for e in self._named(name)
         ]
-        return Visit([url for url in sent if not url.startswith("data:")], said)
+        return Visit([url for url in sent if not url.startswith("data:")], rows)
 
     def evaluate(self, expression: str) -> Any:
         """Return the value of a JavaScript expression; promises are awaited."""

@@ -59,16 +59,16 @@ class Block:
 
 def blocks(text):
     """Return the blocks of a page in order."""
-    found = []
+    rows = []
     for match in _FENCE.finditer(text):
         line = text.count("\n", 0, match.start()) + 1
         if match["check"]:
-            found.append(Block("check", "", match["check"], "", line))
+            rows.append(Block("check", "", match["check"], "", line))
             continue
         cut = len(match["indent"])
         body = "".join(each[cut:] for each in match["text"].splitlines(keepends=True))
-        found.append(Block(match["kind"], match["title"] or "", body, match["mark"] or "", line))
-    return found
+        rows.append(Block(match["kind"], match["title"] or "", body, match["mark"] or "", line))
+    return rows
 
 
 def commands(text):
@@ -90,14 +90,14 @@ def words(line):
     """Return the words of a command, and whether it is one plain command: no pipe, redirection or loop."""
     lexer = shlex.shlex(line, posix=True, punctuation_chars="|<>;&()")
     lexer.whitespace_split = True
-    found = list(lexer)
-    ends = [k for k, word in enumerate(found) if word and set(word) <= set("|<>;&()")]
-    return (found[: ends[0]] if ends else found), not ends and "$(" not in line
+    every = list(lexer)
+    ends = [k for k, word in enumerate(every) if word and set(word) <= set("|<>;&()")]
+    return (every[: ends[0]] if ends else every), not ends and "$(" not in line
 
 
 def lacking(text):
     """Return programs and modules that a page needs and that are not here."""
-    needed = [name for found in re.findall(r"<!-- needs: (.+?) -->", text) for name in found.split()]
+    needed = [name for each in re.findall(r"<!-- needs: (.+?) -->", text) for name in each.split()]
     return [n for n in needed if shutil.which(n) is None and importlib.util.find_spec(n) is None]
 
 
@@ -170,9 +170,9 @@ class Reader:
 
 def band(mark):
     """Return the share by which numbers of an output may differ."""
-    found = re.fullmatch(r"output ±([\d.]+) %", mark)
-    assert found, "an output states its band, or why it is not checked"
-    return float(found[1]) / 100
+    match = re.fullmatch(r"output ±([\d.]+) %", mark)
+    assert match, "an output states its band, or why it is not checked"
+    return float(match[1]) / 100
 
 
 def check_output(shown, printed, share):
@@ -187,12 +187,12 @@ def check_output(shown, printed, share):
             continue
         pattern = re.compile("".join(_pattern(piece) for piece in re.split(f"(…|{_NUMBER.pattern})", wanted)))
         expected = _NUMBER.findall(wanted)
-        found = [match.groups() for each in lines if (match := pattern.fullmatch(each))]
+        rows = [match.groups() for each in lines if (match := pattern.fullmatch(each))]
         close = [
-            groups for groups in found
+            groups for groups in rows
             if all(_near(*pair, share) for pair in zip(expected, groups, _bounds(wanted), strict=True))
         ]  # fmt: skip
-        assert close, f"{line!r} was not printed within {100 * share:g} %; alike: {found}"
+        assert close, f"{line!r} was not printed within {100 * share:g} %; alike: {rows}"
 
 
 def _pattern(piece):
@@ -205,8 +205,8 @@ def _bounds(line):
     return [line[: match.start()].endswith("± ") for match in _NUMBER.finditer(line)]
 
 
-def _near(shown, found, bound, share):
-    a, b = float(shown), float(found)
+def _near(shown, value, bound, share):
+    a, b = float(shown), float(value)
     if bound:
         return (a == b == 0.0) or 0.1 <= b / a <= 10.0
     return abs(a - b) <= share * abs(a) + 1e-12

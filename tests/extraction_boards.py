@@ -152,11 +152,11 @@ def networks_and_truth(payload: dict[str, Any], report: Any) -> list[Any]:
     from cosim.circuits.extraction.extract import SWEEP, networks
     from cosim.circuits.extraction.path_measurement import Session
 
-    found = []
+    rows = []
     for deck in payload["boards"]:
         session = Session(deck)
-        found.append((networks(session.measure(SWEEP), str(deck.path)), session.measure("dec 31 0.1 100meg")))
-    return found
+        rows.append((networks(session.measure(SWEEP), str(deck.path)), session.measure("dec 31 0.1 100meg")))
+    return rows
 
 
 #: Stated for the unreduced model: 1e-9 of the path's maximum from 0.1 Hz to 100 MHz.

@@ -48,18 +48,20 @@ def _begin(self: Child) -> None:
     if self._started:
         return
     surroundings, tests = _surroundings(), 1
-    found = next((each for each in reversed(_idle) if each.surroundings == surroundings), None)
-    if found is not None:
-        _idle.remove(found)
-        if found.process.poll() is None:
-            found.close.detach()
-            self._process, self._folder, self._receive = found.process, found.folder, found.receive
+    result = next((each for each in reversed(_idle) if each.surroundings == surroundings), None)
+    if result is not None:
+        _idle.remove(result)
+        if result.process.poll() is None:
+            result.close.detach()
+            self._process, self._folder, self._receive = result.process, result.folder, result.receive
             self._buffer, self._started = bytearray(), True
-            self._close = weakref.finalize(self, child._dispose, found.process, found.folder, found.receive)
-            tests = found.tests + 1
+            self._close = weakref.finalize(
+                self, child._dispose, result.process, result.folder, result.receive
+            )
+            tests = result.tests + 1
         else:
-            found = None
-    if found is None:
+            result = None
+    if result is None:
         asked = self._reads  # what it decides stays the same
         self._reads = tuple(folder.resolve() for folder in (*READABLE, *asked))
         _start(self)

@@ -76,8 +76,8 @@ OSCILLATING = {
 
 def board_with(text, name, body, declared):
     """Board of one joint with a block more, which declares itself or does not."""
-    said = f"*@ stability={declared}\n" if declared else ""
-    block = f"* {name}\n.subckt extra in out vcc vee\n{said}{body}\n.ends extra\n"
+    result = f"*@ stability={declared}\n" if declared else ""
+    block = f"* {name}\n.subckt extra in out vcc vee\n{result}{body}\n.ends extra\n"
     return text.replace(".subckt board1", block + "\n.subckt board1").replace(
         ".ends board1", "xextra pot1 e1 vcc vee extra\nRextra e1 0 10k\n.ends board1"
     )

@@ -73,14 +73,14 @@ def run_library(deck: Path, *arguments: str) -> str:
 def parameters(*names: str) -> dict[str, float]:
     """Return the plain-number ``.param`` lines of the named netlist files, SPICE suffixes resolved."""
     scale = {"meg": 1e6, "k": 1e3, "m": 1e-3, "u": 1e-6, "n": 1e-9, "p": 1e-12, "": 1.0}
-    found = {}
+    by_name = {}
     for name in names:
         text = (NETLISTS / name).read_text()
         for key, number, suffix in re.findall(
             r"^\.param (\w+)=([-\d.e]+)(meg|k|m|u|n|p|)\b", text, re.MULTILINE
         ):
-            found[key] = float(number) * scale[suffix]
-    return found
+            by_name[key] = float(number) * scale[suffix]
+    return by_name
 
 
 def libraries(level: str = "ideal", motor: str = "ideal", potentiometer: str = "ideal", **levels: str) -> str:

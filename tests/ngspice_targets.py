@@ -101,9 +101,9 @@ def respond(payload: dict[str, Any], report: Any) -> Any:
     simulator = Simulator()
     simulator.load("\n".join([payload["text"], ".end"]) + "\n")
     simulator.command(f"alter @{payload['source']}[acmag] = 1")
-    found = []
+    rows = []
     for hz in payload["hz"]:
         simulator.command(f"ac lin 1 {hz!r} {hz!r}")
-        found.append(complex(simulator.vector(payload["node"])[0]))
+        rows.append(complex(simulator.vector(payload["node"])[0]))
         simulator.command("destroy all")
-    return np.array(found)
+    return np.array(rows)

@@ -96,14 +96,14 @@ def attempts(payload: dict[str, str], report: Any) -> dict[str, str]:
         "other rights": lambda: os.chmod(secret, 0o777),
         "a device": lambda: os.mknod(OUTBOX / "null", 0o020666, os.makedev(1, 3)),
     }
-    found = {}
+    by_name = {}
     for name, try_it in tried.items():
         try:
             try_it()
-            found[name] = "done"
+            by_name[name] = "done"
         except OSError as error:
-            found[name] = type(error).__name__
-    return found
+            by_name[name] = type(error).__name__
+    return by_name
 
 
 def _code_of_the_parent(name: str) -> None:

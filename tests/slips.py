@@ -106,19 +106,19 @@ def _resistor(file, kind, rng):
 
 def _exchange(board, rng):
     rows = _rows(board)
-    found = [
+    values = [
         (k, 1 + OUTPUT[row.split()[-1]]) for k, row in enumerate(rows)
         if row.startswith("x") and row.split()[-1] in OUTPUT
     ]  # fmt: skip
-    first, second = (found[int(k)] for k in rng.choice(len(found), 2, replace=False))
+    first, second = (values[int(k)] for k in rng.choice(len(values), 2, replace=False))
     words = {k: rows[k].split() for k, _ in (first, second)}
     (a, i), (b, j) = first, second
     words[a][i], words[b][j] = words[b][j], words[a][i]
-    said = f"{rows[a]} / {rows[b]}"
+    text = f"{rows[a]} / {rows[b]}"
     for k, row in words.items():
         rows[k] = " ".join(row)
     board.write_text("\n".join(rows))
-    return said
+    return text
 
 
 def bench_text(board, gain):

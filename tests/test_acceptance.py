@@ -32,12 +32,12 @@ def test_the_jacobian_s_error_is_that_of_differences():
 
 def test_gains_are_those_of_the_resistors(arm):
     """Springs: 169k/10k, 10k/24.3k, 20k/10k, 5 Ohm, by hand; what op-amps of gain 1e9 leave out is 1e-7."""
-    found = {name: (wanted, got) for name, _, wanted, got in equations.gains(arm)}
-    assert len(found) == 12
+    by_name = {name: (wanted, got) for name, _, wanted, got in equations.gains(arm)}
+    assert len(by_name) == 12
     w = np.array([[-0.15563073, -0.09916648], [0.06964911, -0.01288445]]).T @ NORMAL  # J^T n of theory
-    assert found["ksp12"][0] == pytest.approx(100.0 * w[0] * w[1], rel=1e-6)
+    assert by_name["ksp12"][0] == pytest.approx(100.0 * w[0] * w[1], rel=1e-6)
     for name in ("ksp11", "ksp12", "ksp21", "ksp22", "u, ksp12"):
-        wanted, got = found[name]
+        wanted, got = by_name[name]
         assert got / wanted == pytest.approx(SPRING_TRUE / K_FS, rel=1e-5), name
 
 
@@ -61,10 +61,10 @@ def test_the_arm_s_rows_hold_and_a_resistor_breaks_one(change, holds):
     small = given.model_copy(update={"levels": given.levels[:1], "points": 5})
     with Points(None) as points:
         result = equations.analyse(type(spec)(**{**vars(spec), "parameters": small}), points)
-    said = {}
+    by_name = {}
     for verdict in result.verdicts:
-        said.setdefault(verdict.id, verdict.holds)
-    assert said == {"A1": True, "A2": holds, "A3": holds, "A4": holds}
+        by_name.setdefault(verdict.id, verdict.holds)
+    assert by_name == {"A1": True, "A2": holds, "A3": holds, "A4": holds}
     slopes = dict(zip(*list(result.table("slopes").columns.values())[::2], strict=True))
     # the circuit's part shrinks with the resistor; (11) at 2 mm of depth is 2e-3
     share = 1.0 if holds else 24.3 / 24.543

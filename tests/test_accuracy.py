@@ -42,30 +42,30 @@ def thrown(tmp_path: Path) -> Path:
 
 def test_errors_fall_with_the_tolerance_and_the_references_agree(tmp_path, thrown, monkeypatch):
     monkeypatch.setattr(module, "grid", few)
-    found = accuracy(thrown, tmp_path / "out", models=("linear", "spice"), repeats=1, child=shared_child())
-    assert len(found.references) == 3  # our own loop, the lockstep, and one deck in ngspice
+    result = accuracy(thrown, tmp_path / "out", models=("linear", "spice"), repeats=1, child=shared_child())
+    assert len(result.references) == 3  # our own loop, the lockstep, and one deck in ngspice
     # three integrators, no rounding in the computer: what op-amp gains of 1e9 leave (test_coupling: 5e-8)
-    assert found.floor["position"] < 1e-6
-    assert found.floor["force"] < 1e-5  # the deck's DACs take 100 ns to jump
-    by = {row.setting.label: row for row in found.rows}
+    assert result.floor["position"] < 1e-6
+    assert result.floor["force"] < 1e-5  # the deck's DACs take 100 ns to jump
+    by = {row.setting.label: row for row in result.rows}
     coarse, fine = by["spice, rtol 0.01"], by["spice, rtol 1e-06"]
     assert fine.errors["position"] <= coarse.errors["position"]
-    assert all(row.errors[n] >= found.floor.get(n, 0.0) for row in found.rows for n in row.errors)
-    assert all(len(row.wall_s) == 1 and row.wall_s[0] > 0 for row in found.rows if not row.failed)
-    assert found.cheapest is not None
-    assert found.cheapest.worst(found.quantities) <= 1e-3
-    assert any("Cheapest within 0.001" in line for line in words(found))
-    page = write_accuracy(found, tmp_path / "out")
+    assert all(row.errors[n] >= result.floor.get(n, 0.0) for row in result.rows for n in row.errors)
+    assert all(len(row.wall_s) == 1 and row.wall_s[0] > 0 for row in result.rows if not row.failed)
+    assert result.cheapest is not None
+    assert result.cheapest.worst(result.quantities) <= 1e-3
+    assert any("Cheapest within 0.001" in line for line in words(result))
+    page = write_accuracy(result, tmp_path / "out")
     assert page.exists()
     assert (tmp_path / "out" / "figures" / "accuracy.png").exists()
-    told = json.loads((tmp_path / "out" / "accuracy.json").read_text())
-    assert told["recommended"] == found.cheapest.setting.lines()
+    text = json.loads((tmp_path / "out" / "accuracy.json").read_text())
+    assert text["recommended"] == result.cheapest.setting.lines()
     rows = list(csv.DictReader((tmp_path / "out" / "accuracy.csv").read_text().splitlines()))
     assert [row["setting"] for row in rows] == [*by, "floor"]
     # the first reference against the closed form, from the same start: momentum is all that the mass changes
     exact = ExactSlider(inertia=0.25 * RADIUS**2, radius=RADIUS, period=0.025, q_wall=0.0, k_dp=100.0)
     points = [json.loads(line) for line in (tmp_path / "out" / POINTS).read_text().splitlines()[1:]]
-    first = next(p["value"] for p in points if p["key"] == reference(found.scene).label)
+    first = next(p["value"] for p in points if p["key"] == reference(result.scene).label)
     states = exact.solve(0.06, -1.0, 10, [(0.0, 0.0)], np.array(first["times"]))
     y = np.array(first["motion"]["y"][1:])
     assert np.abs(y - RADIUS * states[:, 0]).max() < 1e-6 * RADIUS * 0.06
@@ -87,11 +87,11 @@ def test_what_is_finished_is_not_run_again(tmp_path, thrown, monkeypatch):
 def test_a_model_without_the_effects_has_an_error_of_its_own(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "grid", few)
     # the slope's force differs between `ideal` and the circuit by delays of microseconds and the motors' L/R
-    found = accuracy(SCENES / "slope.toml", tmp_path, overrides=("duration_s=0.9",), models=("ideal",),
+    result = accuracy(SCENES / "slope.toml", tmp_path, overrides=("duration_s=0.9",), models=("ideal",),
                      repeats=1, peer=False, child=shared_child())  # fmt: skip
-    assert "effects.motor=emf" in found.left_out["ideal"]
-    assert found.model_error["ideal"]["force"] > 1e2 * found.floor["force"]
-    assert any("ideal leaves out" in line for line in words(found))
+    assert "effects.motor=emf" in result.left_out["ideal"]
+    assert result.model_error["ideal"]["force"] > 1e2 * result.floor["force"]
+    assert any("ideal leaves out" in line for line in words(result))
 
 
 def test_settings_that_fail_are_named(tmp_path, monkeypatch):
@@ -140,5 +140,5 @@ def test_errors_are_shares_of_the_largest_value():
     from cosim.accuracy.run_outcome import trace_errors
 
     truth = {"x": [1.0, 2.0, 1.0], "y": [0.0, 0.0, 0.0], "fx": [0.0, 0.0, 3.0], "fy": [0.0, 4.0, 4.0]}
-    found = {**truth, "x": [1.0, 2.25, 1.0], "fy": [0.0, 4.0, 4.5]}
-    assert trace_errors(found, truth) == {"position": 0.25, "force": 0.1}  # of 1 m moved, of 5 N
+    by_name = {**truth, "x": [1.0, 2.25, 1.0], "fy": [0.0, 4.0, 4.5]}
+    assert trace_errors(by_name, truth) == {"position": 0.25, "force": 0.1}  # of 1 m moved, of 5 N

@@ -59,11 +59,11 @@ def test_names_mean_the_same_in_either_order_of_import(first):
 
 def test_importing_costs_no_heavy_import():
     """`import cosim` takes no package along that numpy's import does not: then it cannot cost much more."""
-    told = python(
+    result = python(
         "import sys, cosim; heavy = ('numpy', 'scipy', 'numba', 'pydantic', 'matplotlib', 'pyarrow');"
         "print([name for name in heavy if name in sys.modules])"
     )
-    assert told.strip() == "[]"
+    assert result.strip() == "[]"
 
 
 def test_types_are_shipped():
@@ -193,11 +193,11 @@ def test_python_says_what_the_command_says(capsys):
     from cosim import cli
 
     assert cli.main(["stability", str(PRESS), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["cases"][0]
-    found = cosim.stability(PRESS).as_dict()
-    assert {key: told[key] for key in found} == json.loads(json.dumps(found))
+    out = json.loads(capsys.readouterr().out)["cases"][0]
+    result = cosim.stability(PRESS).as_dict()
+    assert {key: out[key] for key in result} == json.loads(json.dumps(result))
 
 
 def test_a_board_is_checked_with_other_values():
-    found = cosim.check(netlists_folder() / "board1.cir", {"r_sum_spring": "24k"})
-    assert found.subject.label == "r_sum_spring=24k"
+    result = cosim.check(netlists_folder() / "board1.cir", {"r_sum_spring": "24k"})
+    assert result.subject.label == "r_sum_spring=24k"

@@ -34,18 +34,18 @@ def amounts(*stated: str) -> dict[str, Tolerance]:
 
 
 def test_a_tolerance_is_a_share_or_an_amount_with_its_unit():
-    found = amounts(
+    result = amounts(
         "peak_force=0.01",
         'heat="2 %"',
         'max_penetration="0.1 mm"',
         'peak_normal_force="0.05 N"',
         'headroom="0.1"',
     )
-    assert found["peak_force"] == Tolerance(0.01, True)
-    assert found["heat"] == Tolerance(0.02, True)
-    assert found["max_penetration"].allowed(7.0) == pytest.approx(1e-4, rel=1e-12)
-    assert found["peak_normal_force"].allowed(7.0) == 0.05
-    assert found["headroom"] == Tolerance(0.1, False)
+    assert result["peak_force"] == Tolerance(0.01, True)
+    assert result["heat"] == Tolerance(0.02, True)
+    assert result["max_penetration"].allowed(7.0) == pytest.approx(1e-4, rel=1e-12)
+    assert result["peak_normal_force"].allowed(7.0) == 0.05
+    assert result["headroom"] == Tolerance(0.1, False)
 
 
 @pytest.mark.parametrize(
@@ -125,9 +125,9 @@ def test_a_command_that_does_not_choose_says_who_does(tmp_path, capsys, words):
     scene.write_text(f'effects = "auto"\nextends = "{DROP.as_posix()}"\n[tolerance]\npeak_force = 0.01\n')
     out = ["-o", str(tmp_path / "out")] if words[0] in ("compare", "export", "sweep") else []
     assert main([*(str(scene) if word == "SCENE" else word for word in words), *out]) == 2
-    said = capsys.readouterr().err
-    assert "still to be chosen" in said
-    assert str(scene) in said
+    err = capsys.readouterr().err
+    assert "still to be chosen" in err
+    assert str(scene) in err
     assert not (tmp_path / "out").exists()
 
 
@@ -243,10 +243,10 @@ def test_plan_shows_what_would_be_tried_and_runs_nothing(capsys, monkeypatch):
     monkeypatch.setattr("cosim.runner.run", lambda *_, **__: pytest.fail("ran"))
     asked = ["plan", str(DROP), "--set", FREE[0], "--set", FREE[1], "--set", "tolerance.peak_force=0.01"]
     assert main([*asked, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["plans"][0]
-    sizes = [row["size_n"] / row["seconds"] for row in found["candidates"]]
+    out = json.loads(capsys.readouterr().out)["plans"][0]
+    sizes = [row["size_n"] / row["seconds"] for row in out["candidates"]]
     assert sizes == sorted(sizes, reverse=True)
-    assert {row["to_be_run"] for row in found["candidates"]} == {True, False}
+    assert {row["to_be_run"] for row in out["candidates"]} == {True, False}
     assert main(asked) == 0
     assert "may matter" in capsys.readouterr().out
 
@@ -258,9 +258,9 @@ def test_a_chosen_run_is_a_scene_of_its_own(tmp_path, capsys):
     asked = ["run", str(DROP), "--set", FREE[0], "--set", "effects={auto=true, pot_noise='none'}"]
     asked += ["--set", "tolerance.peak_force=0.02", "--set", "duration_s=0.2", "-o", str(out)]
     assert main(asked) == 0
-    said = capsys.readouterr().out
-    assert "effects chosen for a tolerance of peak force 2 %" in said
-    assert "verified: with" in said
+    printed = capsys.readouterr().out
+    assert "effects chosen for a tolerance of peak force 2 %" in printed
+    assert "verified: with" in printed
     first = Run.load(out)
     assert first.scene.effects.auto is False
     assert first.plan["choice"]["effects_digest"] == first.provenance["effects_digest"]
@@ -273,7 +273,7 @@ def test_a_chosen_run_is_a_scene_of_its_own(tmp_path, capsys):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_the_chosen_effects_meet_the_tolerance_at_a_fraction_of_the_time(name):
-    found = compared(name, 2)
-    assert max(found.share.values()) <= 1.0
+    result = compared(name, 2)
+    assert max(result.share.values()) <= 1.0
     # without slew, saturation and nonlinearity the circuit is solved by our own loop, without ngspice
-    assert min(found.ratios) < 0.25
+    assert min(result.ratios) < 0.25

@@ -78,9 +78,9 @@ def test_mistakes_in_the_scene(
     project: Project, capsys: pytest.CaptureFixture[str], old: str, new: str, words: list[str]
 ) -> None:
     project.edit("scene.toml", old, new)
-    told = refused(project, capsys)
-    assert str(project.scene) in told
-    assert all(word in told for word in words), told
+    result = refused(project, capsys)
+    assert str(project.scene) in result
+    assert all(word in result for word in words), result
 
 
 @pytest.mark.parametrize("text", ["", "# nothing\n", "\x00", "{", "title = 1", "[[device]]\n", "\ufeff"])
@@ -123,9 +123,9 @@ def test_mistakes_in_set(
 
 
 def test_a_model_that_cannot_carry_the_effects(project: Project, capsys: pytest.CaptureFixture[str]) -> None:
-    told = refused(project, capsys, "--model", "ideal")
-    assert "ideal" in told
-    assert "spice" in told
+    result = refused(project, capsys, "--model", "ideal")
+    assert "ideal" in result
+    assert "spice" in result
 
 
 # --- the netlist -------------------------------------------------------------------------------------
@@ -139,8 +139,8 @@ def test_board_without_a_needed_pin(
     project: Project, capsys: pytest.CaptureFixture[str], missing: str, pin: str
 ) -> None:
     project.edit("netlists/board2.cir", missing, missing.removesuffix(f" {pin}"))
-    told = refused(project, capsys)
-    assert told.splitlines()[0].endswith(f"board2.cir:49: {pin}: board board2 of 2 joints lacks the pin")
+    result = refused(project, capsys)
+    assert result.splitlines()[0].endswith(f"board2.cir:49: {pin}: board board2 of 2 joints lacks the pin")
 
 
 LEG = "R11 pot inn {r11}"
@@ -164,11 +164,11 @@ def test_netlist_syntax_gives_ngspices_words_and_the_users_line(
     project: Project, capsys: pytest.CaptureFixture[str], line: str, words: list[str]
 ) -> None:
     project.edit("netlists/blocks/diffamp.cir", LEG, line)
-    told = refused(project, capsys)
+    result = refused(project, capsys)
     row = 7 if line.startswith("R12") else 6
-    assert f"{project.folder}/netlists/blocks/diffamp.cir:{row}: " in told
-    assert line in told or row == 7
-    assert all(word in told for word in words), told
+    assert f"{project.folder}/netlists/blocks/diffamp.cir:{row}: " in result
+    assert line in result or row == 7
+    assert all(word in result for word in words), result
 
 
 @pytest.mark.few(3)
@@ -194,9 +194,9 @@ def test_hard_case_41_no_operating_point_and_floating_node(
     project: Project, capsys: pytest.CaptureFixture[str], lines: str, words: str
 ) -> None:
     project.edit("netlists/blocks/diffamp.cir", LEG, f"{LEG}\n{lines}")
-    told = refused(project, capsys)
-    assert re.search(words, told), told
-    assert "board2.cir: " in told or "diffamp.cir:7: " in told
+    result = refused(project, capsys)
+    assert re.search(words, result), result
+    assert "board2.cir: " in result or "diffamp.cir:7: " in result
 
 
 @pytest.mark.parametrize(
@@ -206,8 +206,8 @@ def test_a_resistor_of_zero_is_a_slip(
     project: Project, capsys: pytest.CaptureFixture[str], name: str, element: str
 ) -> None:
     """ngspice would silently take 1 mOhm, a gain of ten millions."""
-    told = refused(project, capsys, "--set", f"{name}=0")
-    assert f"{name} = '0': makes {element} a resistor of 0 Ohm" in told
+    result = refused(project, capsys, "--set", f"{name}=0")
+    assert f"{name} = '0': makes {element} a resistor of 0 Ohm" in result
 
 
 def test_design_constants_must_be_stated_and_positive(
@@ -221,8 +221,8 @@ def test_design_constants_must_be_stated_and_positive(
 def test_unknown_node_gives_the_nearest_of_the_board(
     project: Project, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told = refused(project, capsys, "--set", "record.nodes=['xboard.xdiff1.innn', 'xboard.xdiff1.inn']")
-    assert told.rstrip().endswith(
+    result = refused(project, capsys, "--set", "record.nodes=['xboard.xdiff1.innn', 'xboard.xdiff1.inn']")
+    assert result.rstrip().endswith(
         "'xboard.xdiff1.innn': the board has no such node; nearest is xboard.xdiff1.inn"
     )
 
@@ -245,9 +245,9 @@ def test_operator_file_that_does_not_fit(
     project: Project, capsys: pytest.CaptureFixture[str], text: str, words: str
 ) -> None:
     project.user_operator(text)
-    told = refused(project, capsys)
-    assert words in told
-    assert f"{project.scene}: operator" in told
+    result = refused(project, capsys)
+    assert words in result
+    assert f"{project.scene}: operator" in result
 
 
 @pytest.mark.few(2)
@@ -264,9 +264,9 @@ def test_law_file_that_does_not_fit(
     project: Project, capsys: pytest.CaptureFixture[str], text: str, words: str
 ) -> None:
     project.user_law(text)
-    told = refused(project, capsys)
-    assert words in told
-    assert f"{project.scene}: computer.law" in told
+    result = refused(project, capsys)
+    assert words in result
+    assert f"{project.scene}: computer.law" in result
 
 
 # --- places ------------------------------------------------------------------------------------------
@@ -304,9 +304,9 @@ def test_disk_that_is_full_or_read_only(
     # 10 s leave 3 MB while they are streamed
     arguments = ["run", str(project.scene), "-o", str(small_disk / "out"), "--set", "duration_s=10"]
     assert cli.main(arguments) == 2
-    told = capsys.readouterr().err
-    assert words in told
-    assert str(small_disk) in told
+    err = capsys.readouterr().err
+    assert words in err
+    assert str(small_disk) in err
     assert not list(small_disk.iterdir())
 
 
@@ -317,9 +317,9 @@ def test_library_missing(
     project: Project, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(LIBRARY, "/nowhere/libngspice.so")
-    told = refused(project, capsys)
-    assert "libngspice was not found (tried /nowhere/libngspice.so)" in told
-    assert "apt-get install" in told
+    result = refused(project, capsys)
+    assert "libngspice was not found (tried /nowhere/libngspice.so)" in result
+    assert "apt-get install" in result
 
 
 def test_library_that_is_none_and_one_too_old(

@@ -31,11 +31,11 @@ def drop(model, *overrides):
 @pytest.mark.parametrize("model", ["ideal", "linear", "spice"])
 def test_a_batch_measures_what_each_device_measures_alone(model):
     with Batch(resolve(drop(model)), KEYS, NAMES) as batch:
-        found = batch.measures(VALUES)
+        measures = batch.measures(VALUES)
         assert not batch.failures
         again = batch.measures(VALUES[::-1])[::-1]
-    assert np.array_equal(found, again)
-    for values, row in zip(VALUES, found, strict=True):
+    assert np.array_equal(measures, again)
+    for values, row in zip(VALUES, measures, strict=True):
         own = ", ".join(f'"{k}"="{v!r}"' for k, v in zip(KEYS[:2], values[:2].tolist(), strict=True))
         stiffness = f"computer.analog_stiffness_n_per_m={float(values[2])!r}"
         scene = drop(model, stiffness, f"device.values={{{own}}}")
@@ -49,9 +49,9 @@ def test_a_device_that_is_unstable_fails_alone():
     plan = resolve(drop("linear"))
     # a feedback resistor of negative value
     with Batch(plan, ("xsum1.r31",), ("max_penetration",)) as batch:
-        found = batch.measures(np.array([[10e3], [-10e3], [10.1e3]]))
-    assert np.isfinite(found[[0, 2]]).all()
-    assert np.isnan(found[1]).all()
+        measures = batch.measures(np.array([[10e3], [-10e3], [10.1e3]]))
+    assert np.isfinite(measures[[0, 2]]).all()
+    assert np.isnan(measures[1]).all()
     assert list(batch.failures) == [1]
 
 

@@ -57,13 +57,13 @@ def of_slider(folder: Path, *names: str, motor: str = "emf", **computer: Any) ->
 
 def test_limits_of_a_sampled_wall_on_a_mass(tmp_path: Path) -> None:
     """k* = b (1-E)/(tau (1-E) - T E), E = exp(-T/tau), tau = m/b; passive up to 2b/T."""
-    found = of_slider(tmp_path, "k_max", "passive_stiffness", **DISCRETE)
+    slider = of_slider(tmp_path, "k_max", "passive_stiffness", **DISCRETE)
     rendered = COMMAND_TRUE * V_NM
     tau = MASS / VISCOSITY
     e = math.exp(-PERIOD / tau)
     exact = VISCOSITY * (1 - e) / (tau * (1 - e) - PERIOD * e)
-    assert found["k_max"] * rendered == pytest.approx(exact, rel=CLOSE)
-    assert found["passive_stiffness"] * rendered == pytest.approx(2 * VISCOSITY / PERIOD, rel=CLOSE)
+    assert slider["k_max"] * rendered == pytest.approx(exact, rel=CLOSE)
+    assert slider["passive_stiffness"] * rendered == pytest.approx(2 * VISCOSITY / PERIOD, rel=CLOSE)
 
 
 def test_converters_that_settle_are_late_by_half_of_it(tmp_path: Path) -> None:
@@ -80,13 +80,13 @@ def test_converters_that_settle_are_late_by_half_of_it(tmp_path: Path) -> None:
 
 def test_limits_of_an_analog_spring_behind_the_windings_lag(tmp_path: Path) -> None:
     """Spring and back-EMF act through one pole L/R: active and unstable from b R/L, and eta = k L/(R b)."""
-    found = of_slider(tmp_path, "k_max", "passive_stiffness", "eta", motor="full")
+    slider = of_slider(tmp_path, "k_max", "passive_stiffness", "eta", motor="full")
     lag = MOTOR_H / MOTOR_OHM
     limit = VISCOSITY / lag
     for name in ("k_max", "passive_stiffness"):
-        assert found[name] * SPRING_TRUE / K_FS == pytest.approx(limit, rel=1e-5), name
+        assert slider[name] * SPRING_TRUE / K_FS == pytest.approx(limit, rel=1e-5), name
     # the delay is read at a phase of 1e-3: its cube is 1e-6 of it
-    assert found["eta"] == pytest.approx(100.0 / limit, rel=1e-5)
+    assert slider["eta"] == pytest.approx(100.0 / limit, rel=1e-5)
 
 
 def test_eta_is_of_the_slowest_path() -> None:
@@ -101,8 +101,8 @@ def test_eta_is_of_the_slowest_path() -> None:
     arm = Arm(l1, l2, 0, 0, 0, 0, 0, 0, 0)
     w = arm.jacobian(arm.inverse(np.array(scene.wall.point_m))).T @ np.array(scene.wall.normal)
     b = (EMF_TRUE + scene.device.chain.viscous_n_m_s[0]) / float(w @ w)  # both joints alike
-    found = measured(plan, "eta")["eta"]
-    assert found == pytest.approx(100.0 * max(totals) / b, rel=1e-3)
+    value = measured(plan, "eta")["eta"]
+    assert value == pytest.approx(100.0 * max(totals) / b, rel=1e-3)
 
 
 def test_what_no_viscosity_and_no_lag_leave(tmp_path: Path) -> None:
@@ -138,25 +138,25 @@ def test_one_multiplier_off_makes_curl_and_feeds_energy(pair: str) -> None:
     path = np.array([arm.inverse(point + 0.01 * np.array([math.cos(a), math.sin(a)])) for a in turns])
     after = np.roll(path, -1, axis=0)
     area = 0.5 * float(np.sum(path[:, 0] * after[:, 1] - path[:, 1] * after[:, 0]))
-    found = measured(plan, "curl", "circle_energy", "least_stiffness")
+    result = measured(plan, "curl", "circle_energy", "least_stiffness")
     # gains of the model are good to 1e-7 of the largest, the difference of two of them to 1e-5
-    assert found["curl"] == pytest.approx(tip[0, 1] - tip[1, 0], rel=1e-4)
-    assert found["circle_energy"] == pytest.approx(abs((ksp[0, 1] - ksp[1, 0]) * area), rel=1e-4)
-    assert found["least_stiffness"] == pytest.approx(np.linalg.eigvalsh((ksp + ksp.T) / 2)[0], rel=1e-2)
-    assert found["least_stiffness"] < 0.0
+    assert result["curl"] == pytest.approx(tip[0, 1] - tip[1, 0], rel=1e-4)
+    assert result["circle_energy"] == pytest.approx(abs((ksp[0, 1] - ksp[1, 0]) * area), rel=1e-4)
+    assert result["least_stiffness"] == pytest.approx(np.linalg.eigvalsh((ksp + ksp.T) / 2)[0], rel=1e-2)
+    assert result["least_stiffness"] < 0.0
 
 
 def test_margins_and_rest_are_those_of_the_check(capsys: pytest.CaptureFixture[str]) -> None:
     full = ["effects.opamp=full", "effects.opamp_offset=true", "effects.driver=current"]
     assert main(["check", DROP, *(word for each in full for word in ("--set", each)), "--json"]) == 0
     board = json.loads(capsys.readouterr().out)["checks"][0]
-    found, lacking = board_measures(
+    measures, lacking = board_measures(
         resolve(load_scene(DROP, full)), ("rest_force", "phase_margin", "gain_margin"), child=shared_child()
     )
-    assert found["rest_force"]["value"] == max(abs(row["force_n"]) for row in board["rest"]) > 0.0
+    assert measures["rest_force"]["value"] == max(abs(row["force_n"]) for row in board["rest"]) > 0.0
     for name, unit in (("phase_margin", "deg"), ("gain_margin", "db")):
         margins = [row[f"{name}_{unit}"] for row in board["loops"] if row[f"{name}_{unit}"] is not None]
-        assert found[name]["value"] == min(margins) if margins else name in lacking
+        assert measures[name]["value"] == min(margins) if margins else name in lacking
 
 
 def test_every_measure_says_what_it_is() -> None:
@@ -176,10 +176,10 @@ def no_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(measure_values, "run", refuse)
 
 
-def told(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
+def json_of(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
     assert main([*words, "--json"]) == 0
-    found: dict[str, Any] = json.loads(capsys.readouterr().out)
-    return found
+    out: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return out
 
 
 @pytest.mark.usefixtures("no_run")
@@ -188,14 +188,14 @@ def test_run_sweep_and_compare_agree_without_a_run(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     asked = ("--measure", "k_max", "--measure", "eta")
-    runs = told(capsys, "run", DROP, "--set", "motor_l=1.5m,3m", *asked)["runs"]
-    found = [[run["measures"][name]["value"] for name in ("k_max", "eta")] for run in runs]
+    runs = json_of(capsys, "run", DROP, "--set", "motor_l=1.5m,3m", *asked)["runs"]
+    rows = [[run["measures"][name]["value"] for name in ("k_max", "eta")] for run in runs]
     assert [run["folder"] for run in runs] == [None, None]
-    assert found[1][1] > 1.5 * found[0][1]  # of three lags that of the winding is by far the largest
-    swept = told(capsys, "sweep", DROP, "motor_l=1.5m,3m", *asked)["measures"]
-    assert [list(pair) for pair in zip(swept["k_max"], swept["eta"], strict=True)] == found
-    sides = told(capsys, "compare", DROP, "--set", "motor_l=3m", *asked)["measures"]
-    assert [[side[name]["value"] for name in ("k_max", "eta")] for side in sides] == found
+    assert rows[1][1] > 1.5 * rows[0][1]  # of three lags that of the winding is by far the largest
+    swept = json_of(capsys, "sweep", DROP, "motor_l=1.5m,3m", *asked)["measures"]
+    assert [list(pair) for pair in zip(swept["k_max"], swept["eta"], strict=True)] == rows
+    sides = json_of(capsys, "compare", DROP, "--set", "motor_l=3m", *asked)["measures"]
+    assert [[side[name]["value"] for name in ("k_max", "eta")] for side in sides] == rows
     assert not (tmp_path / "out" / "drop").exists()
 
 
@@ -203,9 +203,9 @@ def test_run_sweep_and_compare_agree_without_a_run(
 def test_effects_on_a_limit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A limit of its own for every choice of effects: without a back-EMF there is none."""
     folder = scene_of(tmp_path, slider(effects={"motor": "emf"}, computer=DISCRETE)).file
-    found = told(capsys, "effects", str(folder), "--measure", "k_max")
-    assert found["runs"] == 0
-    rows = {(row["effect"], row["value"]): row["on"].get("k_max") for row in found["rows"]}
+    result = json_of(capsys, "effects", str(folder), "--measure", "k_max")
+    assert result["runs"] == 0
+    rows = {(row["effect"], row["value"]): row["on"].get("k_max") for row in result["rows"]}
     limit = of_slider(tmp_path, "k_max", **DISCRETE)["k_max"]  # nothing is stable without the back-EMF
     assert rows["motor", "emf"] == pytest.approx(limit, rel=CLOSE)
 
@@ -222,7 +222,7 @@ def test_a_scene_names_them_and_a_result_keeps_them(tmp_path: Path) -> None:
 
 def test_slips_name_the_measure(capsys: pytest.CaptureFixture[str]) -> None:
     wall = ("--set", "wall={point_m=[0.0,9.0],normal=[0.0,1.0]}")
-    for words, said in (
+    for words, each in (
         (["run", DROP, "--measure", "k_maximum"], "nearest is k_max"),
         (["effects", DROP, "--measure", "kmax"], "nearest is k_max"),
         (["compare", DROP, "--set", "seed=2", "--measure", "etta"], "nearest is eta"),
@@ -230,4 +230,4 @@ def test_slips_name_the_measure(capsys: pytest.CaptureFixture[str]) -> None:
         (["run", SLOPE, "--measure", "k_max", *wall], "wall.point_m"),
     ):
         assert main(words) == 2, words
-        assert said in capsys.readouterr().err
+        assert each in capsys.readouterr().err

@@ -33,9 +33,9 @@ def test_the_computer_learns_what_its_board_renders(
     """Ideal parts render the formulas of the netlist, of which the constants are rounded to 1e-4."""
     plan = resolve(load_scene(SCENES / "press.toml", [*IDEAL, "solver.model=linear"]))
     design = plan.stated(shared_child())
-    found = calibrated(design, extract(shipped(2, "ideal", overrides=overrides)))
+    result = calibrated(design, extract(shipped(2, "ideal", overrides=overrides)))
     for name, factor in zip(("k_fs", "c_fs", "v_nm"), factors, strict=True):
-        assert getattr(found, name) == pytest.approx(getattr(design, name) * factor, rel=3e-4)
+        assert getattr(result, name) == pytest.approx(getattr(design, name) * factor, rel=3e-4)
 
 
 @pytest.mark.slow
@@ -43,13 +43,13 @@ def test_what_calibration_takes_off_the_spread() -> None:
     """A slider's stiffness is one gain: calibrated, each device renders what is commanded."""
     values = np.array([[10e3, 24.3e3, 5.0], [10.2e3, 24.0e3, 4.6], [9.9e3, 24.5e3, 5.4]])
     keys = ("xsum1.r31", "rsp11", "xdrv1.xmotor:motor_r")
-    found = []
+    rows = []
     for kind in ("none", "gains"):
         still = ("solver.model=linear", "computer.method=continuous", "computer.discrete_stiffness_n_per_m=0")
         scene = load_scene(SCENES / "drop.toml", [*still, f"tolerance.calibration={kind}", "duration_s=3"])
         with Batch(resolve(scene), keys, ("rendered_stiffness",)) as batch:
-            found.append(batch.measures(values)[:, 0])
+            rows.append(batch.measures(values)[:, 0])
             assert not batch.failures
-    free, told = found
+    free, result = rows
     assert np.ptp(free) / free[0] > 0.1  # 1.02 * 5/4.6 against 0.99 * 5/5.4 in gain
-    assert np.ptp(told) / told[0] < 0.01  # what gives is the steps of DACs and encoder
+    assert np.ptp(result) / result[0] < 0.01  # what gives is the steps of DACs and encoder

@@ -319,8 +319,8 @@ def test_a_vendors_model_is_checked_and_what_cannot_be_known_is_said(checked, tm
     vendor = Path(__file__).parent / "data" / "ngspice" / "vendor" / "boyle.lib"
     swap = {"file": str(vendor), "subckt": "TL072", "pins": "1 2 3 4 5", "dialect": "pspice"}
     result = checked(scene_of(tmp_path, slider(device={"parts": {"opamp": swap}})).file)
-    said = " ".join(f.message for f in result.findings)
-    assert "states no output limit" not in said
+    message = " ".join(f.message for f in result.findings)
+    assert "states no output limit" not in message
     limits = {s.path: s for s in result.measured.headroom.swings}
     # its clamps: 2.2 V below either supply and one diode's 0.7 V above that
     assert limits["xboard.xdiff1.xop"].limit_v == pytest.approx(13.5, abs=0.1)
@@ -356,14 +356,14 @@ def test_what_a_part_does_not_state_is_measured_of_it_alone(
     swap = {"file": "op.lib", "subckt": "myop", "pins": pins}
     scene_of(tmp_path, slider(device={"parts": {role: swap}}))
     deck = resolve(load_scene(tmp_path / "scene.toml")).board
-    found = call("test_check:swings_of", {"board": deck})
+    result = call("test_check:swings_of", {"board": deck})
     mine = [a.path for a in deck.amplifiers if a.part == "myop"]
     assert mine
     for path in mine:
         assert (
-            (found[path].limit_v, str(found[path].source)) == (pytest.approx(limit), source)
+            (result[path].limit_v, str(result[path].source)) == (pytest.approx(limit), source)
             if limit
-            else (path not in found)
+            else (path not in result)
         )
 
 
@@ -372,23 +372,23 @@ def swings_of(payload, report):
 
 
 @pytest.mark.parametrize(
-    ("made", "said"),
+    ("made", "note"),
     [
         ("eo y 0 x 0 1\nro y n 126\nrn n 5 -26", "negative"),
         ("j$a 3 y sp nj\nrs sp 5 100\nro y x 0.1\n.model nj njf(vto=-1 beta=1e-3)\n.param z=0", ""),
     ],
     ids=["negative-resistor", "dollar"],
 )
-def test_noise_that_one_element_does_not_tell_costs_no_check(checked, tmp_path, made, said):
+def test_noise_that_one_element_does_not_tell_costs_no_check(checked, tmp_path, made, note):
     (tmp_path / "op.lib").write_text(
         f".subckt myop 1 2 3 4 5\nga 0 x 1 2 1m\nra x 0 200meg\nca x 0 53p\n{made}\nrp 3 4 10k\n.ends\n"
     )
     swap = {"file": "op.lib", "subckt": "MYOP", "pins": "1 2 3 4 5", "dialect": "pspice"}
     scene_of(tmp_path, slider(device={"parts": {"opamp": swap}}))
     result = checked(tmp_path / "scene.toml")
-    told = [f.message for f in result.findings if f.section == "noise"]
-    assert all(said in message for message in told)
-    assert bool(said) == bool(told)
+    message = [f.message for f in result.findings if f.section == "noise"]
+    assert all(note in message for message in message)
+    assert bool(note) == bool(message)
     assert result.measured.components.rest_n > 0.0
     # the multipliers' resistors among others
     assert all(n.current_a > 0.0 and n.complete for n in result.measured.noise)
@@ -407,7 +407,7 @@ def project(folder, *edits):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "reason"),
     [
         ("xdiff1 u1 p1 x1", "Rbad x1\nxdiff1 u1 p1 x1", "Rbad"),
         ("xdiff1 u1 p1 x1", "Vbad x1 0 1\nVworse x1 0 2\nxdiff1 u1 p1 x1", "vbad"),
@@ -415,12 +415,12 @@ def project(folder, *edits):
     ],
     ids=["syntax", "no operating point", "floating node"],
 )
-def test_a_broken_netlist_is_the_users_mistake(tmp_path, capsys, old, new, said):
+def test_a_broken_netlist_is_the_users_mistake(tmp_path, capsys, old, new, reason):
     project(tmp_path, (old, new))
     code = main(["check", str(tmp_path / "board2.cir")])
     out = capsys.readouterr()
     assert code == 2, out
-    assert said.lower() in out.err.lower()
+    assert reason.lower() in out.err.lower()
     assert "Traceback" not in out.err
 
 
@@ -462,9 +462,9 @@ def test_a_point_that_is_not_found_at_rated_current_leaves_the_rest(monkeypatch)
     monkeypatch.setattr(measured_constants, "multiplier_volts", lost)
     notes: list[str] = []
     constants = SimpleNamespace(kt=1.0, gear=1.0, v_fs=1.0)
-    found = measured_constants.measure_constants(Still(), constants, [], notes)
-    assert "w_rated" not in {name for name, _ in found}
-    assert found["k_fs", "11"][0] is not None
+    result = measured_constants.measure_constants(Still(), constants, [], notes)
+    assert "w_rated" not in {name for name, _ in result}
+    assert result["k_fs", "11"][0] is not None
     (note,) = notes
     assert note.startswith("w_rated 11 is not told: ")
     assert "no DC operating point" in note
@@ -476,6 +476,6 @@ def test_the_most_current_is_that_of_the_dacs_own_range(capsys):
     With both at 10 V, as shipped, the one range cannot be told from the other.
     """
     assert main(["check", str(SCENES / "press.toml"), "--set", "dac_v=0.2", "--json"]) in (0, 1)
-    found = json.loads(capsys.readouterr().out)["checks"][0]["headroom"]["limits_a"]
+    out = json.loads(capsys.readouterr().out)["checks"][0]["headroom"]["limits_a"]
     wanted = (0.2 * 3.0003 / 3.37034 + 0.2 / 15.625) / (0.04 * 8)
-    assert found == pytest.approx([wanted] * 2, rel=2e-3)  # design constants are rounded, amplifiers finite
+    assert out == pytest.approx([wanted] * 2, rel=2e-3)  # design constants are rounded, amplifiers finite

@@ -290,10 +290,10 @@ def test_slew_limit_makes_a_triangle_of_a_large_sine(tmp_path: Path) -> None:  #
     circuit = f"Vin in 0 sin(0 50 {hz})\nx1 in out vcc vee out ua741\nRl out 0 100k\n"
     circuit += f".options reltol=1e-5\n.tran {1 / hz / 400} {42 / hz} {40 / hz} {1 / hz / 400}\n"
     circuit += ".measure tran hi max v(out)\n.measure tran lo min v(out)\n"
-    found = part(tmp_path, "ua741", "gbw", ("opamp_slew",), circuit)
+    result = part(tmp_path, "ua741", "gbw", ("opamp_slew",), circuit)
     # the input passes the output's range of 6 V at 50 V * 2 pi f = 6.3 V/us: the slope turns within 0.16 us
     # of each 25 us, in which it is smaller
-    assert (found["hi"] - found["lo"]) / 2 == pytest.approx(rate / (4 * hz), rel=0.01)
+    assert (result["hi"] - result["lo"]) / 2 == pytest.approx(rate / (4 * hz), rel=0.01)
     without = part(tmp_path, "ua741", "gbw", (), circuit)
     assert without["hi"] > 40
 
@@ -302,10 +302,10 @@ def test_saturation_clips_and_leaves_the_rest_alone(tmp_path: Path) -> None:
     swing = 15 - OPAMP["tl072_drop"]
     opened = "Vin in 0 1\nx1 in 0 vcc vee out tl072\nRl out 0 100k\n.dc Vin -1 1 2\n"
     opened += ".measure dc lo find v(out) at=-1\n.measure dc hi find v(out) at=1\n"
-    found = part(tmp_path, "tl072", "gbw", ("opamp_saturation",), opened)
+    result = part(tmp_path, "tl072", "gbw", ("opamp_saturation",), opened)
     # 1 V at the input gives 10 uA into diodes of 1e-15 A: 0.595 V, of which 0.6 V were expected
-    assert found["hi"] == pytest.approx(swing, rel=1e-3)
-    assert found["lo"] == pytest.approx(-swing, rel=1e-3)
+    assert result["hi"] == pytest.approx(swing, rel=1e-3)
+    assert result["lo"] == pytest.approx(-swing, rel=1e-3)
     follower = "Vin in 0 1\nx1 in out vcc vee out tl072\nRl out 0 100k\n.dc Vin 10 12 2\n"
     follower += ".measure dc out find v(out) at=10\n"
     assert part(tmp_path, "tl072", "gbw", ("opamp_saturation",), follower)["out"] == pytest.approx(
@@ -341,8 +341,8 @@ def test_nonlinearity_and_feedthrough_are_the_data_sheets(tmp_path: Path) -> Non
 def test_multipliers_offset_feeds_the_other_input_through(tmp_path: Path) -> None:
     circuit = "Vx x 0 10\nVy y 0 0\nx1 x 0 y 0 w 0 vcc vee ad633\n.dc Vx 0 10 10\n"
     circuit += ".measure dc a find v(w) at=0\n.measure dc b find v(w) at=10\n"
-    found = part(tmp_path, "ad633", "ideal", ("vca_offset",), circuit)
-    assert found["b"] - found["a"] == pytest.approx(VCA["ad633_vosin"], rel=1e-4)
+    result = part(tmp_path, "ad633", "ideal", ("vca_offset",), circuit)
+    assert result["b"] - result["a"] == pytest.approx(VCA["ad633_vosin"], rel=1e-4)
 
 
 def test_saturating_multiplier_in_a_loop_oscillates_as_its_describing_function_says(
@@ -358,7 +358,7 @@ def test_saturating_multiplier_in_a_loop_oscillates_as_its_describing_function_s
     circuit = f"Ex x 0 c 0 1\nVy y 0 10\nx1 x 0 y 0 w 0 vcc vee ad633\n{lags}.ic v(c)=5\n"
     circuit += f".options reltol=1e-5\n.tran 20u {60 * tau} {40 * tau} 20u uic\n"
     circuit += ".measure tran hi max v(c)\n.measure tran lo min v(c)\n"
-    found = part(tmp_path, "ad633", "full", (), circuit)
+    result = part(tmp_path, "ad633", "full", (), circuit)
 
     def describing(a: float) -> float:
         return 2 / math.pi * (math.asin(1 / a) + math.sqrt(1 - 1 / a**2) / a)
@@ -369,7 +369,7 @@ def test_saturating_multiplier_in_a_loop_oscillates_as_its_describing_function_s
         low, high = (middle, high) if describing(middle) > 8 / gain else (low, middle)
     # the lags leave (2/sqrt(28))^3 = 5 % of a clipped wave's third harmonic (a fifth), 1 % of the amplitude;
     # the data sheet's errors bend the characteristic by 2 %
-    assert (found["hi"] - found["lo"]) / 2 == pytest.approx(low * clip, rel=0.03)
+    assert (result["hi"] - result["lo"]) / 2 == pytest.approx(low * clip, rel=0.03)
 
 
 # ---- the driver's limit

@@ -18,9 +18,9 @@ from cosim.variants import parse_settings, split_values, variants
 
 def test_new_lays_out_a_project(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["new", str(tmp_path / "dev"), "--joints", "1", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["joints"] == 1
-    assert all((tmp_path / "dev" / name).is_file() for name in told["files"])
+    out = json.loads(capsys.readouterr().out)
+    assert out["joints"] == 1
+    assert all((tmp_path / "dev" / name).is_file() for name in out["files"])
 
 
 def test_users_mistake_is_exit_code_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -214,5 +214,5 @@ def test_a_folder_that_has_vanished_is_told(tmp_path, monkeypatch, capsys, words
     gone.rmdir()
     scene = str(scenes_folder() / "press.toml")
     assert cli.main([word.format(scene=scene) for word in words]) == 2
-    said = capsys.readouterr()
-    assert "does not exist any more" in said.out + said.err
+    printed = capsys.readouterr()
+    assert "does not exist any more" in printed.out + printed.err

@@ -17,9 +17,9 @@ N = 203
 
 
 def free_port() -> int:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        return int(listener.getsockname()[1])
 
 
 @pytest.mark.slow
@@ -43,12 +43,12 @@ def test_the_same_bytes_on_a_cluster_and_one_worker_killed(tmp_path: Path) -> No
         deadline = time.monotonic() + 90.0
         while True:
             try:
-                found = run(job(tmp_path / "far", N), tmp_path / "far" / "mc", chunk=7, cluster=address)
+                result = run(job(tmp_path / "far", N), tmp_path / "far" / "mc", chunk=7, cluster=address)
                 break
             except InputError:  # they are not up yet
                 assert time.monotonic() < deadline
                 time.sleep(0.5)
-        assert (found.folder / "samples.parquet").read_bytes() == (
+        assert (result.folder / "samples.parquet").read_bytes() == (
             truth.folder / "samples.parquet"
         ).read_bytes()
         processes[1].kill()

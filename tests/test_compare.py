@@ -36,9 +36,9 @@ SHORT = ["--set", "duration_s=0.1"]
 def compared(capsys, *words):
     """Run the command and return what it found, the rows by (quantity, place)."""
     assert main(["compare", *map(str, words), "--json"]) == 0, capsys.readouterr().err
-    found = json.loads(capsys.readouterr().out)
-    rows = {(row["quantity"], place): row for row in found["changed"] for place in row["places"] or [""]}
-    return found, rows
+    out = json.loads(capsys.readouterr().out)
+    rows = {(row["quantity"], place): row for row in out["changed"] for place in row["places"] or [""]}
+    return out, rows
 
 
 @pytest.fixture
@@ -54,17 +54,17 @@ def edited(tmp_path):
 
 
 def test_compare_shows_the_share_of_an_edited_resistor(tmp_path, edited, capsys):
-    found, rows = compared(capsys, BOARD, edited, DROP, "--out", tmp_path / "out")
+    result, rows = compared(capsys, BOARD, edited, DROP, "--out", tmp_path / "out")
     before, after = rows["spring at full-scale gain", "motor 1 from joint 1"]["values"]
     # the summing amplifier weighs a spring with r_sum_fb / r_sum_spring
     assert after / before == pytest.approx(24.3 / 27.0, rel=1e-4)
     # more of its output comes back to the inverting input past a larger leg: the loop is faster
     before, after = rows["crossover", "xsum1.xop (tl072)"]["values"]
     assert after > before
-    assert found["boards"] == ["A netlists/board1", "B edited/board1"]
-    assert {"clips first at rated torque", "clips first in this scene"} <= set(found["said"][0])
+    assert result["boards"] == ["A netlists/board1", "B edited/board1"]
+    assert {"clips first at rated torque", "clips first in this scene"} <= set(result["said"][0])
     assert any(quantity.startswith("heat of the winding") for quantity, _ in rows)
-    shown = [word for row in found["changed"] for word in (row["quantity"], *row["places"])]
+    shown = [word for row in result["changed"] for word in (row["quantity"], *row["places"])]
     assert not [word for word in shown if "_" in word or "xboard" in word]  # names are for people
     page = tmp_path / "out" / "report"
     for name in ("changed", "paths", "poles", "compare"):

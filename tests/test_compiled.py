@@ -17,18 +17,18 @@ def compiled(function: ast.FunctionDef) -> bool:
 
 def named_by_python(tree: ast.AST, known: set[str]) -> set[str]:
     """Names that a module's uncompiled code uses, of what is `known` there or an attribute of it."""
-    found: set[str] = set()
+    every: set[str] = set()
     for child in ast.iter_child_nodes(tree):
         if isinstance(child, ast.FunctionDef) and compiled(child):
             continue
         if isinstance(child, ast.Name) and child.id in known:
-            found.add(child.id)
+            every.add(child.id)
         elif (
             isinstance(child, ast.Attribute) and isinstance(child.value, ast.Name) and child.value.id in known
         ):
-            found.add(child.attr)
-        found |= named_by_python(child, known)
-    return found
+            every.add(child.attr)
+        every |= named_by_python(child, known)
+    return every
 
 
 def inner_in(tree: ast.Module) -> set[str]:

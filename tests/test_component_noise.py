@@ -76,12 +76,14 @@ def extracted(payload: dict[str, Any], report: Any) -> ComponentNoise:
 
 
 def measured(deck: Deck) -> ComponentNoise:
-    found = in_child("test_component_noise:extracted", {"board": deck})
-    assert isinstance(found, ComponentNoise)
-    return found
+    result = in_child("test_component_noise:extracted", {"board": deck})
+    assert isinstance(result, ComponentNoise)
+    return result
 
 
-def told(deck: Deck, volts: Mapping[str, float], node: str = "imot1", more: tuple[str, ...] = ()) -> Array:
+def solved_noise(
+    deck: Deck, volts: Mapping[str, float], node: str = "imot1", more: tuple[str, ...] = ()
+) -> Array:
     payload = {"board": noisy(deck), "volts": dict(volts), "node": node, "more": list(more)}
     return np.asarray(in_child("test_component_noise:noise_of", payload))
 
@@ -175,9 +177,9 @@ def test_sum_over_devices_is_what_noise_says_at_three_gains(level: str, driver: 
     sizes = []
     for share in (0.0, 0.5, 1.0):
         volts = {pin: share * V_FS for pin in channel_names(1)}
-        whole = told(deck, volts)
-        np.testing.assert_allclose(np.sqrt(power(noise, volts)), whole, rtol=bound)
-        sizes.append(whole[60])
+        result = solved_noise(deck, volts)
+        np.testing.assert_allclose(np.sqrt(power(noise, volts)), result, rtol=bound)
+        sizes.append(result[60])
     assert sizes[2] > 1.5 * sizes[0]  # at 100 Hz the gains matter
     assert not noise.notes
 
@@ -190,7 +192,7 @@ def test_board_without_probes_agrees_too(tmp_path: Path) -> None:
     noise = measured(deck)
     assert noise.probes == ()
     for volts in ({}, {"ksp11": 3.0}, {"ksp11": 10.0, "ksd11": -5.0}):
-        np.testing.assert_allclose(np.sqrt(power(noise, volts)), told(deck, volts), rtol=1e-6)
+        np.testing.assert_allclose(np.sqrt(power(noise, volts)), solved_noise(deck, volts), rtol=1e-6)
 
 
 GAINS = {"ksp11": 10.0, "ksp12": -3.0, "ksp21": -6.0, "ksp22": 8.0, "ksd11": 5.0, "ksd12": 2.0, "ksd21": 9.0}
@@ -203,7 +205,7 @@ def test_motors_share_what_a_device_makes() -> None:
     cross = noise.spectrum(control)[:, 0, 1]
     # the real part by `.noise` alone: <i1 i2> = (|i1 + i2|^2 - |i1 - i2|^2)/4
     sums = ("Esum isum 0 vol='v(imot1)+v(imot2)'", "Edif idif 0 vol='v(imot1)-v(imot2)'")
-    both = [told(deck, GAINS, node, sums) ** 2 for node in ("isum", "idif")]
+    both = [solved_noise(deck, GAINS, node, sums) ** 2 for node in ("isum", "idif")]
     scale = np.sqrt(power(noise, GAINS, 0) * power(noise, GAINS, 1))
     assert np.abs(cross.real - (both[0] - both[1]) / 4).max() < 1e-6 * scale.max()
     assert cross.real[0] < -5e-3 * scale[0]  # 10 * -6 and -3 * 8: what is shared is opposed
@@ -218,8 +220,8 @@ def test_motors_share_what_a_device_makes() -> None:
         h = np.asarray(in_child("test_component_noise:ac_of", payload)) * math.sqrt(KT4 / ohms)
         mine = noise.currents(control)[:, noise.devices.index(device)]
         expected = h[:, 0] * h[:, 1].conj()
-        found = mine[:, 0] * mine[:, 1].conj()
-        assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
+        value = mine[:, 0] * mine[:, 1].conj()
+        assert np.abs(value - expected).max() < 1e-6 * np.abs(expected).max()
         turns.append(np.abs(np.angle(expected[:80])).max())  # below 1 kHz
     assert turns[1] > 0.1
 
@@ -330,7 +332,7 @@ def test_rms_of_a_run_is_the_integral_of_the_spectrum(tmp_path: Path, model: str
 
 def test_low_band_does_not_depend_on_the_grid() -> None:  # hard case 10
     noise = measured(shipped(1, "ideal"))
-    duration, found = 20.0, []
+    duration, result = 20.0, []
     for bandwidth in (200.0, 1000.0, 5000.0):
         grid = realise(noise, 3, duration, bandwidth)
         x = grid.values[: round(duration / grid.dt), 0]
@@ -338,10 +340,10 @@ def test_low_band_does_not_depend_on_the_grid() -> None:  # hard case 10
         f = np.fft.rfftfreq(len(x), grid.dt)
         # what a line from tick to tick keeps of it
         density = density * np.sinc(f * grid.dt) ** 4
-        found.append(density[(f > 1) & (f < 100)].mean())
+        result.append(density[(f > 1) & (f < 100)].mean())
     expected = np.sum(np.abs(noise.x[60, :, 0]) ** 2)
     # of 99 Hz times 20 s = 1980 independent exponential values
-    np.testing.assert_allclose(found, expected, rtol=4 / math.sqrt(1980))
+    np.testing.assert_allclose(result, expected, rtol=4 / math.sqrt(1980))
 
 
 def test_correlation_of_the_realisation_is_that_of_the_circuit() -> None:
@@ -401,15 +403,17 @@ def test_a_priori_size_is_what_is_measured(tmp_path: Path) -> None:
 def test_check_tells_it_by_device() -> None:
     (variant,) = variants(parse_settings([]))
     done = check(load_subject(str(BOARD1), variant, "ideal", "voltage"))
-    found = done.measured.components
-    assert found.devices[0].device == "xksd11.xmul"
+    components = done.measured.components
+    assert components.devices[0].device == "xksd11.xmul"
     force = 0.8e-6 * 10 / 6.19 * SIEMENS * math.sqrt(999.9) * TORQUE / R_TIP
-    assert found.devices[0].rest_n == pytest.approx(force, rel=1e-4)
+    assert components.devices[0].rest_n == pytest.approx(force, rel=1e-4)
     # powers of independent devices add up
-    assert math.sqrt(sum(d.spring_n**2 for d in found.devices)) == pytest.approx(found.spring_n, rel=1e-6)
-    said = describe(done)
-    assert "Noise by component" in said
-    assert "xksd11.xmul" in said
+    assert math.sqrt(sum(d.spring_n**2 for d in components.devices)) == pytest.approx(
+        components.spring_n, rel=1e-6
+    )
+    result = describe(done)
+    assert "Noise by component" in result
+    assert "xksd11.xmul" in result
 
 
 def test_spice_needs_probes_and_says_so(tmp_path: Path) -> None:

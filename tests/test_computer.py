@@ -109,15 +109,15 @@ def test_joint_pd_is_diagonal_with_own_gains_or_those_of_the_wall() -> None:  # 
 def pressed(c: Any, depths: list[float]) -> list[Any]:
     """Ask at one sample after another; normal (-1, 0) at x = 0.15, links stretched along the wall's edge."""
     x = np.zeros(1, SAMPLE)[0]
-    found = []
+    rows = []
     for depth in depths:
         q = LINKAGE.inverse(np.array([0.12 + depth, 0.05]))
         x["q"][:2] = q
         law(c, LINKAGE.pack()[0], x)
         torque = x["ksp"][:2, :2] @ (x["u"][:2] - q) + x["cmd"][:2]
         force = np.linalg.solve(ARM.jacobian(q).T, torque)
-        found.append((-float(force[0]), float(x["ksp"][0, 0]), x["ksp"].copy(), q))
-    return found
+        rows.append((-float(force[0]), float(x["ksp"][0, 0]), x["ksp"].copy(), q))
+    return rows
 
 
 WALL = (np.array([-1.0, 0.0]), np.array([0.12, 0.0]))
@@ -141,12 +141,12 @@ def test_anchored_springs_begin_relaxed_and_are_drawn_back_with_the_tip(path: Co
     """Force (k_dp + kp) (x - anchor): anchor 1 mm at first, 0.5 mm after the tip went back that far."""
     depths = [-1e-3, 1e-3, 3e-3, 0.5e-3, 2e-3, -1e-3, 2e-3, 3e-3]
     stretch = [0.0, 0.0, 2e-3, 0.0, 1.5e-3, 0.0, 0.0, 1e-3]
-    found = pressed(record(Method.COMBINED, *WALL, kd=0.0, path=path, anchored=1), depths)
+    result = pressed(record(Method.COMBINED, *WALL, kd=0.0, path=path, anchored=1), depths)
     full = pressed(record(Method.COMBINED, *WALL, kd=0.0, path=path), depths)
-    for (force, _, ksp, _), (_, _, whole, _), x in zip(found, full, stretch, strict=True):
+    for (force, _, ksp, _), (_, _, each, _), x in zip(result, full, stretch, strict=True):
         # the springs' equilibrium is found at the joints: 3 mm in 0.1 m bend it by a few per cent
         assert force == pytest.approx((K_DP + KP) * x, rel=0.06, abs=1e-6)
-        np.testing.assert_array_equal(ksp, whole)
+        np.testing.assert_array_equal(ksp, each)
 
 
 @pytest.mark.parametrize("line", [{"onset": "anchored"}, {"gain_ramp_samples": 3}])

@@ -489,8 +489,8 @@ def test_an_inconsistent_initial_state_is_told_and_the_consistent_one_used(
     plain = quick(tmp_path, tables)
     block.write_text(text.replace("C77 out 0 10p", "C77 out 0 10p ic=3") + ".ic v(xboard.drv1)=5\n")
     run = quick(tmp_path, tables)
-    told = [note for note in run.plan["notes"] if "operating point" in note]
-    assert any(".ic" in note for note in told)
-    assert any("C77" in note and "ic = 3" in note for note in told)
+    rows = [note for note in run.plan["notes"] if "operating point" in note]
+    assert any(".ic" in note for note in rows)
+    assert any("C77" in note and "ic = 3" in note for note in rows)
     assert not any("operating point" in note for note in plain.plan["notes"])
     assert bytes_of(run) == bytes_of(plain)

@@ -28,7 +28,7 @@ def refused(aid: Aid) -> str:
 
 
 @pytest.mark.parametrize(
-    ("enough", "said"),
+    ("enough", "note"),
     [
         (lambda aid: True, ""),
         (lambda aid: aid.plain, "plain sources"),
@@ -38,7 +38,7 @@ def refused(aid: Aid) -> str:
     ],
 )
 @pytest.mark.parametrize("kind", [NoOperatingPoint, StepTooSmall, Crawl])
-def test_the_first_step_that_helps_is_told(enough, said, kind) -> None:
+def test_the_first_step_that_helps_is_told(enough, note, kind) -> None:
     def attempt(aid: Aid) -> Aid:
         if not enough(aid):
             raise kind(Problem("no DC operating point: here") if kind is NoOperatingPoint else "steps vanish")
@@ -46,10 +46,10 @@ def test_the_first_step_that_helps_is_told(enough, said, kind) -> None:
 
     with collected(forward=False) as cautions:
         aid = aided(ASKED, attempt)
-    told = [caution for caution in cautions if caution.code == "convergence-aided"]
-    assert len(told) == bool(said)
-    assert all(isinstance(caution, Caution) and said in caution.text for caution in told)
-    assert (aid.words == ()) == (not said)
+    rows = [caution for caution in cautions if caution.code == "convergence-aided"]
+    assert len(rows) == bool(note)
+    assert all(isinstance(caution, Caution) and note in caution.text for caution in rows)
+    assert (aid.words == ()) == (not note)
 
 
 def test_what_no_step_helps_is_told_with_all_that_was_tried() -> None:
@@ -111,9 +111,9 @@ def test_a_model_that_stops_at_the_default_tolerance_runs_and_says_why(tmp_path:
     (tmp_path / "jumpy.lib").write_text(JUMPY)
     part = {"file": str(tmp_path / "jumpy.lib"), "subckt": "jumpy", "pins": "1 2 3 4 5"}
     run = quick(tmp_path, slider(duration_s=0.05, device={"parts": {"opamp": part}}))
-    told = [caution for caution in run.warnings if caution.code == "convergence-aided"]
-    assert len(told) == 1
-    assert "solver.rtol = 0.001" in told[0].text
+    rows = [caution for caution in run.warnings if caution.code == "convergence-aided"]
+    assert len(rows) == 1
+    assert "solver.rtol = 0.001" in rows[0].text
 
 
 #: As the last one, but it jumps in a quarter of all trial instants, as rounding errors do between gains far
@@ -132,11 +132,11 @@ def test_a_model_that_crawls_at_the_default_tolerance_runs_from_the_start_and_sa
     tables = slider(duration_s=0.05, device={"parts": {"opamp": part}})
     runs = [quick(tmp_path, tables) for _ in range(2)]
     for run in runs:
-        told = [caution for caution in run.warnings if caution.code == "convergence-aided"]
-        assert len(told) == 1
-        assert "crawls" in told[0].text
-        assert "solver.rtol = 0.001" in told[0].text
-        assert "0.12 %" in told[0].advice
+        rows = [caution for caution in run.warnings if caution.code == "convergence-aided"]
+        assert len(rows) == 1
+        assert "crawls" in rows[0].text
+        assert "solver.rtol = 0.001" in rows[0].text
+        assert "0.12 %" in rows[0].advice
     first, second = (np.asarray(run.signals["time"]) for run in runs)
     assert first[0] == 0.0
     assert first[-1] == pytest.approx(0.05)

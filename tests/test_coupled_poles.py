@@ -24,15 +24,15 @@ def test_a_late_spring_turns_unstable_where_routh_says(tau, unstable):
     m, b, k = 1e-4, 1e-2, 1000.0
     roots = np.roots([m * tau, m + b * tau, b, k])
     assert (roots.real.max() > 0.0) == unstable
-    found = growing(
+    result = growing(
         late_spring(k, tau, b), {"ksp11": 10.0}, np.array([[m]]), np.zeros((1, 1)), np.ones(1), 1.0
     )
-    assert bool(found) == unstable
+    assert bool(result) == unstable
     if unstable:
         worst = roots[np.argmax(roots.real)]
-        assert abs(complex(found[0].real, abs(found[0].imag)) - complex(worst.real, abs(worst.imag))) <= (
+        assert abs(complex(result[0].real, abs(result[0].imag)) - complex(worst.real, abs(worst.imag))) <= (
             0.05 * abs(worst)  # as two fits must agree
         )
-        assert hidden(found, 1e-3)[0].code == "coupling-unstable"
-        assert not hidden(found, 1e-5)  # such steps show it
+        assert hidden(result, 1e-3)[0].code == "coupling-unstable"
+        assert not hidden(result, 1e-5)  # such steps show it
     assert not growing(late_spring(k, tau, b), {}, np.array([[m]]), np.zeros((1, 1)), np.ones(1), 1.0)

@@ -106,8 +106,8 @@ def test_sums_by_doubling_are_sums():
         for _ in range(count):
             sums, cover = sums + cover, s @ cover @ s.T + q
             plain, at = plain + at, s @ at @ s.T
-        whole, ours, our_sums = repeated(s, q, count)
-        assert np.allclose(whole, np.linalg.matrix_power(s, count), rtol=1e-12, atol=1e-14)
+        result, ours, our_sums = repeated(s, q, count)
+        assert np.allclose(result, np.linalg.matrix_power(s, count), rtol=1e-12, atol=1e-14)
         assert np.allclose(ours, cover, rtol=1e-12, atol=1e-14)
         assert np.allclose(our_sums, sums, rtol=1e-12, atol=1e-14)
         assert np.allclose(summed(s, p, count), plain, rtol=1e-12, atol=1e-14)
@@ -268,17 +268,17 @@ def test_white_noise_through_a_continuous_contact_is_lyapunovs(tmp_path):
         }
     }
     circuit = lagging(ideal(1), 2e3, 3e3)
-    density, found = 1e-8, []
+    density, result = 1e-8, []
     for hz in (1e2, 1e3, 1e4, 1e6):
         rms = math.sqrt(density * hz / 0.75)
         scene = held(
             tmp_path, still, {"device": {"potentiometer": {"noise_rad": rms, "noise_bandwidth_hz": hz}}}
         )
         exact = noise_covariance(at_wall(scene, circuit))
-        found.append(exact.mean["penetration"][0, 0])
+        result.append(exact.mean["penetration"][0, 0])
     system = linearise(HeldContact(scene, CONSTANTS, circuit, exact.q))
     p = solve_continuous_lyapunov(system.a, -density * system.b[:, -1:] @ system.b[:, -1:].T)
-    off = np.abs(np.array(found) / (RADIUS**2 * p[0, 0]) - 1.0)
+    off = np.abs(np.array(result) / (RADIUS**2 * p[0, 0]) - 1.0)
     assert off[0] > off[1] > off[2]
     assert off[2] < 1e-5
     assert off[3] < 1e-8  # 20,000 ticks a period, and nothing lost in their sum
@@ -403,11 +403,11 @@ def test_the_motors_force_turns_with_the_arm():
     """
     scene = load_scene(SCENES / "press.toml", ["solver.model=linear"])
     q = touching(scene, CONSTANTS) - [0.05, 0.02]  # some millimetres deep
-    found = linearise(HeldContact(scene, CONSTANTS, lagging(ideal(2), 2e3, 3e3), q))
+    result = linearise(HeldContact(scene, CONSTANTS, lagging(ideal(2), 2e3, 3e3), q))
     linkage = mechanism(scene, CONSTANTS.gear)
-    torque = CONSTANTS.torque_per_amp * found.current_a
+    torque = CONSTANTS.torque_per_amp * result.current_a
     force = lambda at: np.linalg.solve(linkage.jacobian(at).T, torque)  # noqa: E731
     turned = np.column_stack([(force(q + d) - force(q - d)) / 2e-6 for d in 1e-6 * np.eye(2)])
-    follows = np.linalg.solve(linkage.jacobian(q).T, CONSTANTS.torque_per_amp * found.outputs["currents"].c)
+    follows = np.linalg.solve(linkage.jacobian(q).T, CONSTANTS.torque_per_amp * result.outputs["currents"].c)
     assert np.abs(turned).max() > 0.1  # N/rad, of a press of half a newton
-    np.testing.assert_allclose(found.outputs["motor_force"].c[:, :2], turned + follows[:, :2], atol=1e-6)
+    np.testing.assert_allclose(result.outputs["motor_force"].c[:, :2], turned + follows[:, :2], atol=1e-6)

@@ -267,12 +267,12 @@ def test_which_joints_start_does_not_depend_on_their_order(n: int) -> None:  # 2
         for signs in itertools.product((-1, 0, 1), repeat=n):
             sign = np.array(signs)
             loose = sign != 0
-            found = np.zeros(n)
+            values = np.zeros(n)
             if loose.any():
-                found[loose] = np.linalg.solve(mass[np.ix_(loose, loose)], (wanted - sign * friction)[loose])
-            hold = mass @ found - wanted
-            if (np.abs(hold[~loose]) <= friction[~loose]).all() and (found * sign >= 0).all():
-                fitting.append(found)
+                values[loose] = np.linalg.solve(mass[np.ix_(loose, loose)], (wanted - sign * friction)[loose])
+            hold = mass @ values - wanted
+            if (np.abs(hold[~loose]) <= friction[~loose]).all() and (values * sign >= 0).all():
+                fitting.append(values)
         assert len(fitting) == 1
         moved += int((fitting[0] != 0).sum())
         assert a[:n] == pytest.approx(fitting[0], rel=1e-9, abs=1e-9)

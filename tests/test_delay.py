@@ -61,18 +61,18 @@ def test_the_sum_is_the_whole_path_s_delay(joints, level, driver):
     circuit = extracted(deck)
     x0, x1 = late(circuit.a_pre, circuit.b_pre, circuit.c_pre, circuit.d_pre)
     y0, y1 = late(circuit.a_post, circuit.b_post, circuit.c_post, circuit.d_post)
-    found = spring_delays(deck)
-    assert [(path.joint, path.motor) for path in found] == [
+    result = spring_delays(deck)
+    assert [(path.joint, path.motor) for path in result] == [
         (j, i) for j in range(1, joints + 1) for i in range(1, joints + 1)
     ]
-    for path in found:
+    for path in result:
         j, i = path.joint - 1, path.motor - 1
         c = i * joints + j
-        whole = -(x1[c, j] / x0[c, j] + y1[i, c] / y0[i, c])
-        assert path.total_s == pytest.approx(whole, rel=1e-5)
+        value = -(x1[c, j] / x0[c, j] + y1[i, c] / y0[i, c])
+        assert path.total_s == pytest.approx(value, rel=1e-5)
     if driver == "current":  # the amplifier leads what the winding lags: they are one loop
-        assert found[0].steps[-1].block == "driver and motor"
-        assert found[0].steps[-1].delay_s > 0.0
+        assert result[0].steps[-1].block == "driver and motor"
+        assert result[0].steps[-1].delay_s > 0.0
 
 
 def test_op_amps_without_bandwidth_take_their_share_away():
@@ -154,19 +154,19 @@ def test_own_topologies_are_told_right_or_together(tmp_path, name, driver):
     blocks, lines, expected = OWN[name]
     plain = spring_delays(shipped(1, "gbw", driver))[0]
     (path,) = spring_delays(own_board(tmp_path, blocks, lines, driver))
-    found = {step.instance: step.delay_s for step in path.steps}
+    by_name = {step.instance: step.delay_s for step in path.steps}
     own = list(expected)
-    assert [each for each in found if each in own] == own, found
+    assert [each for each in by_name if each in own] == own, by_name
     for instance, delay in expected.items():
         # an op-amp of noise gain 1 to 3 adds up to 0.2 us, finite gain (2e5) 2e-5 of a lag
-        assert found[instance] == pytest.approx(
+        assert by_name[instance] == pytest.approx(
             delay, rel=1e-4, abs=2e-7 if delay > 1e-6 or delay < 0 else 1e-9
         )
     # what was there before is as it was; the difference amplifier drives a lighter or heavier load of 1 Ohm
     others = {step.instance: step.delay_s for step in plain.steps}
-    assert found.keys() - set(own) == others.keys()
+    assert by_name.keys() - set(own) == others.keys()
     for instance, delay in others.items():
-        assert found[instance] == pytest.approx(delay, rel=1e-3, abs=1e-9)
+        assert by_name[instance] == pytest.approx(delay, rel=1e-3, abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -181,11 +181,11 @@ def test_four_tell_one_delay(more, capsys):
     asked = [*(f"effects.{each}" for each in more), "solver.model=linear"]
     plan = resolve(load_scene(scenes_folder() / "press.toml", asked))
     circuit, constants = circuit_of(plan)
-    told = circuit.certificate["delay_s"]
+    value = circuit.certificate["delay_s"]
     words = ["check", str(plan.scene.file), "--json", *(word for each in asked for word in ("--set", each))]
     assert cli.main(words) in (0, 1)
     paths = json.loads(capsys.readouterr().out)["checks"][0]["paths"]
     seen = next(path["delay_s"] for path in paths if path["kind"] == "pot" and path["joint"] == 1)
-    whole = spring_delays(plan.board)[0].total_s
-    for other in (told["spring_before"] + told["after"], lag(constants, circuit), seen):
-        assert other == pytest.approx(whole, rel=1e-5)
+    total_s = spring_delays(plan.board)[0].total_s
+    for other in (value["spring_before"] + value["after"], lag(constants, circuit), seen):
+        assert other == pytest.approx(total_s, rel=1e-5)

@@ -19,21 +19,21 @@ ASKED = ["--measure", "least_stiffness", "--json"]
 
 def call(capsys: pytest.CaptureFixture[str], *words: str, code: int = 0) -> str:
     assert cli.main([*words]) == code
-    said = capsys.readouterr()
-    return said.out if code == 0 else said.err
+    printed = capsys.readouterr()
+    return printed.out if code == 0 else printed.err
 
 
 def test_a_variables_numbers_are_its_own() -> None:
     """Uniform, independent, and the same wherever the variable is one among others."""
     points = Named(("r1", "r2", "c1"), 5)
-    whole = points.uniforms(0, 4000)
-    assert np.array_equal(whole[1001:1100], points.uniforms(1001, 99))
-    assert np.array_equal(Named(("x", "c1"), 5).uniforms(7, 50)[:, 1], whole[7:57, 2])
-    for column in whole.T:
+    result = points.uniforms(0, 4000)
+    assert np.array_equal(result[1001:1100], points.uniforms(1001, 99))
+    assert np.array_equal(Named(("x", "c1"), 5).uniforms(7, 50)[:, 1], result[7:57, 2])
+    for column in result.T:
         assert stats.kstest(column, "uniform").pvalue > 1e-3
     # of three correlations by 4,000 samples: four of their standard deviations
-    assert np.abs(np.corrcoef(whole, rowvar=False)[np.triu_indices(3, 1)]).max() < 4.0 / np.sqrt(4000)
-    assert not np.array_equal(whole, Named(("r1", "r2", "c1"), 6).uniforms(0, 4000))
+    assert np.abs(np.corrcoef(result, rowvar=False)[np.triu_indices(3, 1)]).max() < 4.0 / np.sqrt(4000)
+    assert not np.array_equal(result, Named(("r1", "r2", "c1"), 6).uniforms(0, 4000))
 
 
 def test_values_of_a_resistor_by_their_distributions(
@@ -43,8 +43,8 @@ def test_values_of_a_resistor_by_their_distributions(
     out = tmp_path / "compared"
     words = ["compare", PRESS, "--set", "r_sum_fb=10.2k", *ASKED,
              "--mc", "6", "--spec", "least_stiffness > 0", "-o", str(out)]  # fmt: skip
-    told = json.loads(call(capsys, *words))
-    first, second = told["sides"]
+    result = json.loads(call(capsys, *words))
+    first, second = result["sides"]
     files = sorted(out.glob("*/samples.parquet"))
     tables = [pq.read_table(path)["least_stiffness"].to_numpy() for path in files]
     assert len(tables) == 2
@@ -61,17 +61,19 @@ def test_values_of_a_resistor_by_their_distributions(
         assert [row["design"] for row in csv.DictReader(stream)] == [first["label"], second["label"]]
     # once more: nothing is measured again
     times = [path.stat().st_mtime_ns for path in files]
-    assert json.loads(call(capsys, *words)) == told
+    assert json.loads(call(capsys, *words)) == result
     assert [path.stat().st_mtime_ns for path in files] == times
 
 
 @pytest.mark.slow
 def test_a_sweep_by_distributions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    told = json.loads(
+    result = json.loads(
         call(capsys, "sweep", PRESS, "r_sum_fb=9.8k:10.2k:3", "--set", "solver.model=linear", *ASKED,
              "--mc", "4", "-o", str(tmp_path / "swept"))
     )  # fmt: skip
-    assert [side["label"] for side in told["sides"]] == [f"r_sum_fb={v}" for v in ("9800", "10000", "10200")]
+    assert [side["label"] for side in result["sides"]] == [
+        f"r_sum_fb={v}" for v in ("9800", "10000", "10200")
+    ]
 
 
 def test_slips_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

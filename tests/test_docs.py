@@ -98,9 +98,9 @@ def test_the_site_builds(site):
 def test_a_picture_says_what_to_see(name):
     """A caption of a sentence or more stands right below it."""
     picture = re.compile(r"^!\[([^\]]*)\]\([^)]+\)\n\s*(.*?)\n\n", re.MULTILINE | re.DOTALL)
-    found = picture.findall(PAGES[name])
-    assert len(found) == PAGES[name].count("![")
-    for alternative, caption in found:
+    match = picture.findall(PAGES[name])
+    assert len(match) == PAGES[name].count("![")
+    for alternative, caption in match:
         assert len(alternative) > 30
         assert re.fullmatch(r"\*[^*]{60,}\.\*", caption, re.DOTALL), caption
 

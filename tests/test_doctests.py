@@ -38,8 +38,8 @@ def test_examples(name: str) -> None:
 
 def test_there_are_examples_enough() -> None:
     finder = doctest.DocTestFinder(exclude_empty=True)
-    found = [test for name in MODULES for test in finder.find(importlib.import_module(name)) if test.examples]
-    assert len(found) >= 40
+    rows = [test for name in MODULES for test in finder.find(importlib.import_module(name)) if test.examples]
+    assert len(rows) >= 40
 
 
 @pytest.mark.parametrize("name", [name for name in cosim.__all__ if name != "errors"])

@@ -45,13 +45,13 @@ def test_a_mass_rests_up_to_its_exact_limit():
     tau = mass / b
     decay = math.exp(-period / tau)
     exact = b * (1 - decay) / (tau * (1 - decay) - period * decay)
-    found = scan(Job(scene, constants, circuit, Rest(30.0, 1e-3, 1.0, 0.95, 4, 0.8, 1.05)))
-    assert found.exact_n_per_m == pytest.approx(exact, rel=1e-6)
-    assert 0.9 * exact < found.first_n_per_m <= exact
-    assert found.all_n_per_m <= found.first_n_per_m <= found.none_n_per_m
+    result = scan(Job(scene, constants, circuit, Rest(30.0, 1e-3, 1.0, 0.95, 4, 0.8, 1.05)))
+    assert result.exact_n_per_m == pytest.approx(exact, rel=1e-6)
+    assert 0.9 * exact < result.first_n_per_m <= exact
+    assert result.all_n_per_m <= result.first_n_per_m <= result.none_n_per_m
     # beyond the exact limit nothing can rest, whatever the phase
     assert all(
-        share == 0.0 for k, share in zip(found.stiffness_n_per_m, found.share, strict=True) if k > exact
+        share == 0.0 for k, share in zip(result.stiffness_n_per_m, result.share, strict=True) if k > exact
     )
 
 
@@ -125,14 +125,14 @@ def test_verdicts_of_a_damper_and_a_spring():
     }
 
     def judged(ideal=gain, exact=gain, dropped=gain, shown=0.0, power=1.0, drift=0.0):
-        found = {}
+        by_name = {}
         for k, period in enumerate(periods):
             limit = base * (periods[0] / period) ** power
             for name, more, first in (("plain", 0, 0), ("damped", exact, dropped), ("sprung", 0, drift)):
                 more, first = (more, first) if k == 0 or name == "sprung" else (0, 0)
-                found[name, period] = {"exact_n_per_m": limit + more, "first_n_per_m": 0.97 * limit + first}
-        display = {"sprung": {p: found["sprung", p]["first_n_per_m"] + spring + shown for p in periods}}
-        return {v.id: v.holds for v in verdicts(found, families, scenes, {"damped": ideal}, display, 1.05)}
+                by_name[name, period] = {"exact_n_per_m": limit + more, "first_n_per_m": 0.97 * limit + first}
+        display = {"sprung": {p: by_name["sprung", p]["first_n_per_m"] + spring + shown for p in periods}}
+        return {v.id: v.holds for v in verdicts(by_name, families, scenes, {"damped": ideal}, display, 1.05)}
 
     assert judged() == {"F13a": True, "F14": True, "F13b": True, "F13c": True}
     assert judged(ideal=gain / 2)["F14"] is False  # c/T
@@ -240,10 +240,10 @@ ratio = 1.2
     assert all(exact["plain", t] for t in (10.0, 20.0, 40.0))
     assert exact["friction alone", 10.0] is None
     assert exact["nothing", 10.0] is None
-    told = {verdict.claim: verdict for verdict in result.verdicts}
-    assert told["the limit goes with one over the period: plain"].holds is not None
+    by_name = {verdict.claim: verdict for verdict in result.verdicts}
+    assert by_name["the limit goes with one over the period: plain"].holds is not None
     for name in ("friction alone", "nothing"):
-        verdict = told[f"the limit goes with one over the period: {name}"]
+        verdict = by_name[f"the limit goes with one over the period: {name}"]
         assert verdict.holds is None
         assert "linear theory knows no limit" in verdict.found
     from reports.studies import drop as pictures

@@ -408,7 +408,7 @@ def test_same_scene_and_seed_give_the_same_bytes(tmp_path: Path, name: str) -> N
 
 def test_plan_tells_every_effect_once() -> None:
     plan = resolve(slope("motor=full", "pot_noise=white")).as_dict()
-    told = [row["name"] for row in plan["effects"] + plan["left_out"]]
-    assert sorted(told) == sorted(effect.name for effect in EFFECTS)
+    rows = [row["name"] for row in plan["effects"] + plan["left_out"]]
+    assert sorted(rows) == sorted(effect.name for effect in EFFECTS)
     assert {row["name"] for row in plan["effects"]} == {"motor", "pot_noise"}
     assert plan["predicted"]["noise_points"] > 0

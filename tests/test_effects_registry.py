@@ -58,25 +58,25 @@ def test_every_size_and_cost_is_a_finite_number_with_its_source(name: str) -> No
     facts = plan.as_dict()
     json.dumps(facts, allow_nan=False)
     for row in facts["effects"] + facts["left_out"]:
-        found = row["size"]
-        assert math.isfinite(found["value"]), row["name"]
-        assert 0.0 <= found["force_n"] < math.inf, row["name"]
-        assert found["source"]
-        assert found["words"]
+        value = row["size"]
+        assert math.isfinite(value["value"]), row["name"]
+        assert 0.0 <= value["force_n"] < math.inf, row["name"]
+        assert value["source"]
+        assert value["words"]
         assert row["cost"]["text"]
-    found = {row["name"]: row["cost"] for row in facts["effects"] + facts["left_out"]}
-    assert len(found) == len(NAMES)  # each once, in force or not
+    value = {row["name"]: row["cost"] for row in facts["effects"] + facts["left_out"]}
+    assert len(value) == len(NAMES)  # each once, in force or not
     # noise is drawn at twice its bandwidth: 100 Hz of the potentiometers and 1 kHz of the components
-    assert [found[each]["events_per_s"] for each in ("pot_noise", "component_noise")] == [200.0, 2000.0]
+    assert [value[each]["events_per_s"] for each in ("pot_noise", "component_noise")] == [200.0, 2000.0]
     # one jump more a sample where the DACs skew; a number that is merely changed costs nothing
-    assert found["dac_skew"]["events_per_s"] == pytest.approx(1.0 / plan.scene.computer.period_s)
+    assert value["dac_skew"]["events_per_s"] == pytest.approx(1.0 / plan.scene.computer.period_s)
     for each in ("gravity", "coriolis", "viscous", "encoder", "dac", "opamp_offset", "vca_offset"):
-        assert (found[each]["events_per_s"], found[each]["states"]) == (0.0, 0), each
+        assert (value[each]["events_per_s"], value[each]["states"]) == (0.0, 0), each
     # a pole an op-amp and a multiplier, and two a differentiator of each joint
     parts = [amplifier.role for amplifier in plan.board.amplifiers]
     for each in ("opamp", "vca"):
-        assert found[each]["states"] == parts.count(each), each
-    assert found["differentiator"]["states"] == 2 * plan.scene.joints
+        assert value[each]["states"] == parts.count(each), each
+    assert value["differentiator"]["states"] == 2 * plan.scene.joints
 
 
 def test_what_is_left_out_comes_largest_first_and_what_cannot_apply_last() -> None:
@@ -169,8 +169,8 @@ def test_predicted_points_are_within_a_factor_of_two(
 ) -> None:
     null = [f"effects.{setting}" for setting in IDEAL] if model == "ideal" else []
     plan = shipped(name, f"solver.model={model}", *null, *more)
-    found = simulate(plan.scene, tmp_path / "run").stats
-    assert 0.5 < plan.cost()["points"] / found["points"] < 2.0
+    stats = simulate(plan.scene, tmp_path / "run").stats
+    assert 0.5 < plan.cost()["points"] / stats["points"] < 2.0
 
 
 FULL = ("effects.opamp=full", "effects.vca=full", "effects.driver_level=full")
@@ -201,8 +201,8 @@ def test_levels_noise_and_tolerance_are_priced_in_points(
     tmp_path: Path, name: str, more: tuple[str, ...]
 ) -> None:
     plan = shipped(name, "solver.model=spice", "duration_s=0.5", *more)
-    found = simulate(plan.scene, tmp_path / "run").stats
-    ratio = plan.cost()["points"] / found["points"]
+    stats = simulate(plan.scene, tmp_path / "run").stats
+    ratio = plan.cost()["points"] / stats["points"]
     print(f"{ratio:.2f}")
     assert 0.5 < ratio < 2.0
 
@@ -304,9 +304,9 @@ def test_predicted_seconds_are_within_a_factor_of_two(tmp_path: Path, name: str)
         ("solver.model=ideal", long, *null),
         *(("solver.model=spice", *pair.values[1]) for pair in PAIRS if pair.values[0] == name),
     ):
-        found = ratio(name, *more) / machine
-        print(f"{name} {more}: {found:.2f}")
-        assert 0.5 < found < 2.0, more
+        value = ratio(name, *more) / machine
+        print(f"{name} {more}: {value:.2f}")
+        assert 0.5 < value < 2.0, more
 
 
 def test_a_plan_tells_the_states_of_every_model() -> None:
@@ -335,13 +335,13 @@ def test_the_ledger_runs_each_choice_once_and_names_what_cannot_apply(tmp_path: 
         computer={"dac": {"skew_s": 1e-3}},
     )
     scene_of(tmp_path, tables)
-    told: list[tuple[int, int]] = []
+    rows: list[tuple[int, int]] = []
     ledger = effects_ledger(
-        tmp_path / "scene.toml", child=shared_child(), on_progress=lambda *at: told.append(at[:2])
+        tmp_path / "scene.toml", child=shared_child(), on_progress=lambda *at: rows.append(at[:2])
     )
-    assert ledger.runs == len(told)
-    assert [done for done, _ in told] == list(range(len(told)))
-    assert {total for _, total in told} == {ledger.runs}
+    assert ledger.runs == len(rows)
+    assert [done for done, _ in rows] == list(range(len(rows)))
+    assert {total for _, total in rows} == {ledger.runs}
     assert ledger.runs <= 2 * len(ledger.rows) + 2
     reasons = {"coulomb", "rotor_inertia", "end_stops", "delay", "dac_settling", "coriolis",
                "operator_dynamics", "geometric_stiffness"}  # fmt: skip

@@ -64,10 +64,10 @@ def test_shards_that_are_merged_leave_the_same_bytes(tmp_path):
     for i in range(1, 4):
         folders.append(tmp_path / f"shard{i}")
         run(job(tmp_path / "shards", N), folders[-1], workers=1, part=(i, 3))
-    whole = job(tmp_path / "merged", N)
+    result = job(tmp_path / "merged", N)
     with pytest.raises(InputError, match="samples are missing: 67 to 134"):
-        merge(whole, tmp_path / "merged" / "mc", [folders[0], folders[2]])
-    merged = merge(whole, tmp_path / "merged" / "mc", folders[::-1])
+        merge(result, tmp_path / "merged" / "mc", [folders[0], folders[2]])
+    merged = merge(result, tmp_path / "merged" / "mc", folders[::-1])
     assert (merged.folder / "samples.parquet").read_bytes() == truth
     assert [shard(10, (i, 3)) for i in (1, 2, 3)] == [(0, 3), (3, 6), (6, 10)]
 

@@ -65,8 +65,8 @@ def test_errors_of_angle_speed_and_current_follow_the_tolerance(
     tolerances = 10.0 ** -np.arange(6, 12)
     errors = []
     for tol in tolerances:
-        found, points = signals(scene, circuit, tol, exact=False)
-        errors.append(np.abs(found - truth).max(axis=0) / largest * largest[0])
+        result, points = signals(scene, circuit, tol, exact=False)
+        errors.append(np.abs(result - truth).max(axis=0) / largest * largest[0])
         assert (errors[-1] < MULTIPLE * tol).all(), tol
         assert points < 400
     # proportional to the tolerance: slope 1 in double logarithmic scale, but for steps halved or not
@@ -81,9 +81,9 @@ def test_bandwidth_changes_neither_error_nor_steps(tmp_path: Path) -> None:  # 1
         pole = 2 * np.pi * gbw / 17.9
         scene, circuit = bounce(tmp_path, pole, pole)
         truth, _ = signals(scene, circuit, 1e-9, exact=True)
-        found, count = signals(scene, circuit, 1e-8, exact=False)
+        result, count = signals(scene, circuit, 1e-8, exact=False)
         largest = np.abs(truth).max(axis=0)
-        assert (np.abs(found - truth).max(axis=0) / largest * largest[0] < MULTIPLE * 1e-8).all()
+        assert (np.abs(result - truth).max(axis=0) / largest * largest[0] < MULTIPLE * 1e-8).all()
         points.append(count)
     assert max(points) <= 1.2 * min(points)
 
@@ -126,17 +126,17 @@ def test_the_matrix_of_a_ramp_is_that_of_its_two_pieces(tmp_path: Path) -> None:
     state, gains, h, ramp = made.memory.state[0], np.array([5.9, 0.3]), 0.01, 1e-3
     a, b, c, d = system(state, circuit, gains)
     n = len(a)
-    whole = np.zeros((n + 10, n + 10))
-    whole[:n, :n], whole[:n, n : n + 5], whole[n : n + 5, n + 5 :] = a, b, np.eye(5)
+    values = np.zeros((n + 10, n + 10))
+    values[:n, :n], values[:n, n : n + 5], values[n : n + 5, n + 5 :] = a, b, np.eye(5)
     rng = np.random.default_rng(3)
     start, change = rng.normal(size=n + 5), rng.normal(size=5)
     late = np.array([1.0, 0.0, 0.0, 1.0, 1.0]) / h  # torque, u, cmd, pot and its rate
     early = late + np.array([0.0, 1.0, 1.0, 0.0, 0.0]) / ramp
-    there = expm(whole * ramp) @ np.concatenate([start, early * change])
-    end = expm(whole * (h - ramp)) @ np.concatenate([there[: n + 5], late * change])
-    found = transition(state, circuit, gains, h, ramp, nodes=False) @ np.concatenate([start, change])
-    assert found[:n] == pytest.approx(end[:n], rel=1e-10)
-    assert found[n] == pytest.approx(float(c[0] @ end[:n] + d[0] @ end[n : n + 5]), rel=1e-10)
+    there = expm(values * ramp) @ np.concatenate([start, early * change])
+    end = expm(values * (h - ramp)) @ np.concatenate([there[: n + 5], late * change])
+    value = transition(state, circuit, gains, h, ramp, nodes=False) @ np.concatenate([start, change])
+    assert value[:n] == pytest.approx(end[:n], rel=1e-10)
+    assert value[n] == pytest.approx(float(c[0] @ end[:n] + d[0] @ end[n : n + 5]), rel=1e-10)
 
 
 @pytest.mark.parametrize("exact", [True, False], ids=["exponential", "collocation"])

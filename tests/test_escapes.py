@@ -109,9 +109,9 @@ def test_odd_names_are_names(name: str) -> None:
     simulator.command(f"save v({name}) v(q{name})")
     simulator.command("op")
     assert simulator.vector(f"q{name}")[0] == pytest.approx(2 / 3, rel=1e-6)  # 2 V over 3k + 1k + 2k
-    said = simulator.command(f"print @rl{name}[resistance]")[0]
-    assert said.split("=")[-1].strip() == "2.000000e+03"
-    assert f"@rl{low}[resistance]" in said
+    value = simulator.command(f"print @rl{name}[resistance]")[0]
+    assert value.split("=")[-1].strip() == "2.000000e+03"
+    assert f"@rl{low}[resistance]" in value
     simulator.command("delete all")
     simulator.command("destroy all")
     simulator.command(f"noise v(q{name}) v{name} dec 1 1 10 1")
@@ -243,14 +243,14 @@ def test_legal_expressions_stay_legal() -> None:
         )
     )
     simulator.command("op")
-    found = {
+    by_name = {
         n: float(np.real(simulator.vector(n)[0])) for n in ("b1", "b2", "b3", "e1", "e2", "g1", "f1", "h1")
     }
     wanted = {"b1": 5.0, "b2": 6.0, "b3": -1.0, "e1": 12.0, "e2": 5.0, "g1": 2.0}
-    assert {n: found[n] for n in wanted} == pytest.approx(wanted, rel=1e-6)
+    assert {n: by_name[n] for n in wanted} == pytest.approx(wanted, rel=1e-6)
     # Vin+ feeds R1+R2 (1 mA), S1 through 1k (2 mA), R8 (2 uA)
-    assert found["f1"] == pytest.approx(-3.002, rel=1e-5)
-    assert found["h1"] == pytest.approx(-3.002, rel=1e-5)
+    assert by_name["f1"] == pytest.approx(-3.002, rel=1e-5)
+    assert by_name["h1"] == pytest.approx(-3.002, rel=1e-5)
     assert simulator.constant("gain") == 6.0
     assert simulator.vector("l1")[0] == pytest.approx(0.0, abs=1e-9)
 
@@ -326,9 +326,9 @@ def test_the_command_of_an_exported_deck_works_as_printed(tmp_path: Path) -> Non
     deck = tmp_path / "p" / "my deck's $(touch owned).cir"
     deck.parent.mkdir()
     deck.write_text("cosim export, t: x\n* Run with: ngspice -b -D ngbehavior=psa\n.end\n")
-    said = to_run(deck)
+    result = to_run(deck)
     echoed = subprocess.run(
-        ["/bin/sh", "-c", f"printf '%s\\n' {said}"], capture_output=True, text=True, check=True
+        ["/bin/sh", "-c", f"printf '%s\\n' {result}"], capture_output=True, text=True, check=True
     )
     assert echoed.stdout.splitlines() == ["ngspice", "-b", "-D", "ngbehavior=psa", str(deck)]
 
@@ -353,7 +353,7 @@ def test_aliases_change_no_number() -> None:
         f"xboard {' '.join(board.pins)} {board.board}",
         ".end",
     ]
-    found = []
+    rows = []
     for trusted in (False, True):  # a trusted deck keeps its names
         lines = [Line(line.text, trusted=trusted) for line in board.lines]
         simulator = Simulator()
@@ -367,7 +367,7 @@ def test_aliases_change_no_number() -> None:
                 simulator.command("setplot noise1")
             for name in simulator.vector_names():
                 seen[f"{analysis.split()[0]} {name}"] = simulator.vector(name)
-        found.append(seen)
-    assert found[0].keys() == found[1].keys()
-    assert len(found[0]) > 500
-    assert [name for name in found[0] if not np.array_equal(found[0][name], found[1][name])] == []
+        rows.append(seen)
+    assert rows[0].keys() == rows[1].keys()
+    assert len(rows[0]) > 500
+    assert [name for name in rows[0] if not np.array_equal(rows[0][name], rows[1][name])] == []

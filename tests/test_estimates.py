@@ -43,19 +43,19 @@ def deepest() -> float:
 @pytest.mark.parametrize("model", ["spice", "ideal", "linear"])
 def test_the_bound_holds_against_the_closed_form(tmp_path: Path, model: str, more: tuple[str, ...]) -> None:
     plan = resolve(scene_of(tmp_path, THROWN, f"solver.model={model}", *more))
-    found = run(
+    result = run(
         plan, tmp_path / "run", formats=(), child=shared_child(), errors=estimator(plan, shared_child())
     )
-    row = found.measures["max_penetration"]
+    row = result.measures["max_penetration"]
     error = abs(row["value"] - deepest())
     # 6e-7 of `deepest`, and 5e-8 of gains of 1e9 of the ideal op-amps (test_coupling), which every model has
     assert error <= row["error"] + 1e-6 * row["value"]
     assert row["error"] < 1e-2 * row["value"]
-    assert "error" not in found.measures["ledger_closure"]
+    assert "error" not in result.measures["ledger_closure"]
     if model == "spice":  # amplifiers have no outputs in the twin's model
         assert all(
             r["error"] is not None
-            for n, r in found.measures.items()
+            for n, r in result.measures.items()
             if n not in ("ledger_closure", "headroom")
         )
 
@@ -148,9 +148,9 @@ def test_a_tolerance_chooses_model_and_steps(tmp_path: Path) -> None:
                    child=shared_child(), formats=())
         for k, tol in enumerate((1e-2, 1e-6))
     )  # fmt: skip
-    for found, tol in ((loose, 1e-2), (close, 1e-6)):
-        assert found.plan["model"] == "linear"  # it carries the scene, which states spice
-        assert found.measures["peak_force"]["error"] <= tol * found.measures["peak_force"]["value"]
+    for each, tol in ((loose, 1e-2), (close, 1e-6)):
+        assert each.plan["model"] == "linear"  # it carries the scene, which states spice
+        assert each.measures["peak_force"]["error"] <= tol * each.measures["peak_force"]["value"]
     assert loose.scene.solver.max_step_s == scene.solver.max_step_s
     assert close.scene.solver.max_step_s < scene.solver.max_step_s
     apart = abs(loose.measures["peak_force"]["value"] - close.measures["peak_force"]["value"])
@@ -176,9 +176,9 @@ def test_the_command_prints_errors_and_keeps_them(tmp_path: Path, capsys: pytest
     scene_of(tmp_path, {**THROWN, "solver": {"model": "ideal"}})
     scene, out = str(tmp_path / "scene.toml"), tmp_path / "out"
     assert main(["run", scene, "-o", str(out)]) == 0
-    said = capsys.readouterr().out
-    assert "±" in next(line for line in said.splitlines() if line.startswith("max_penetration"))
-    assert "bound of the solver's error" in said
+    printed = capsys.readouterr().out
+    assert "±" in next(line for line in printed.splitlines() if line.startswith("max_penetration"))
+    assert "bound of the solver's error" in printed
     kept = json.loads((out / "run.json").read_text())["measures"]["max_penetration"]
     assert 0.0 < kept["error"] < 1e-3 * kept["value"]
     assert main(["report", str(out)]) == 0
@@ -189,9 +189,9 @@ def test_the_command_prints_errors_and_keeps_them(tmp_path: Path, capsys: pytest
     assert main(["run", scene, "-o", str(out), "--no-estimate", "--tol", "1e-3"]) == 2
     assert "--no-estimate" in capsys.readouterr().err
     assert main(["run", scene, "-o", str(out), "--tol", "max_penetration=1e-4", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["runs"][0]["measures"]["max_penetration"]
-    assert told["error"] <= 1e-4 * told["value"]
-    assert math.isfinite(told["value"])
+    out_text = json.loads(capsys.readouterr().out)["runs"][0]["measures"]["max_penetration"]
+    assert out_text["error"] <= 1e-4 * out_text["value"]
+    assert math.isfinite(out_text["value"])
 
 
 def test_the_page_shows_what_reltol_would_make_one_believe(tmp_path: Path) -> None:
@@ -201,15 +201,15 @@ def test_the_page_shows_what_reltol_would_make_one_believe(tmp_path: Path) -> No
 
     plan = resolve(scene_of(tmp_path, THROWN, "solver.rtol=1e-4", "solver.max_step_s=1e-2",
                             "solver.coupling_tolerance_rad=1e-2"))  # fmt: skip
-    found = run(
+    result = run(
         plan, tmp_path / "r", formats=(), child=shared_child(), errors=estimator(plan, shared_child())
     )
-    (table,) = [table for table in all_tables(View(found)) if table.name == "measures"]
+    (table,) = [table for table in all_tables(View(result)) if table.name == "measures"]
     assert table.head[2] == "reltol alone"
     row = next(row for row in table.rows if row[0] == "max penetration")
-    value = found.measures["max_penetration"]["value"]
+    value = result.measures["max_penetration"]["value"]
     assert row[2] == f"± {1e9 * float(f'{1e-4 * value:.0e}'):.0f} nm"
-    assert found.measures["max_penetration"]["error"] > 0.0
+    assert result.measures["max_penetration"]["error"] > 0.0
 
 
 def test_another_sequence_of_contacts_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -139,15 +139,15 @@ def test_replay_gives_the_recorded_currents(tmp_path, noise):
 
 def test_decks_print_measures(tmp_path):
     run = simulate(load_scene(SCENES / "press.toml", ("duration_s=0.3",)), tmp_path / "run")
-    said = ngspice(export(resolve(run.scene), run, tmp_path / "m.cir"), raw=False)
-    found = dict(re.findall(r"^(\w+)\s*=\s*(\S+)", said, re.MULTILINE))
-    assert float(found["y_end"]) == pytest.approx(run.signals["y"][-1], abs=1e-5)
+    result = ngspice(export(resolve(run.scene), run, tmp_path / "m.cir"), raw=False)
+    by_name = dict(re.findall(r"^(\w+)\s*=\s*(\S+)", result, re.MULTILINE))
+    assert float(by_name["y_end"]) == pytest.approx(run.signals["y"][-1], abs=1e-5)
     # angles and speeds of the joints, not of the links
     for j in (1, 2):
-        assert float(found[f"pot{j}_end"]) == pytest.approx(run.signals[f"q{j}"][-1], abs=1e-4)
-        assert float(found[f"v{j}_end"]) == pytest.approx(run.signals[f"v{j}"][-1], abs=1e-3)
-    assert "w2_end" not in found
-    assert float(found["imot1_rms"]) < float(found["imot1_max"]) - float(found["imot1_min"])
+        assert float(by_name[f"pot{j}_end"]) == pytest.approx(run.signals[f"q{j}"][-1], abs=1e-4)
+        assert float(by_name[f"v{j}_end"]) == pytest.approx(run.signals[f"v{j}"][-1], abs=1e-3)
+    assert "w2_end" not in by_name
+    assert float(by_name["imot1_rms"]) < float(by_name["imot1_max"]) - float(by_name["imot1_min"])
 
 
 def test_effects_that_are_off_leave_no_term(tmp_path):

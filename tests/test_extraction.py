@@ -293,14 +293,14 @@ def test_damaged_cache_is_ignored_with_a_word(tmp_path, monkeypatch):
     payload = {"board": board(tmp_path), "model": "ideal", "band_hz": 0.0, "tolerance": 0.0}
     first = in_fresh_child(payload)
     (file,) = (tmp_path / "cache" / "cosim" / "circuits").iterdir()
-    whole = file.read_bytes()
+    data = file.read_bytes()
     from cosim.circuits import cache
 
     asked = cache.Asked(payload["board"].text, "ideal", 0.0, 0.0)
-    for damaged in (b"", whole[:-40], b"x" + whole[1:], whole[:300] + b"\0" + whole[301:]):
+    for damaged in (b"", data[:-40], b"x" + data[1:], data[:300] + b"\0" + data[301:]):
         file.write_bytes(damaged)
         known, note = cache.load(asked)
-        if damaged != whole:
+        if damaged != data:
             assert known is None or known.arrays().keys() == first.arrays().keys()
         if known is None:
             assert str(file) in note

@@ -40,22 +40,22 @@ def test_a_mode_that_nothing_samples_keeps_its_frequency(press: Board, period: f
     assert len(slow) == 2
     assert slow.imag.max() / (2 * math.pi) == pytest.approx(41.0, abs=1.0)  # beyond half the rate of 25 ms
     modes = [mode for mode in stability(lifted).modes if mode.frequency_hz > 1.0]
-    found = sorted((mode.frequency_hz, mode.damping) for mode in modes)
+    every = sorted((mode.frequency_hz, mode.damping) for mode in modes)
     expected = sorted((s.imag / (2 * math.pi), -s.real / abs(s)) for s in slow)
-    np.testing.assert_allclose(found, expected, rtol=1e-6)
+    np.testing.assert_allclose(every, expected, rtol=1e-6)
     assert not any(mode.ambiguous for mode in modes)
 
 
 @pytest.mark.slow
 def test_the_border_tells_the_same_frequency_at_every_period(press: Board) -> None:  # 52
     scene, circuit, constants = press
-    told = []
+    rows = []
     for period in (0.025, 0.02, 0.001):
-        found = limits(HeldContact.at_wall(with_computer(scene, period_s=period), constants, circuit))
-        assert found.border.stability is not None
-        assert found.border.stability.critical is not None
-        told.append((found.border.value, found.border.stability.critical.frequency_hz))
-    np.testing.assert_allclose(told, [told[0]] * 3, rtol=1e-6)
+        result = limits(HeldContact.at_wall(with_computer(scene, period_s=period), constants, circuit))
+        assert result.border.stability is not None
+        assert result.border.stability.critical is not None
+        rows.append((result.border.value, result.border.stability.critical.frequency_hz))
+    np.testing.assert_allclose(rows, [rows[0]] * 3, rtol=1e-6)
 
 
 def test_a_sampled_swing_has_the_frequency_that_its_samples_show(tmp_path: Path) -> None:
@@ -98,19 +98,19 @@ def test_a_swing_of_nearly_half_the_rate_is_two_at_once(tmp_path: Path) -> None:
 def test_the_words_name_the_limit_to_design_for(press: Board) -> None:
     """The board's gain DACs end at 612 N/m, far below the border: full scale over the largest w_i w_j."""
     scene, circuit, constants = press
-    found = limits(HeldContact.at_wall(scene, constants, circuit))
-    text = describe(found)
+    result = limits(HeldContact.at_wall(scene, constants, circuit))
+    text = describe(result)
     assert "decays x" in text
     assert "grows" not in text
-    assert found.gil_hulin_n_per_m is None  # a rule for sampled walls
+    assert result.gil_hulin_n_per_m is None  # a rule for sampled walls
     assert "Gil" not in text
-    assert found.board_n_per_m is not None
+    assert result.board_n_per_m is not None
     jac_normal = HeldContact.at_wall(scene, constants, circuit).torques
     full = constants.k_fs * constants.dac_v / constants.v_fs
-    assert found.board_n_per_m == pytest.approx(
+    assert result.board_n_per_m == pytest.approx(
         full / np.abs(np.outer(jac_normal, jac_normal)).max(), rel=1e-9
     )
-    assert found.design == (found.board_n_per_m, "the board's range")
+    assert result.design == (result.board_n_per_m, "the board's range")
     assert "design for" in text
 
 
@@ -124,12 +124,12 @@ def test_a_sampled_wall_is_designed_for_passivity(tmp_path: Path) -> None:
             "effects": {"viscous": True},
         },
     )  # fmt: skip
-    found = limits(at_wall(scene_of(tmp_path, tables), ideal(1, emf=False)))
-    value, which = found.design
+    result = limits(at_wall(scene_of(tmp_path, tables), ideal(1, emf=False)))
+    value, which = result.design
     assert which == "the largest passive stiffness"
-    assert value == found.passive_n_per_m
-    assert found.board_n_per_m is None
-    assert "Gil and Hulin's rule knows" in describe(found)
+    assert value == result.passive_n_per_m
+    assert result.board_n_per_m is None
+    assert "Gil and Hulin's rule knows" in describe(result)
 
 
 @pytest.mark.slow
@@ -138,9 +138,9 @@ def test_a_device_without_damping_has_limits_all_the_same(tmp_path: Path) -> Non
     tables = slider(
         computer={"method": "discrete", "analog_stiffness_n_per_m": 0.0, "discrete_stiffness_n_per_m": 20.0},
     )
-    found = limits(at_wall(scene_of(tmp_path, tables), ideal(1, emf=False)))
-    assert found.viscosity_n_s_per_m == 0.0
-    assert found.border.value == 0.0
-    assert found.design[0] == 0.0
-    assert "no stiffness is stable" in describe(found)
-    assert "UNSTABLE" in describe(found)
+    result = limits(at_wall(scene_of(tmp_path, tables), ideal(1, emf=False)))
+    assert result.viscosity_n_s_per_m == 0.0
+    assert result.border.value == 0.0
+    assert result.design[0] == 0.0
+    assert "no stiffness is stable" in describe(result)
+    assert "UNSTABLE" in describe(result)

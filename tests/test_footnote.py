@@ -70,9 +70,9 @@ def test_a_mass_alone_is_stable_a_little_longer(carriage):
     mass = 0.1428 + 0.05 + 2e-6 * 64 / 0.1333**2
     # the back-EMF passes the winding as the spring does: only the bearings' part is free of the lag
     free = 5e-4 / 0.1333**2
-    found = unstable_from(carriage) * rendered(carriage)
-    assert b / tau < found < b / tau + b**2 / mass
-    assert found == pytest.approx(b / tau + b * free / mass, rel=2e-3)
+    value = unstable_from(carriage) * rendered(carriage)
+    assert b / tau < value < b / tau + b**2 / mass
+    assert value == pytest.approx(b / tau + b * free / mass, rel=2e-3)
 
 
 @pytest.mark.slow
@@ -168,18 +168,18 @@ def test_noise_through_the_differentiator_is_theory_s(corner_hz, newtons):
         scene("drop", *ONLY_WINDING, "effects.motor=emf", f"device.values.r_der_in={resistor!r}",
               "device.values.c_der_fb=1f")
     )  # fmt: skip
-    found = float(pot_form(tip, flat(0.006, 1e4)).rms(0.0, 2.0))
-    assert found == pytest.approx(newtons, rel=0.03)  # two digits are printed
+    value = float(pot_form(tip, flat(0.006, 1e4)).rms(0.0, 2.0))
+    assert value == pytest.approx(newtons, rel=0.03)  # two digits are printed
     slope = 2.0 * 2.0 * np.pi * corner_hz * 0.006 * 0.1333
     exact = slope * np.sqrt(1.0 - corner_hz / 1e4 * np.arctan(1e4 / corner_hz))
     # the board's resistors against its constants 1e-3, and the trapezoid's error
-    assert found == pytest.approx(exact, rel=2e-3)
+    assert value == pytest.approx(exact, rel=2e-3)
 
 
 def test_noise_of_a_spring_is_what_it_is_multiplied_by(carriage):
     """0.006 rad at 133 mm and 100 N/m: 0.080 N, the whole band far below the winding's pole."""
-    found = float(pot_form(carriage, flat(0.006, 10.0)).rms(100.0, 0.0))
-    assert found == pytest.approx(0.080, rel=2e-3)
+    value = float(pot_form(carriage, flat(0.006, 10.0)).rms(100.0, 0.0))
+    assert value == pytest.approx(0.080, rel=2e-3)
     assert float(pot_form(carriage, flat(0.006, 10.0)).rms(0.0, 0.0)) == 0.0
 
 
@@ -265,9 +265,9 @@ def test_the_speed_at_rest_under_white_force():
     b = tip.viscosity()
     density = 1.5 * (0.006 * 0.1333 * 100.0) ** 2 / 1e4  # 2 h var, h = 1/(2 bandwidth), var = 1.5 rms^2
     gains = Gains(name="soft", stiffness_n_per_m=100.0)
-    found = speed_rms(tip, gains, 0.003, 1.0, PotNoise.WHITE)
+    result = speed_rms(tip, gains, 0.003, 1.0, PotNoise.WHITE)
     # the computer's 1 N/m takes b by K T/2 = 0.0015 of 1.18
-    assert found == pytest.approx(np.sqrt(density / (4.0 * MASS * b)), rel=3e-3)
+    assert result == pytest.approx(np.sqrt(density / (4.0 * MASS * b)), rel=3e-3)
 
 
 def test_noise_that_belongs_to_the_angle_has_its_rms_and_its_slope():
@@ -284,10 +284,10 @@ def test_passive_stiffness_over_the_corner_is_that_of_the_limits():
     """The same extension of the passivity condition by `limits`, and the active damper told as such."""
     tip = tip_of(scene("drop", "computer.period_s=0.025", "effects.encoder=false", "effects.dac=false"))
     given = CornerParameters(stiffness_n_per_m=0.0, damping_n_s_per_m=2.0)
-    found = passive(tip, given)
+    result = passive(tip, given)
     changed = tip.with_computer(method=Method.COMBINED, analog_stiffness_n_per_m=0.0,
                                 analog_damping_n_s_per_m=2.0, discrete_stiffness_n_per_m=1.0)  # fmt: skip
-    assert found == pytest.approx(limits(changed).passive_n_per_m, rel=1e-3)
+    assert result == pytest.approx(limits(changed).passive_n_per_m, rel=1e-3)
     # c in three lags, b behind one of them: far beyond 8 b it must be active
     assert passive(tip, CornerParameters(damping_n_s_per_m=20.0)) is None
 
@@ -347,7 +347,7 @@ NO_VISCOSITY = ("effects.motor=ideal", "effects.viscous=false")
 
 
 @pytest.mark.parametrize(
-    ("file", "old", "new", "overrides", "said"),
+    ("file", "old", "new", "overrides", "reason"),
     [
         ("5_1_eta", "", "", NO_VISCOSITY, "no viscosity that delay could eat"),
         ("5_3_footnote", '"opa548_gbw"', '"opa549_gbw"', (), "nearest is opa548_gbw"),
@@ -356,10 +356,10 @@ NO_VISCOSITY = ("effects.motor=ideal", "effects.viscous=false")
         ("5_5_corner", '"c_der_in"', '"c_no"', (), "corner_parameter.*must be .params"),
     ],
 )
-def test_what_cannot_be_studied_is_said(tmp_path, file, old, new, overrides, said):
+def test_what_cannot_be_studied_is_said(tmp_path, file, old, new, overrides, reason):
     text = (PAPER / f"{file}.toml").read_text(encoding="utf-8").replace(old, new)
     path = tmp_path / "bad.toml"
     path.write_text(text.replace('"../', f'"{SCENES}/'), encoding="utf-8")
     spec = load_study(path, overrides)
-    with Points(None) as points, pytest.raises(InputError, match=said):
+    with Points(None) as points, pytest.raises(InputError, match=reason):
         spec.study.analyse(spec, points)

@@ -144,23 +144,23 @@ def test_a_forged_record_is_refused_with_its_place(copy: Path, name: str) -> Non
 
 def raw_with(change: Callable[[np.ndarray], None]) -> Callable[[Path], None]:
     def forge(folder: Path) -> None:
-        whole = (folder / "signals.raw").read_bytes()
-        start = whole.index(b"Binary:\n") + 8
+        data = (folder / "signals.raw").read_bytes()
+        start = data.index(b"Binary:\n") + 8
         count = int(
-            next(line for line in whole[:start].split(b"\n") if b"No. Variables" in line).split(b":")[1]
+            next(line for line in data[:start].split(b"\n") if b"No. Variables" in line).split(b":")[1]
         )
-        table = np.frombuffer(whole[start:], np.float64).reshape(-1, count).copy()
+        table = np.frombuffer(data[start:], np.float64).reshape(-1, count).copy()
         change(table)
-        (folder / "signals.raw").write_bytes(whole[:start] + table.tobytes())
+        (folder / "signals.raw").write_bytes(data[:start] + table.tobytes())
 
     return forge
 
 
 def header_with(old: bytes, new: bytes) -> Callable[[Path], None]:
     def forge(folder: Path) -> None:
-        whole = (folder / "signals.raw").read_bytes()
-        assert old in whole
-        (folder / "signals.raw").write_bytes(whole.replace(old, new, 1))
+        data = (folder / "signals.raw").read_bytes()
+        assert old in data
+        (folder / "signals.raw").write_bytes(data.replace(old, new, 1))
 
     return forge
 
@@ -274,10 +274,10 @@ def test_commands_refuse_a_forged_result_in_words(
         ],
     }[command]
     assert cli.main([*words, "-o", out]) == 2
-    said = capsys.readouterr()
-    assert "run.json" in said.err
-    assert "kt" in said.err
-    assert "Traceback" not in said.err + said.out
+    printed = capsys.readouterr()
+    assert "run.json" in printed.err
+    assert "kt" in printed.err
+    assert "Traceback" not in printed.err + printed.out
     assert not os.path.exists(out)
 
 
@@ -376,8 +376,8 @@ def test_what_a_page_shows_of_a_forged_result_is_text(copy: Path, capsys: pytest
 
     reseal(copy, change)
     assert cli.main(["report", str(copy), "-o", str(copy.parent / "out")]) == 0
-    said = "".join(capsys.readouterr())
-    assert "\x1b" not in said
+    printed = "".join(capsys.readouterr())
+    assert "\x1b" not in printed
     page = (copy.parent / "out" / "report.html").read_text()
     assert "<script>alert" not in page
     assert "&lt;script&gt;" in page

@@ -26,9 +26,9 @@ def bench():
 
 @pytest.mark.parametrize(("case", "model"), EVERY)
 def test_hard_case(bench: Bench, case: HardCase, model: str) -> None:
-    found = bench.outcome(case, model)
-    assert found.failed == ""
-    assert found.held, f"{found.got!r}, expected {case.expected!r} to {case.bound[model]:g}: {case.reason}"
+    result = bench.outcome(case, model)
+    assert result.failed == ""
+    assert result.held, f"{result.got!r}, expected {case.expected!r} to {case.bound[model]:g}: {case.reason}"
 
 
 def test_every_case_says_what_it_is() -> None:
@@ -74,12 +74,12 @@ def test_the_command_ends_with_1_on_a_miss(tmp_path, monkeypatch, capsys) -> Non
     assert "1 of 1 hold" in capsys.readouterr().out
     assert "holds" in (tmp_path / "page" / "report.html").read_text()
     assert main(["hard-cases", "-o", str(tmp_path / "page")]) == 1
-    said = capsys.readouterr().out
-    assert "1 of 4 hold" in said
-    assert "failed: broken, spice: it broke" in said
-    assert said.count("MISS") == 3
+    out = capsys.readouterr().out
+    assert "1 of 4 hold" in out
+    assert "failed: broken, spice: it broke" in out
+    assert out.count("MISS") == 3
     assert main(["hard-cases", "--json"]) == 1
-    told = json.loads(capsys.readouterr().out)["cases"]
-    assert [row["held"] for row in told] == [True, False, False, False]
-    assert [row["got"] for row in told] == [2.05, 2.05, None, None]
+    printed = json.loads(capsys.readouterr().out)["cases"]
+    assert [row["held"] for row in printed] == [True, False, False, False]
+    assert [row["got"] for row in printed] == [2.05, 2.05, None, None]
     assert main(["hard-cases", "nonesuch"]) == 2

@@ -12,10 +12,10 @@ from cosim.cli import main
 SHORT = {"duration_s": 0.05, "solver": {"model": "linear"}}
 
 
-def told(capsys: pytest.CaptureFixture[str], *words: Any) -> dict[str, Any]:
+def json_of(capsys: pytest.CaptureFixture[str], *words: Any) -> dict[str, Any]:
     assert main(["report", *map(str, words), "--json"]) == 0
-    found: dict[str, Any] = json.loads(capsys.readouterr().out)
-    return found
+    out: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return out
 
 
 def test_two_runs_tell_in_what_they_differ(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -23,14 +23,14 @@ def test_two_runs_tell_in_what_they_differ(tmp_path: Path, capsys: pytest.Captur
     edit = slider(**SHORT, seed=7, device={"values": {"r_sum_spring": "20k"}})
     quick(tmp_path, edit)
     runs = [tmp_path / "run0", tmp_path / "run1"]
-    found = {row["input"]: row["values"] for row in told(capsys, *runs)["inputs"]}
-    assert found["seed"] == ["0", "7"]
-    assert found["device.values.r_sum_spring"] == [None, "20k"]
+    by_name = {row["input"]: row["values"] for row in json_of(capsys, *runs)["inputs"]}
+    assert by_name["seed"] == ["0", "7"]
+    assert by_name["device.values.r_sum_spring"] == [None, "20k"]
     netlist = {
-        name: values for name, values in found.items() if "r_sum_spring" in name and "device" not in name
+        name: values for name, values in by_name.items() if "r_sum_spring" in name and "device" not in name
     }
     assert [("24.3k" in old, "20k" in new) for old, new in netlist.values()] == [(True, True)]
-    assert len(found) == 3  # and nothing else
+    assert len(by_name) == 3  # and nothing else
     page = (runs[0] / "report" / "report.html").read_text()
     assert "Inputs that differ" in page
     assert "r_sum_spring" in page
@@ -46,6 +46,6 @@ def test_equal_runs_say_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 
 def test_one_run_has_nothing_to_differ_from(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     quick(tmp_path, slider(**SHORT))
-    assert told(capsys, tmp_path / "run0")["inputs"] == []
+    assert json_of(capsys, tmp_path / "run0")["inputs"] == []
     assert "Inputs that differ" not in (tmp_path / "run0" / "report" / "report.html").read_text()
     assert scene_of(tmp_path, slider()).seed == 0

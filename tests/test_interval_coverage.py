@@ -57,8 +57,8 @@ def test_of_a_thousand_studies_95_in_a_hundred_hold_the_truth(method: Method) ->
     for seed in range(REPEATS):
         how = sampling(method, 1024, 3, seed)
         assert how.replicates == (1 if method == "plain" else REPLICATES)
-        for name, told in estimates(measure(how.uniforms(0, how.n)), how).items():
-            held[name] += told.low <= TRUTH[name] <= told.high
+        for name, each in estimates(measure(how.uniforms(0, how.n)), how).items():
+            held[name] += each.low <= TRUTH[name] <= each.high
     for name, count in held.items():
         highest = 1.0 if name in ("quantile", "share") else UPPER
         assert LOWER <= count / REPEATS <= highest, (name, count)
@@ -101,15 +101,15 @@ def test_a_number_of_samples_that_a_pilot_chose_leaves_the_intervals_as_they_are
         for what, half, truth in (("k_max", 0.03, TRUTH["mean"]), ("yield", 0.03, 0.9)):
             pilot = drawn(method, 64, 10_000_019 + seed)
             n = min(pilot_size((what, half), pilot, spec), 4096)
-            found = drawn(method, n, seed)
-            told = (
-                intervals.mean(found.column("k_max"), found.sampling)
+            result = drawn(method, n, seed)
+            value = (
+                intervals.mean(result.column("k_max"), result.sampling)
                 if what == "k_max"
-                else yields(found, spec)[spec[0].text]
+                else yields(result, spec)[spec[0].text]
             )
-            held[what] += told.low <= truth <= told.high
+            held[what] += value.low <= truth <= value.high
             if what == "yield":
-                shares.append(told.value)
+                shares.append(value.value)
     assert LOWER <= held["k_max"] / REPEATS <= UPPER, held
     assert LOWER <= held["yield"] / REPEATS <= 1.0, held
     assert abs(np.mean(shares) - 0.9) < 3.0 * np.std(shares) / math.sqrt(REPEATS)

@@ -63,8 +63,8 @@ def test_a_damaged_point_is_computed_again_and_the_others_are_kept(tmp_path, dam
 def test_bytes_that_are_no_text_are_computed_again(tmp_path):
     path = tmp_path / "points.jsonl"
     kept(path)
-    whole = path.read_bytes()
-    path.write_bytes(whole[:-20] + b"\xff\xfe" + whole[-18:])
+    data = path.read_bytes()
+    path.write_bytes(data[:-20] + b"\xff\xfe" + data[-18:])
     assert restored(path) == ["2"]
 
 
@@ -119,9 +119,9 @@ def test_a_worker_that_is_ended_from_outside_is_an_error_in_words(tmp_path):
 def test_a_bad_point_of_a_sweep_is_a_row(tmp_path, capsys):
     asked = ["sweep", DROP, "opa548_gbw=1meg,0,2meg", "--measure", "peak_force", *FAST, "--json"]
     assert main([*asked, "--out", str(tmp_path)]) == 1
-    found = json.loads(capsys.readouterr().out)
-    forces = found["measures"]["peak_force"]
-    assert forces[1] is None or "opa548_gbw=0" not in found["failed"]
+    out = json.loads(capsys.readouterr().out)
+    forces = out["measures"]["peak_force"]
+    assert forces[1] is None or "opa548_gbw=0" not in out["failed"]
     assert forces[0] is not None
     assert forces[2] is not None
 
@@ -129,18 +129,18 @@ def test_a_bad_point_of_a_sweep_is_a_row(tmp_path, capsys):
 def test_a_value_that_the_scene_refuses_is_a_row(tmp_path, capsys):
     asked = ["sweep", DROP, "computer.period_s=0.01,-1,0.02", "--measure", "peak_force", *FAST, "--json"]
     assert main([*asked, "--out", str(tmp_path)]) == 1
-    found = json.loads(capsys.readouterr().out)
-    assert [value is None for value in found["measures"]["peak_force"]] == [False, True, False]
-    assert "computer.period_s" in found["failed"]["computer.period_s=-1"]
+    out = json.loads(capsys.readouterr().out)
+    assert [value is None for value in out["measures"]["peak_force"]] == [False, True, False]
+    assert "computer.period_s" in out["failed"]["computer.period_s=-1"]
     assert len((tmp_path / "sweep.csv").read_text().splitlines()) == 4
 
 
 def test_a_sweep_of_bad_points_only_is_an_error_that_tells_each_reason(tmp_path, capsys):
     asked = ["sweep", DROP, "computer.period_s=-2,-1", "--out", str(tmp_path / "out"), *FAST]
     assert main(asked) == 2
-    said = capsys.readouterr().err
-    assert "-2" in said
-    assert "-1" in said
+    err = capsys.readouterr().err
+    assert "-2" in err
+    assert "-1" in err
     assert not (tmp_path / "out").exists()
 
 

@@ -53,12 +53,12 @@ def scene(folder: Path, effect: str, value: Any, keys: dict[str, Any]) -> Scene:
 @pytest.mark.parametrize("effect", VALUES)
 def test_keys_are_told_while_their_effect_is_off(tmp_path: Path, effect: str) -> None:
     value, keys = VALUES[effect]
-    told = stated_in_vain(scene(tmp_path, effect, None, keys), EFFECTS)
-    assert len(told) == len(keys)
-    for key, said in zip(next(e.keys for e in EFFECTS if e.name == effect), told, strict=False):
+    result = stated_in_vain(scene(tmp_path, effect, None, keys), EFFECTS)
+    assert len(result) == len(keys)
+    for key, each in zip(next(e.keys for e in EFFECTS if e.name == effect), result, strict=False):
         if not key.startswith("device.chain"):
-            assert f"has no effect: effects.{effect} is off" in said
-    assert {said.partition(" = ")[0] for said in told} == set(keys)
+            assert f"has no effect: effects.{effect} is off" in each
+    assert {each.partition(" = ")[0] for each in result} == set(keys)
     assert stated_in_vain(scene(tmp_path, effect, value, keys), EFFECTS) == []
 
 
@@ -89,8 +89,8 @@ def test_defaults_and_scenes_with_chosen_effects_say_nothing(tmp_path: Path) -> 
 
 def test_a_hand_without_dynamics(tmp_path: Path) -> None:
     hand = {"type": "hand", "waypoints_s_m": [[0.0, 0.0, 0.0]], "mass_kg": 0.3}
-    told = stated_in_vain(scene_of(tmp_path, slider(operator=hand)), EFFECTS)
-    assert told == ["operator.mass_kg = 0.3 has no effect: effects.operator_dynamics is off"]
+    result = stated_in_vain(scene_of(tmp_path, slider(operator=hand)), EFFECTS)
+    assert result == ["operator.mass_kg = 0.3 has no effect: effects.operator_dynamics is off"]
     mass = {"type": "mass", "mass_kg": 0.3}
     assert stated_in_vain(scene_of(tmp_path, slider(operator=mass)), EFFECTS) == []
 

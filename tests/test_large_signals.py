@@ -40,8 +40,8 @@ def test_a_board_that_states_no_rated_current_is_not_judged(tmp_path):
 
 def test_a_bent_board_is_told_of_and_one_that_is_far_off_refused(tmp_path):
     for cubic in (0.04, 0.06, 0.12):  # 1, 1.5 and 3 %
-        told = cautions(extract(bent_board(tmp_path, cubic)).certificate)
-        bent = [each for each in told if each.code == "not-linear"]
+        result = cautions(extract(bent_board(tmp_path, cubic)).certificate)
+        bent = [each for each in result if each.code == "not-linear"]
         assert len(bent) == (cubic * RATED**2 > 0.02)
         for each in bent:
             assert "3 % of rated current" in each.text

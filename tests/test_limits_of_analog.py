@@ -45,10 +45,10 @@ def test_a_map_over_period_and_viscosity_is_the_closed_form(tmp_path):
     periods, viscosities = np.geomspace(3e-3, 0.1, 5), np.array([0.5, 1.0, 1.4618])
     rows = Axis("device.slider.viscous_n_m_s", tuple(viscosities * RADIUS**2))
     columns = Axis("computer.period_s", tuple(periods))
-    found = border_map(carriage(tmp_path), CONSTANTS, ideal(1, emf=False), rows, columns, workers=1)
+    result = border_map(carriage(tmp_path), CONSTANTS, ideal(1, emf=False), rows, columns, workers=1)
     b, t = viscosities[:, None], periods[None, :]
     tau, e = 0.05 / b, np.exp(-t * b / 0.05)
-    np.testing.assert_allclose(found * COMMAND, b * (1 - e) / (tau * (1 - e) - t * e), rtol=1e-9)
+    np.testing.assert_allclose(result * COMMAND, b * (1 - e) / (tau * (1 - e) - t * e), rtol=1e-9)
 
 
 @pytest.mark.parametrize("late", [0.0, 0.3, 1.6])
@@ -63,9 +63,9 @@ def test_a_pencil_is_the_scene_whatever_circuit_delay_and_path_are(tmp_path, lat
     expected = border(
         lambda k: held(at_wall(with_computer(scene, discrete_stiffness_n_per_m=k), circuit)), 1.0, 1e5
     ).value
-    found = pencil(at_wall(scene, circuit)).first(1.0, 1e5)
-    assert found == pytest.approx(expected, rel=1e-9)
-    assert 1.0 < found < 1e5
+    result = pencil(at_wall(scene, circuit)).first(1.0, 1e5)
+    assert result == pytest.approx(expected, rel=1e-9)
+    assert 1.0 < result < 1e5
 
 
 def test_a_pencil_leaves_out_the_free_direction_of_a_chain():
@@ -82,9 +82,9 @@ def test_a_pencil_leaves_out_the_free_direction_of_a_chain():
         1.0,
         1e5,
     ).value
-    found = pencil(HeldContact(scene, CONSTANTS, circuit, q))
-    assert found.free == 1
-    assert found.first(1.0, 1e5) == pytest.approx(expected, rel=1e-8)
+    result = pencil(HeldContact(scene, CONSTANTS, circuit, q))
+    assert result.free == 1
+    assert result.first(1.0, 1e5) == pytest.approx(expected, rel=1e-8)
 
 
 def test_what_is_stable_nowhere_has_the_border_zero_and_what_is_always_none(tmp_path):
@@ -122,16 +122,16 @@ def test_delay_bounds_spring_and_damper(tmp_path):
     circuit = replace(lag, a_pre=plain.a_pre, b_pre=plain.b_pre, c_pre=plain.c_pre, d_pre=plain.d_pre)
     scene = carriage(tmp_path, 0.1, 0.05, 1.6625, method="continuous", analog_stiffness_n_per_m=1.0,
                      discrete_stiffness_n_per_m=0.0)  # fmt: skip
-    found = delay(at_wall(scene, circuit), 100.0)
+    result = delay(at_wall(scene, circuit), 100.0)
     tau = 1 / (2e3 * math.pi)
-    assert found.lag_s == pytest.approx(tau, rel=1e-6)
-    assert found.viscosity_n_s_per_m == pytest.approx(1.6625, rel=1e-6)
-    assert found.mass_kg == pytest.approx(0.05, rel=1e-12)
-    assert found.spring_n_per_m * SPRING == pytest.approx(1.6625 / tau + 1.6625**2 / 0.05, rel=1e-8)
-    assert found.passive_spring_n_per_m * SPRING == pytest.approx(1.6625 / tau, rel=1e-6)
+    assert result.lag_s == pytest.approx(tau, rel=1e-6)
+    assert result.viscosity_n_s_per_m == pytest.approx(1.6625, rel=1e-6)
+    assert result.mass_kg == pytest.approx(0.05, rel=1e-12)
+    assert result.spring_n_per_m * SPRING == pytest.approx(1.6625 / tau + 1.6625**2 / 0.05, rel=1e-8)
+    assert result.passive_spring_n_per_m * SPRING == pytest.approx(1.6625 / tau, rel=1e-6)
     # at the border s = +-j sqrt(k/(m + b tau)), from the cubic's even part
-    ring = math.sqrt(found.spring_n_per_m * SPRING / (0.05 + 1.6625 * tau)) / (2 * math.pi)
-    assert found.spring_hz == pytest.approx(ring, rel=1e-6)
+    ring = math.sqrt(result.spring_n_per_m * SPRING / (0.05 + 1.6625 * tau)) / (2 * math.pi)
+    assert result.spring_hz == pytest.approx(ring, rel=1e-6)
 
 
 def test_a_damper_through_two_equal_poles_is_passive_to_eight_times_the_viscosity(tmp_path):
@@ -144,8 +144,8 @@ def test_a_damper_through_two_equal_poles_is_passive_to_eight_times_the_viscosit
     )  # fmt: skip
     scene = carriage(tmp_path, 0.1, 0.05, 1.6625, method="continuous", analog_stiffness_n_per_m=1.0,
                      discrete_stiffness_n_per_m=0.0)  # fmt: skip
-    found = delay(at_wall(scene, circuit), 1e-3)
-    assert found.passive_damper_n_s_per_m / (8 * 1.6625) == pytest.approx(1.0, rel=1e-3)
+    result = delay(at_wall(scene, circuit), 1e-3)
+    assert result.passive_damper_n_s_per_m / (8 * 1.6625) == pytest.approx(1.0, rel=1e-3)
 
 
 # ---- the onset
@@ -166,11 +166,11 @@ def samples_of(depths, k, onset=None):
 
 def test_a_contact_begins_with_k_x_and_ends_with_what_it_lets_go():
     """Onset 2 mrad, let go 1 mrad outside: k (2^2 - 1^2)/2 urad^2."""
-    found = first_contact(samples_of([-0.003, 0.002, 0.005, 0.001, -0.001, -0.004], 2.0), RADIUS)
-    assert found.jump_n == pytest.approx(2.0 * 0.002 / RADIUS)
-    assert found.largest_n == pytest.approx(found.jump_n)
-    assert found.onset_j == pytest.approx(2.0 * 0.002**2 / 2)
-    assert found.contact_j == pytest.approx(2.0 * (0.002**2 - 0.001**2) / 2)
+    result = first_contact(samples_of([-0.003, 0.002, 0.005, 0.001, -0.001, -0.004], 2.0), RADIUS)
+    assert result.jump_n == pytest.approx(2.0 * 0.002 / RADIUS)
+    assert result.largest_n == pytest.approx(result.jump_n)
+    assert result.onset_j == pytest.approx(2.0 * 0.002**2 / 2)
+    assert result.contact_j == pytest.approx(2.0 * (0.002**2 - 0.001**2) / 2)
     assert first_contact(samples_of([-0.003, -0.002], 2.0), RADIUS) is None
 
 
@@ -226,13 +226,13 @@ def test_switching_on_at_samples_costs_rest_and_an_anchor_gives_it_back(tmp_path
 def test_the_onset_of_a_drop_is_that_of_its_fall(tmp_path):
     """Free fall with viscosity in closed form, phases and all: what the runs' first samples show."""
     work = dropped(tmp_path, 0.01)
-    found = sweep(work)[0]
+    value = sweep(work)[0]
     tau, top = 0.2 / 1.2, 0.2 * 9.81 / 1.2
     t = 0.0
     for _ in range(60):  # Newton: 10 mm = top (t - tau (1 - exp(-t/tau)))
         t -= (top * (t - tau * -math.expm1(-t / tau)) - 0.01) / (top * -math.expm1(-t / tau)) if t else -0.045
     flight = Fall(0.2, 1.2, 0.2 * 9.81, t, top * -math.expm1(-t / tau))
-    assert found["onset"] == pytest.approx(flight.onset_j(100.0 * SPRING, 0.01, 8) / SPRING, rel=1e-5)
+    assert value["onset"] == pytest.approx(flight.onset_j(100.0 * SPRING, 0.01, 8) / SPRING, rel=1e-5)
 
 
 @pytest.mark.slow

@@ -42,8 +42,8 @@ def test_response_of_a_circuit_written_by_hand():
         d_pre=np.array([[-1.0, 2.0], [0.0, 0.0]]), e_pre=np.array([[0.0], [-0.5]]), gain=np.array([0.1, 0.2]),
         d_post=np.array([[3.0, 4.0, 5.0, -6.0]]),
     )  # fmt: skip
-    found = circuit.response(2j, np.array([10.0, 1.0]))[0, 0]
-    assert found == pytest.approx([-3.0 - 0.5 * 2j * 0.2 * 4, 6.0, 5.0, -6.0])
+    value = circuit.response(2j, np.array([10.0, 1.0]))[0, 0]
+    assert value == pytest.approx([-3.0 - 0.5 * 2j * 0.2 * 4, 6.0, 5.0, -6.0])
 
 
 def test_linear_goes_to_ideal_as_frequency_goes_to_zero():
@@ -70,8 +70,8 @@ def test_footnote_is_true(model):
     truth, gains = full.response(s, np.array([0.0, 10.0])), ideal.response(s, np.array([0.0, 10.0]))
     damper = np.abs(truth - gains)[:, 0, 0].max() / np.abs(truth[:, 0, 0]).max()
     # the bound is that of both sides of the multiplier together, so it may be larger, but not by much
-    for name, found in (("spring", spring), ("command", command), ("damper", damper)):
-        assert found <= promise["error"][name] <= 1.3 * found, name
+    for name, each in (("spring", spring), ("command", command), ("damper", damper)):
+        assert each <= promise["error"][name] <= 1.3 * each, name
     assert "at most" in promise["sentence"]
 
 
@@ -80,9 +80,9 @@ def test_reduced_model_keeps_its_promise(tolerance):
     deck = shipped(2, "full")
     band = 2e3
     small, full = extract(deck, band_hz=band, tolerance=tolerance), extract(deck)
-    said = small.certificate
-    assert said["error"] <= tolerance
-    assert said["order"] == small.order < full.order == said["full_order"]
+    certificate = small.certificate
+    assert certificate["error"] <= tolerance
+    assert certificate["order"] == small.order < full.order == certificate["full_order"]
     s = 2j * np.pi * np.linspace(1.0, band, 1000)
     for channel in (0, 3, 4, 7):
         volts = np.zeros(8)
@@ -90,7 +90,9 @@ def test_reduced_model_keeps_its_promise(tolerance):
         one, two = small.response(s, volts), full.response(s, volts)
         top = np.abs(two).max(axis=0)
         # the product of two maxima may lie above the maximum of the product: 2 is ample for these low-passes
-        assert (np.abs(one - two).max(axis=0) <= 2 * said["error"] * np.maximum(top, 1e-4 * top.max())).all()
+        assert (
+            np.abs(one - two).max(axis=0) <= 2 * certificate["error"] * np.maximum(top, 1e-4 * top.max())
+        ).all()
     assert (small.poles.real < 0).all()
 
 

@@ -26,12 +26,12 @@ def test_what_a_slider_of_another_radius_renders(calibration: str) -> None:
     nominal, above = scene.device.slider.radius_m, 0.01
     a = np.array([1.0, 0.97, 1.03])
     with Batch(resolve(scene), (KEY,), ("steady_penetration",)) as batch:
-        found = batch.measures(a[:, None] * nominal)[:, 0]
+        value = batch.measures(a[:, None] * nominal)[:, 0]
         assert not batch.failures
-    depth = found[0]
+    depth = value[0]
     expected = above * (a - 1.0) + depth * a**2 if calibration == "none" else np.full(3, depth)
     # the encoder's step, 0.1 mm at the tip, and the DACs' leave some of the 1.4 mm that are looked for
-    assert found == pytest.approx(expected, abs=1.2e-4)
+    assert value == pytest.approx(expected, abs=1.2e-4)
 
 
 def test_theory_agrees() -> None:

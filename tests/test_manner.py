@@ -51,13 +51,13 @@ def test_quiet_and_verbose_exclude_each_other(capsys):
 def test_no_color_is_obeyed():
     """https://no-color.org: with the variable set, nothing is coloured even on a terminal."""
     code = "from rich.console import Console; print(Console(force_terminal=True).no_color)"
-    told = [
+    output = [
         subprocess.run(
             [sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True
         ).stdout
         for env in ({**os.environ, "NO_COLOR": "1"}, {k: v for k, v in os.environ.items() if k != "NO_COLOR"})
     ]
-    assert [text.strip() for text in told] == ["True", "False"]
+    assert [text.strip() for text in output] == ["True", "False"]
 
 
 @pytest.mark.parametrize("shell", cli.SHELLS)

@@ -34,9 +34,9 @@ def carriage(folder, more=None, **computer):
 
 def test_free_air_is_mass_and_back_emf(tmp_path):
     scene = carriage(tmp_path)
-    found = impedance(at_wall(scene, ideal(1)), HZ)
+    result = impedance(at_wall(scene, ideal(1)), HZ)
     # rounding, and 1e-9 of op-amp gain that the hand-made board does not have
-    assert found == pytest.approx(2j * np.pi * HZ * 0.2 + BACK_EMF, rel=1e-9)
+    assert result == pytest.approx(2j * np.pi * HZ * 0.2 + BACK_EMF, rel=1e-9)
 
 
 def test_an_analog_spring_behind_a_pole(tmp_path):
@@ -69,15 +69,15 @@ def test_a_sampled_wall_is_its_fundamental(tmp_path, late):
         part = (np.exp(-1j * w * (begin + period)) - np.exp(-1j * w * begin)) / (-1j * w)
         fundamental = np.sum(force * part) / (count * period)
         expected = 0.2j * w + fundamental / (1j * w)
-        found = impedance(at_wall(scene, ideal(1, emf=False)), np.array([hz]))[0]
-        assert found == pytest.approx(expected, rel=1e-6)  # 5e-7 of the board's resistors in COMMAND
+        value = impedance(at_wall(scene, ideal(1, emf=False)), np.array([hz]))[0]
+        assert value == pytest.approx(expected, rel=1e-6)  # 5e-7 of the board's resistors in COMMAND
 
 
 def test_at_low_frequency_a_wall_is_as_stiff_as_it_says(tmp_path):
     scene = carriage(tmp_path, analog_stiffness_n_per_m=100.0, discrete_stiffness_n_per_m=60.0)
     s = 2j * np.pi * 1e-3
-    found = impedance(at_wall(scene, ideal(1)), np.array([1e-3]))[0] * s
-    assert found.real == pytest.approx(100.0 * SPRING + 60.0 * COMMAND, rel=1e-6)
+    value = impedance(at_wall(scene, ideal(1)), np.array([1e-3]))[0] * s
+    assert value.real == pytest.approx(100.0 * SPRING + 60.0 * COMMAND, rel=1e-6)
 
 
 def test_the_stiffest_walls(tmp_path):
@@ -93,9 +93,9 @@ def test_the_stiffest_walls(tmp_path):
     # a slow circuit oscillates before full scale
     slow = lagging(plain, 1e9, 2 * math.pi * 8.0)
     alone = with_computer(scene, method="continuous")
-    found = largest(at_wall(alone, slow), "analog_stiffness_n_per_m", cap=CONSTANTS.k_fs / RADIUS**2)
-    assert found.by == "stability"
-    assert found.value * SPRING == pytest.approx(1.6 * 2 * math.pi * 8.0 + 1.6**2 / 0.2, rel=1e-6)
+    result = largest(at_wall(alone, slow), "analog_stiffness_n_per_m", cap=CONSTANTS.k_fs / RADIUS**2)
+    assert result.by == "stability"
+    assert result.value * SPRING == pytest.approx(1.6 * 2 * math.pi * 8.0 + 1.6**2 / 0.2, rel=1e-6)
     wall = displayed(at_wall(scene, slow), spring=True, damper=False, margin=0.8)
     assert stability(held(wall)).stable
 
@@ -116,10 +116,10 @@ def test_forces_at_the_tip_against_all_directions():
     turn = np.linspace(0.0, 2.0 * np.pi, 20_001)
     along = np.array([np.cos(turn), np.sin(turn)])
     most = 0.28 / np.abs(jac.T @ along).max(axis=0)
-    found = forces(jac, 0.28)
+    result = forces(jac, 0.28)
     # the grid of 3e-4 rad misses a smooth minimum by its square, a corner by itself
-    assert found.any_n == pytest.approx(most.min(), rel=1e-6)
-    assert found.best_n == pytest.approx(most.max(), rel=1e-3)
+    assert result.any_n == pytest.approx(most.min(), rel=1e-6)
+    assert result.best_n == pytest.approx(most.max(), rel=1e-3)
     assert forces(np.array([[0.0], [0.14]]), 0.28).any_n == pytest.approx(2.0)
 
 
@@ -127,17 +127,17 @@ def test_numbers_of_a_carriage(tmp_path):
     """Every number from the board's statements: 0.28 N m on 133 mm, k_fs/r^2, 2 m/T-like damping limits."""
     stops = {"stops_rad": [[-1.0, 0.5]], "viscous_n_m_s": 1.6 * RADIUS**2}
     scene = carriage(tmp_path, {"device": {"slider": stops}, "effects": {"viscous": True}})
-    found = device_numbers(at_wall(scene, ideal(1, emf=False)))
-    assert found.continuous_n == pytest.approx(0.875 * KT * 8 / RADIUS)
-    assert found.peak_n == pytest.approx(1.987 * KT * 8 / RADIUS)
-    assert (found.analog_n_per_m.by, found.analog_n_per_m.value) == (
+    result = device_numbers(at_wall(scene, ideal(1, emf=False)))
+    assert result.continuous_n == pytest.approx(0.875 * KT * 8 / RADIUS)
+    assert result.peak_n == pytest.approx(1.987 * KT * 8 / RADIUS)
+    assert (result.analog_n_per_m.by, result.analog_n_per_m.value) == (
         "full scale", pytest.approx(CONSTANTS.k_fs / RADIUS**2),
     )  # fmt: skip
-    assert found.discrete_n_per_m.value * COMMAND == pytest.approx(
+    assert result.discrete_n_per_m.value * COMMAND == pytest.approx(
         closed_form_limits.held_mass(0.2, 1.6, 0.025), rel=1e-6
     )
     # the largest damping by the map of a period, written out by hand
-    damped = found.discrete_n_s_per_m.value * COMMAND
+    damped = result.discrete_n_s_per_m.value * COMMAND
     tau, period = 0.2 / 1.6, 0.025
     e = math.exp(-period / tau)
     x, v = tau * (1 - e), np.array([period - tau * (1 - e), 1 - e]) / 1.6
@@ -147,8 +147,8 @@ def test_numbers_of_a_carriage(tmp_path):
     z = np.linalg.eigvals(step)
     z = z[np.abs(z - 1.0) > 1e-9]
     assert np.abs(z).max() == pytest.approx(1.0, abs=1e-6)
-    assert found.workspace.height_m == pytest.approx(1.5 * RADIUS)
-    assert found.workspace.width_m == 0.0
+    assert result.workspace.height_m == pytest.approx(1.5 * RADIUS)
+    assert result.workspace.width_m == 0.0
 
 
 def test_workspace_of_the_arm():
@@ -168,12 +168,12 @@ def test_the_command_tells_and_writes_the_numbers(tmp_path, capsys):
     out = tmp_path / "numbers.csv"
     scene = str(SCENES / "slope.toml")
     assert main(["device", scene, "--json", "-o", str(out)]) == 0
-    told = json.loads(capsys.readouterr().out)
-    case = told["cases"][0]
+    printed = json.loads(capsys.readouterr().out)
+    case = printed["cases"][0]
     assert case["analog_n_per_m"]["by"] == "full scale"
     assert case["stiffness_n_per_m"] > case["analog_n_per_m"]["value"]
     assert case["workspace"]["area_m2"] > 0.1
-    assert {each["name"]: each["force_n"] for each in told["published"]}["Falcon"] == 8.0
+    assert {each["name"]: each["force_n"] for each in printed["published"]}["Falcon"] == 8.0
     rows = dict(list(csv.reader(out.read_text().splitlines()))[1:])
     assert float(rows["continuous force, any direction [N]"]) == pytest.approx(case["continuous_n"])
 

@@ -21,34 +21,34 @@ ASKED = ["mc", PRESS, "--model", "linear", "--measure", "curl", "--spec", "least
 
 def call(capsys: pytest.CaptureFixture[str], *words: str, code: int = 0) -> str:
     assert cli.main([*words]) == code
-    said = capsys.readouterr()
-    return said.out if code == 0 or "--json" in words else said.err
+    printed = capsys.readouterr()
+    return printed.out if code == 0 or "--json" in words else printed.err
 
 
 def test_a_study_its_files_and_one_of_its_devices_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "mc"
-    told = json.loads(call(capsys, *ASKED, "-n", "52", "-o", str(out), "--json"))
-    assert told["sampling"]["n"] == 52
+    result = json.loads(call(capsys, *ASKED, "-n", "52", "-o", str(out), "--json"))
+    assert result["sampling"]["n"] == 52
     with (out / "samples.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert [row["sample"] for row in rows] == [str(k) for k in range(52)]
     curl = np.array([float(row["curl [N/m]"]) for row in rows])
-    mean = told["measures"]["curl"]["mean"]
+    mean = result["measures"]["curl"]["mean"]
     assert mean["value"] == pytest.approx(curl.mean())
     assert mean["high"] - mean["low"] == pytest.approx(
         2 * stats.t.ppf(0.975, 51) * curl.std(ddof=1) / np.sqrt(52)
     )
     passed = sum(int(row["pass"]) for row in rows)
-    share = told["yields"]["least_stiffness >= -0.0001 N m/rad"]
+    share = result["yields"]["least_stiffness >= -0.0001 N m/rad"]
     exact = stats.binomtest(passed, 52).proportion_ci(method="exact")
     assert (share["low"], share["high"]) == pytest.approx((exact.low, exact.high))
     # by symmetry of the two joints' windings, which make the curl between them
-    shares = {line["name"]: line["share"]["curl"]["value"] for line in told["bill"]}
-    assert {line["name"] for line in told["bill"][:6]} >= {"xdrv1.xmotor:motor_r", "xdrv2.xmotor:motor_r"}
+    shares = {line["name"]: line["share"]["curl"]["value"] for line in result["bill"]}
+    assert {line["name"] for line in result["bill"][:6]} >= {"xdrv1.xmotor:motor_r", "xdrv2.xmotor:motor_r"}
     assert sum(shares.values()) == pytest.approx(1.0, abs=0.35)
-    worst = told["worst"]["curl"][0]
+    worst = result["worst"]["curl"][0]
     page = (out / "report.html").read_text()
     assert f"--sample {worst[0]}<" in page
     again = json.loads(call(capsys, *ASKED, "--sample", str(worst[0]), "--json"))
@@ -59,7 +59,7 @@ def test_a_study_its_files_and_one_of_its_devices_again(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "reason"),
     [
         (["-n", "0"], "no number of samples"),
         (["--measure", "curll"], "nearest is curl"),
@@ -76,8 +76,8 @@ def test_a_study_its_files_and_one_of_its_devices_again(
         (["--sampling", "sobol", "--sample", "100000"], "no sample of the study"),
     ],
 )
-def test_slips_are_told_at_once(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert said in call(capsys, "mc", PRESS, *words, code=2)
+def test_slips_are_told_at_once(words: list[str], reason: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert reason in call(capsys, "mc", PRESS, *words, code=2)
 
 
 def test_ngspices_own_loop_draws_the_same(tmp_path: Path) -> None:
@@ -99,7 +99,7 @@ def test_ngspices_own_loop_draws_the_same(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "reason"),
     [
         (["--list", "-o", "x"], "--out: has no meaning beside --list"),
         (["--list", "-n", "5"], "-n: has no meaning beside --list"),
@@ -115,7 +115,7 @@ def test_ngspices_own_loop_draws_the_same(tmp_path: Path) -> None:
     ],
 )
 def test_no_option_is_ignored_in_silence(
-    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    words: list[str], reason: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["mc", PRESS, "--measure", "k_max", *words]) == 2
-    assert said in capsys.readouterr().err
+    assert reason in capsys.readouterr().err

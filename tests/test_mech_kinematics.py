@@ -106,8 +106,8 @@ def test_inverse_returns_to_the_pose_with_either_elbow(elbow):
     for _ in range(200):
         q = np.array((rng.uniform(-math.pi, math.pi), elbow * rng.uniform(0.02, 3.1)))
         # Angles lose eps/sin(q2) near full stretch and fold, at most 1/0.02.
-        found = linkage.inverse(linkage.forward(q), elbow, seed=q)
-        np.testing.assert_allclose(found, q, atol=1e-12)
+        result = linkage.inverse(linkage.forward(q), elbow, seed=q)
+        np.testing.assert_allclose(result, q, atol=1e-12)
         other = linkage.inverse(linkage.forward(q), -elbow)
         assert np.sign(other[1]) == -elbow
         np.testing.assert_allclose(linkage.forward(other), linkage.forward(q), atol=1e-15)
@@ -124,8 +124,8 @@ def test_inverse_of_longer_chains_by_search(n, elbow):
         target = np.array((0.03, -0.02)) + (least + share * (most - least)) * np.array(
             (math.cos(angle), math.sin(angle))
         )
-        found = linkage.inverse(target, elbow)
-        np.testing.assert_allclose(linkage.forward(found), target, atol=1e-12)
+        result = linkage.inverse(target, elbow)
+        np.testing.assert_allclose(linkage.forward(result), target, atol=1e-12)
     pose = rng.uniform(0.2, 0.8, n)
     near = linkage.inverse(linkage.forward(pose), seed=pose + 0.01)
     assert np.max(np.abs(near - pose)) < 0.1  # a search from a pose stays with it

@@ -19,9 +19,9 @@ def plan(model: str, *more: str):
 
 def measured(model: str, names: tuple[str, ...], values: np.ndarray, *more: str) -> np.ndarray:
     with Batch(plan(model, *more), KEYS, names) as batch:
-        found = batch.measures(values)
+        measures = batch.measures(values)
         assert not batch.failures
-    return found
+    return measures
 
 
 def test_each_motor_turns_its_own_joint() -> None:

@@ -481,16 +481,16 @@ def test_a_value_that_an_effect_sets_is_refused() -> None:
 
 
 def test_a_value_that_nothing_uses_is_told() -> None:
-    def told(on: bool, **values: str) -> bool:
+    def warned(on: bool, **values: str) -> bool:
         with collected() as cautions:
             shipped((Feature("opamp_offset", on, ("opamp",)),), **values)
         return any(c.code == "value-unused" and next(iter(values)) in c.text for c in cautions)
 
-    assert told(False, tl072_vos="5m")
-    assert not told(True, tl072_vos="5m")
-    assert told(True, tl072_sr="1meg")  # the slew limit is off
+    assert warned(False, tl072_vos="5m")
+    assert not warned(True, tl072_vos="5m")
+    assert warned(True, tl072_sr="1meg")  # the slew limit is off
     for used in ("r_sum_fb", "tl072_gbw", "tl072_swing", "k_fs", "motor_k"):
-        assert not told(False, **{used: "2"}), used
+        assert not warned(False, **{used: "2"}), used
 
 
 # --- notes --------------------------------------------------------------------------------------------

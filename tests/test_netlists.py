@@ -165,9 +165,9 @@ COUNT = ".tran 1m 1m\n.measure tran a find v(imot1) at=0.5m\n.options acct"
 def test_boards_of_all_sizes_load_and_grow_with_the_multipliers(joints: int, tmp_path: Path) -> None:
     """18 equations a pair (pins, probes, two multipliers), 21 a joint, 5 for supplies and ground."""
     printed = run_program(board_deck(tmp_path, joints, COUNT))
-    found = re.search(r"Circuit Equations = (\d+)", printed)
-    assert found is not None
-    assert int(found[1]) == 18 * joints**2 + 21 * joints + 5
+    match = re.search(r"Circuit Equations = (\d+)", printed)
+    assert match is not None
+    assert int(match[1]) == 18 * joints**2 + 21 * joints + 5
     assert (
         pin_names(joints)
         == board_text(joints).split(".subckt")[1].replace("\n+", " ").split("\n")[0].split()[1:]
@@ -313,7 +313,7 @@ def test_headroom_of_the_two_joint_board_at_rated_torque(driver: str, tmp_path: 
     for stiffness in (CONSTANTS["k_fs"], soft):
         gain = stiffness / CONSTANTS["k_fs"] * CONSTANTS["v_fs"]
         sources = {"ksp11": str(gain), "pot1": str(0.28 / stiffness)}
-        found = measures(
+        result = measures(
             run_program(
                 board_deck(
                     tmp_path,
@@ -328,9 +328,9 @@ def test_headroom_of_the_two_joint_board_at_rated_torque(driver: str, tmp_path: 
             )
         )
         for k, limit in enumerate(swing.values()):
-            assert abs(found[f"n{k}"]) < 0.9 * limit, list(swing)[k]
-        assert abs(found["n1"]) < 10, "inside the multiplier's input range"
-        assert abs(found["n2"]) > 5, "and far above its errors"
+            assert abs(result[f"n{k}"]) < 0.9 * limit, list(swing)[k]
+        assert abs(result["n1"]) < 10, "inside the multiplier's input range"
+        assert abs(result["n2"]) > 5, "and far above its errors"
 
 
 @pytest.mark.parametrize("driver", ["voltage", "current"])

@@ -62,11 +62,11 @@ def test_a_payload_goes_and_comes_back_whole() -> None:
 
 
 def test_private_folder_and_home() -> None:
-    found = run("where")
-    assert found["files"] == [".spiceinit"]
-    assert found["home"] != os.environ["HOME"]
-    assert not Path(found["cwd"]).exists()
-    assert gone(found["pid"])
+    result = run("where")
+    assert result["files"] == [".spiceinit"]
+    assert result["home"] != os.environ["HOME"]
+    assert not Path(result["cwd"]).exists()
+    assert gone(result["pid"])
 
 
 def test_simulation_in_a_child() -> None:
@@ -255,10 +255,10 @@ def test_the_child_goes_with_its_parent(tmp_path: Path, how: signal.Signals) -> 
             time.sleep(0.02)
         pid, cwd = marker.read_text().split(" ", 1)
         os.killpg(parent.pid, how)  # as a terminal does on Ctrl-C
-        said, _ = parent.communicate(timeout=10)
+        result, _ = parent.communicate(timeout=10)
     assert gone(int(pid))
     if how is signal.SIGINT:
-        assert said == b"interrupted\n"
+        assert result == b"interrupted\n"
         assert parent.returncode == 130
         assert not Path(cwd).exists()
         assert not list(folder.iterdir())
@@ -320,17 +320,17 @@ def simulator_with(**environment: str) -> "subprocess.CompletedProcess[str]":
 
 
 def test_missing_library_is_said_with_the_remedy(tmp_path: Path) -> None:
-    said = simulator_with(NGSPICE_LIBRARY_PATH=str(tmp_path / "none.so")).stdout
-    assert "libngspice was not found" in said
-    assert "none.so" in said
-    assert "apt-get install" in said
+    output = simulator_with(NGSPICE_LIBRARY_PATH=str(tmp_path / "none.so")).stdout
+    assert "libngspice was not found" in output
+    assert "none.so" in output
+    assert "apt-get install" in output
     (tmp_path / "text.so").write_text("no library at all")
     assert "libngspice was not found" in simulator_with(NGSPICE_LIBRARY_PATH=str(tmp_path / "text.so")).stdout
 
 
 def test_a_library_that_is_too_old_is_refused() -> None:
-    said = simulator_with(OLDEST="99").stdout
-    assert "99 or newer is needed" in said
+    output = simulator_with(OLDEST="99").stdout
+    assert "99 or newer is needed" in output
 
 
 def test_no_room_for_the_childs_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -86,8 +86,8 @@ def test_unknown_level_is_refused(levels: dict[str, str], words: list[str]) -> N
 
 
 def test_amplifiers_have_the_names_ngspice_gives_their_outputs() -> None:
-    found = {a.path: (a.part, a.role, a.out_node, a.swing_param) for a in load_deck(BOARD).amplifiers}
-    assert found == {
+    by_name = {a.path: (a.part, a.role, a.out_node, a.swing_param) for a in load_deck(BOARD).amplifiers}
+    assert by_name == {
         "xboard.xdiff1.xop": ("opx", "opamp", "xboard.x1", "opx_swing"),
         "xboard.xsum1.xop": ("opx", "opamp", "xboard.o", "opx_swing"),
         "xboard.xdrv.xop": ("power", "driver", "xboard.xdrv.drv", None),

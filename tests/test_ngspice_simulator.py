@@ -182,9 +182,9 @@ def test_c_callbacks_by_address_breakpoints_and_truncation(simulator: Simulator)
             ctypes.c_int.from_address(int(place)).value = 1
         return 0
 
-    def init(found: list[str]) -> None:
+    def init(calls: list[str]) -> None:
         nonlocal lengths
-        names[:] = found
+        names[:] = calls
         times.clear()
         shared[1] = 0
         lengths = simulator.length_addresses()

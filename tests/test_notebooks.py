@@ -84,17 +84,17 @@ def test_what_a_front_door_returns_shows_and_draws_itself():
     swept = cosim.sweep(scene, {"computer.period_s": [0.005, 0.01]}, ["k_max"])
     study = cosim.study(scenes_folder() / "paper/0_2_passive.toml")
     batch = cosim.monte_carlo(scene, ["eta < 0.1"], samples=4)
-    for found, words in ((swept, "computer.period_s"), (study, study.title), (batch, "eta &lt;= 0.1")):
-        html = found._repr_html_()
+    for each, words in ((swept, "computer.period_s"), (study, study.title), (batch, "eta &lt;= 0.1")):
+        html = each._repr_html_()
         assert words in html
         assert "<table" in html
         assert re.search(r'<img alt="[^"]+" src="data:image', html)
-        assert found.plot()._repr_png_().startswith(b"\x89PNG")
+        assert each.plot()._repr_png_().startswith(b"\x89PNG")
     with pytest.raises(ValueError, match="no fitted surface"):
         batch.plot("blame")
-    for found in (study, batch):
+    for each in (study, batch):
         with pytest.raises(ValueError, match="nonsense"):
-            found.plot("nonsense")
+            each.plot("nonsense")
     words = cosim.sweep(scene, {"effects.driver": ["voltage", "current"]}, ["k_max"])
     assert "current" in words._repr_html_()
     with pytest.raises(ValueError, match="not of numbers"):

@@ -28,16 +28,16 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 @pytest.fixture(scope="module")
-def whole(result: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def result_folder(result: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = result.save(tmp_path_factory.mktemp("whole") / "out", formats=FORMATS)
     write_report(Run.load(folder), folder / "report")
     return folder
 
 
 @pytest.fixture
-def out(whole: Path, tmp_path: Path) -> Path:
+def out(result_folder: Path, tmp_path: Path) -> Path:
     """A result with all its forms and its page."""
-    return Path(shutil.copytree(whole, tmp_path / "out"))
+    return Path(shutil.copytree(result_folder, tmp_path / "out"))
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -187,8 +187,8 @@ def test_a_product_replaces_what_is_its_own_and_nothing_else(
     # told before anything is computed: no child is asked
     monkeypatch.setattr("cosim.ngspice.child.Child.call", lambda *_, **__: pytest.fail("computed first"))
     assert cli.main(command) == 2
-    said = capsys.readouterr().err
-    assert f"{out / file}: is in the way" in said
+    err = capsys.readouterr().err
+    assert f"{out / file}: is in the way" in err
     assert contents(out) == before
 
 
@@ -401,9 +401,9 @@ def test_no_file_steers_the_terminal(mark: str, tmp_path: Path, capsys: pytest.C
     assert cli.main(["plan", str(scene.file)]) == 0
     assert cli.main(["plan", str(scene.file), "--set", f"title=b{mark}", "--json"]) in (0, 2)
     assert cli.main(["plan", str(scene.file), "--set", f"operator.type={mark}x"]) == 2
-    said = "".join(capsys.readouterr())
-    assert not set(said) & set(mark) - set("[2J]0;gone p")
-    assert printable(f"a{mark}") in said or "a " in said
+    printed = "".join(capsys.readouterr())
+    assert not set(printed) & set(mark) - set("[2J]0;gone p")
+    assert printable(f"a{mark}") in printed or "a " in printed
 
 
 def test_a_long_line_is_not_echoed_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -233,6 +233,6 @@ def test_null_limit(
     if bound == SAME:
         assert digest(on) == digest(off)
         return
-    found = {signal: apart(on, off, signal) for signal in ("imot1", "q1")}
-    print(name, value, model, {key: f"{each:.1e}" for key, each in found.items()})
-    assert max(found.values()) < bound
+    by_name = {signal: apart(on, off, signal) for signal in ("imot1", "q1")}
+    print(name, value, model, {key: f"{each:.1e}" for key, each in by_name.items()})
+    assert max(by_name.values()) < bound

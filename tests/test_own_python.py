@@ -129,13 +129,13 @@ def test_what_it_printed_last_stands_beside_its_error(tmp_path: Path) -> None:
 
 
 def test_a_law_that_prints_without_end_is_cut() -> None:
-    said = Said()
-    with said.listening():
+    result = Said()
+    with result.listening():
         for k in range(3000):
             print(k, "x" * 1000)
-    assert len(said.lines) == 1001
-    assert said.lines[-1] == "... and 2000 more lines"
-    assert max(map(len, said.lines)) == 500
+    assert len(result.lines) == 1001
+    assert result.lines[-1] == "... and 2000 more lines"
+    assert max(map(len, result.lines)) == 500
 
 
 def test_own_measures_are_measures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -160,13 +160,13 @@ def test_a_sweep_takes_an_own_measure(
     monkeypatch.chdir(tmp_path)
     given = ["sweep", str(scene.file), "computer.period_s=0.02,0.05", "--measure", "m.py:Plain", "-o", "s"]
     assert cli.main([*given, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["measures"]["Plain"] == pytest.approx([K_FS * 0.02, K_FS * 0.05], rel=1e-12)
+    out = json.loads(capsys.readouterr().out)
+    assert out["measures"]["Plain"] == pytest.approx([K_FS * 0.02, K_FS * 0.05], rel=1e-12)
 
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "reason"),
     [
         ("m.py:Bad", r"m.py:\d+: KeyError: 'nonsense'"),
         ("m.py:Endless", "is not finite: nan"),
@@ -177,6 +177,6 @@ def test_a_sweep_takes_an_own_measure(
         ("m.py:", "whose name no other measure has"),
     ],
 )
-def test_errors_of_an_own_measure_are_in_its_words(name: str, said: str, tmp_path: Path) -> None:
-    with pytest.raises(CosimError, match=said):
+def test_errors_of_an_own_measure_are_in_its_words(name: str, reason: str, tmp_path: Path) -> None:
+    with pytest.raises(CosimError, match=reason):
         quick(tmp_path, tables(tmp_path, measures={"names": [name]}))

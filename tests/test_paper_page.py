@@ -53,7 +53,7 @@ def value(match):
 @pytest.mark.filterwarnings("ignore::cosim.caution.Doubt")
 @pytest.mark.parametrize("name", QUOTED)
 def test_the_study_finds_it(name):
-    found = texts(name)
+    result = texts(name)
     for pattern, quoted, band, words in QUOTED[name]:
-        numbers = [value(match) for text in found if (match := re.search(pattern, text))]
-        assert any(abs(number - quoted) <= band for number in numbers), (words, numbers, found)
+        numbers = [value(match) for text in result if (match := re.search(pattern, text))]
+        assert any(abs(number - quoted) <= band for number in numbers), (words, numbers, result)

@@ -63,9 +63,9 @@ def test_op_amp_levels_show_their_data_sheet(part: str, tmp_path: Path) -> None:
     swing = f"Vin in 0 1\nx1 in 0 vcc vee out {part}\nRl out 0 100k\n.dc Vin -1 1 2\n"
     swing += ".measure dc lo find v(out) at=-1\n.measure dc hi find v(out) at=1\n"
     limit = 15 - data["drop"]
-    found = part_deck(tmp_path, part, "full", swing)
-    assert found["hi"] == pytest.approx(limit, rel=0.01)
-    assert found["lo"] == pytest.approx(-limit, rel=0.01)
+    result = part_deck(tmp_path, part, "full", swing)
+    assert result["hi"] == pytest.approx(limit, rel=0.01)
+    assert result["lo"] == pytest.approx(-limit, rel=0.01)
 
     rise = 4 / data["sr"]
     slew = f"Vin in 0 pulse(-5 5 {rise} 1n 1n 1 2)\nx1 in out vcc vee out {part}\nRl out 0 100k\n"
@@ -162,14 +162,14 @@ def test_potentiometer_levels(tmp_path: Path) -> None:
                 for name, node in (("o", "open"), ("l", "loaded"))
                 for k in range(5)
             )
-            found = part_deck(tmp_path, "potentiometer", level, circuit)
+            result = part_deck(tmp_path, "potentiometer", level, circuit)
             for k in range(5):
                 angle = k - 2
                 share = 0.5 + angle / travel
                 ohms = data["pot_rw"] + data["pot_r"] * share * (1 - share) if level == "full" else 1.0
-                assert found[f"o{k}"] == pytest.approx(v_rad * angle, rel=1e-6)
+                assert result[f"o{k}"] == pytest.approx(v_rad * angle, rel=1e-6)
                 # 1e-6: six digits printed
-                assert found[f"l{k}"] == pytest.approx(v_rad * angle / (1 + ohms / load), rel=2e-6)
+                assert result[f"l{k}"] == pytest.approx(v_rad * angle / (1 + ohms / load), rel=2e-6)
 
 
 # ---- what the files state

@@ -38,9 +38,9 @@ def tip(impedance, command=None):
 )
 def test_published_numbers(law, known):
     """Theory's table, exact; the extension of a constant viscosity is the same condition."""
-    found = needed_damping(law)
-    assert found.value == pytest.approx(known, rel=1e-9)
-    assert found.value <= found.upper <= found.value * (1 + 1e-8)
+    result = needed_damping(law)
+    assert result.value == pytest.approx(known, rel=1e-9)
+    assert result.value <= result.upper <= result.value * (1 + 1e-8)
     # the extension's grid begins at 1e-4 of the half circle, where the delay's curve is 1e-7 lower
     assert share_used(law, plain(1.0)).value == pytest.approx(known, rel=2e-6)
 
@@ -53,21 +53,21 @@ def test_the_certificate_against_a_dense_sweep(seed):
     a = generator.standard_normal((n, n))
     a *= (1.0 - 10.0 ** generator.uniform(-6, -1)) / np.abs(np.linalg.eigvals(a)).max()
     law = Law(a, generator.standard_normal(n), generator.standard_normal(n), 3.0, 1e-3)
-    found = needed_damping(law)
+    result = needed_damping(law)
     peaks = np.abs(np.angle(np.linalg.eigvals(a)))
     widths = np.geomspace(1e-9, 1.0, 400)
     theta = np.concatenate(
         [np.linspace(1e-5, np.pi, 20001), *[p + widths for p in peaks], *[p - widths for p in peaks]]
     )
-    top = 2.0 * np.pi * law.period_s * found.frequency_hz
+    top = 2.0 * np.pi * law.period_s * result.frequency_hz
     theta = np.append(theta[(theta > 1e-4) & (theta <= np.pi)], max(top, 1e-4))
     z = np.exp(1j * theta)
     # the quotient as it stands in the condition: rounding of 1e-15 |H| over 5e-9 at the least angle
     needed = 0.5e-3 / (1 - np.cos(theta)) * ((1 - 1 / z) * law.response(z)).real
     rounding = 1e-6 * np.abs(law.response(z)).max() * law.period_s
-    assert needed.max() <= found.upper + rounding
+    assert needed.max() <= result.upper + rounding
     if top > 1e-4:
-        assert needed[-1] == pytest.approx(found.value, abs=rounding)
+        assert needed[-1] == pytest.approx(result.value, abs=rounding)
 
 
 def test_a_peak_between_the_grids_points_is_found():
@@ -89,12 +89,12 @@ def test_a_peak_between_the_grids_points_is_found():
         np.block([[a, zero], [zero, a2]]), np.concatenate([b, b2]), np.concatenate([c, c2]), 3.0, period
     )
     broad = needed_damping(Law(a, b, c, 3.0, period))
-    found = needed_damping(law)
+    result = needed_damping(law)
     peak = period * gain / (4.0 * math.sin(angle / 2.0) * width) * (1.0 + math.sin(1.5 * angle)) / 2.0
     assert peak > 100.0 * broad.value
     # what the broad one adds there is less than its own maximum
-    assert found.value == pytest.approx(peak, abs=2.0 * broad.value)
-    assert found.frequency_hz == pytest.approx(angle / (2.0 * np.pi * period), abs=1e-3)
+    assert result.value == pytest.approx(peak, abs=2.0 * broad.value)
+    assert result.frequency_hz == pytest.approx(angle / (2.0 * np.pi * period), abs=1e-3)
 
 
 @pytest.mark.parametrize(("hz", "known"), [(10.0, 25.7), (100.0, 108.0), (1000.0, 159.2), (1e9, 168.0)])
@@ -125,9 +125,9 @@ def test_a_delay_of_less_than_a_period(share):
     late = share * period
     half = period / 2 + late
     exact = k / 2 * (half + math.sqrt(half**2 + period**2 * share * (1 - share)))
-    found = share_used(wall(k, 0.0, period, lag_s=late), plain(1.0))
-    assert found.value == pytest.approx(exact, rel=2e-5)
-    assert found.value > k * half
+    result = share_used(wall(k, 0.0, period, lag_s=late), plain(1.0))
+    assert result.value == pytest.approx(exact, rel=2e-5)
+    assert result.value > k * half
 
 
 def test_the_sum_over_aliases_of_a_late_force():
@@ -215,13 +215,13 @@ def test_a_run_beyond_passivity_delivers_energy(tmp_path, share):
         ), {},
     )  # fmt: skip
     run = quick(tmp_path, tables)
-    found = delivered(run.signals, run.events, run.ledger)
-    assert found.contacts
+    result = delivered(run.signals, run.events, run.ledger)
+    assert result.contacts
     # a held force is late by half a period: the display gives what the bearings then take
-    assert found.most_j > 0.0
-    assert not found.passive
+    assert result.most_j > 0.0
+    assert not result.passive
     viscous = -run.ledger["work_j"]["viscous"]
-    assert found.end_j < viscous
+    assert result.end_j < viscous
 
 
 def test_a_continuous_spring_delivers_nothing(tmp_path):
@@ -240,9 +240,9 @@ def test_a_continuous_spring_delivers_nothing(tmp_path):
         solver={"model": "ideal"},
     )
     run = quick(tmp_path, tables)
-    found = delivered(run.signals, run.events, run.ledger)
+    result = delivered(run.signals, run.events, run.ledger)
     most = 0.5 * 100.0 * (2.0 * RADIUS * 0.002) ** 2
-    assert -found.doubt_j <= found.most_j <= most + found.doubt_j
+    assert -result.doubt_j <= result.most_j <= most + result.doubt_j
     # started inside, at rest on its spring, it has no switching on at all: e_spring pays for everything
     inside = merge(
         tables, {"device": {"start": {"q_rad": [-0.02], "v_rad_per_s": [0.0]}}, "duration_s": 0.02}

@@ -100,9 +100,9 @@ def test_placed_values_equal_a_netlist_that_was_edited_by_hand(tmp_path):
     by_hand = extract(load_deck(folder / "board2.cir", levels=LEVELS))
     board = shipped(2, "gbw")
     assert apart(by_hand, extract(Placed.of(board, list(SOME)).deck(list(SOME.values()))), 1e8) < UNREDUCED
-    why, (found,) = models(board, list(SOME), [list(SOME.values())])
+    why, (result,) = models(board, list(SOME), [list(SOME.values())])
     assert not why
-    assert apart(by_hand, found, 1e8) < UNREDUCED
+    assert apart(by_hand, result, 1e8) < UNREDUCED
 
 
 def test_values_as_designed_change_nothing():
@@ -119,9 +119,9 @@ def test_draws_agree_with_decks_of_their_own(driver):
     board = shipped(2, "gbw", driver)
     keys = [*passive(board), "xder2.xop:tl072_aol", "xdiff1.xop:tl072_gbw", "xdrv2.xmotor:motor_l"]
     sets = sets_about(board, keys, 0.1, 3)
-    why, found = models(board, keys, sets)
+    why, result = models(board, keys, sets)
     assert not why
-    for values, circuit in zip(sets, found, strict=True):
+    for values, circuit in zip(sets, result, strict=True):
         truth = extract(Placed.of(board, keys).deck(values))
         assert apart(truth, circuit, 1e8) < UNREDUCED
         assert apart(truth, circuit, 1e8, np.array([10.0, -3, 2, 7, 5, 1, -2, 10])) < UNREDUCED
@@ -131,8 +131,8 @@ def test_offsets_and_limits_follow_the_draw():
     board = shipped(2, "full")
     keys = passive(board)
     sets = sets_about(board, keys, 0.05, 2)
-    _, found = models(board, keys, sets)
-    for values, circuit in zip(sets, found, strict=True):
+    _, result = models(board, keys, sets)
+    for values, circuit in zip(sets, result, strict=True):
         truth = extract(Placed.of(board, keys).deck(values))
         assert np.abs(truth.offset).max() > 1e-3
         # right to first order in offsets of some mV, on multipliers that are bent by 0.4 % at full scale
@@ -177,10 +177,10 @@ def test_a_value_that_is_no_admittance_is_extracted_anew():
     key = "xksp11.xmul:ad633_bw"  # the pole of the multiplier stands in a capacitor
     assert not models(board, [key], [[0.9e6]])[0]
     full = shipped(2, "full")
-    why, (found,) = models(full, ["xksp11.xmul:ad633_scale"], [[1.0]])
+    why, (result,) = models(full, ["xksp11.xmul:ad633_scale"], [[1.0]])
     assert "otherwise than as an admittance" in why
     truth = extract(Placed.of(full, ["xksp11.xmul:ad633_scale"]).deck([1.0]))
-    assert apart(truth, found, 1e8) < UNREDUCED
+    assert apart(truth, result, 1e8) < UNREDUCED
 
 
 @pytest.mark.parametrize(

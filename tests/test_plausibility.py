@@ -47,7 +47,7 @@ def test_shipped_scenes_carry_no_warning(path: Path, model: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("code", "said", "overrides"),
+    ("code", "doubt", "overrides"),
     [
         # 7 mm of penetration at a spring of 3 N m/rad: the wall is 10 000 times what the converters reach
         ("dac-clipped", "end of its range", ["computer.analog_stiffness_n_per_m=1e6"]),
@@ -73,11 +73,11 @@ def test_shipped_scenes_carry_no_warning(path: Path, model: str) -> None:
         ("key-unused", "effects.dac_skew is off", ["computer.dac.skew_s=1e-3"]),
     ],
 )
-def test_a_slip_is_told(code: str, said: str, overrides: list[str]) -> None:
+def test_a_slip_is_told(code: str, doubt: str, overrides: list[str]) -> None:
     with collected() as cautions, suppress(SimulationError):  # absurd values may make a device run away
         assert press("solver.model=linear", *overrides).warnings == tuple(cautions)
-    told = [str(c) for c in cautions if c.code == code]
-    assert any(said in text for text in told), told
+    rows = [str(c) for c in cautions if c.code == code]
+    assert any(doubt in text for text in rows), rows
 
 
 @pytest.mark.few(2)
@@ -92,8 +92,8 @@ def test_a_slip_is_told(code: str, said: str, overrides: list[str]) -> None:
     ],
 )
 def test_a_plain_edit_is_no_slip(override: str) -> None:
-    found = codes(press("solver.model=linear", override))
-    assert not found & {"value-unused", "resistor-absurd", "constant-missed"}
+    result = codes(press("solver.model=linear", override))
+    assert not result & {"value-unused", "resistor-absurd", "constant-missed"}
 
 
 def test_a_shunt_below_an_ohm_may_be_changed() -> None:
@@ -117,16 +117,16 @@ def test_a_capital_m_in_the_netlist_itself_is_told(tmp_path: Path) -> None:
     block.write_text(re.sub(r"r_diff_fb=\S+", "r_diff_fb=1M", block.read_text(), count=1))
     with collected() as cautions:
         resolve(load_scene(SCENES / "drop.toml", [f"device.board={board.as_posix()!r}"]))
-    (told,) = [caution for caution in cautions if caution.code == "resistor-absurd"]
-    assert "diffamp.cir:" in told.text
-    assert "write 1meg for mega" in told.advice
+    (doubt,) = [caution for caution in cautions if caution.code == "resistor-absurd"]
+    assert "diffamp.cir:" in doubt.text
+    assert "write 1meg for mega" in doubt.advice
 
 
 def test_degrees_for_radians_are_told_even_when_the_run_fails() -> None:
     with collected() as cautions:
         resolve(load_scene(PRESS, ["device.start.q_rad=[34.0,63.0]"]))
-    (told,) = [caution for caution in cautions if caution.code == "angle-beyond-turn"]
-    assert "63 degrees are 1.1 rad" in told.advice  # 63 pi / 180 = 1.0996
+    (doubt,) = [caution for caution in cautions if caution.code == "angle-beyond-turn"]
+    assert "63 degrees are 1.1 rad" in doubt.advice  # 63 pi / 180 = 1.0996
 
 
 def test_a_drum_may_turn(tmp_path: Path) -> None:
@@ -140,9 +140,9 @@ def test_an_amplifier_that_clips_is_told_with_its_time() -> None:
     run = press("solver.model=spice", push, "effects.opamp=full")
     clipped = [c for c in run.warnings if c.code == "amplifier-clipped"]
     row = next(a for a in run.plan["amplifiers"] if a["path"] == "xboard.xdiff1.xop")
-    told = next(c for c in clipped if row["path"] in c.text)
-    assert f"for {row['clipped_s']:.3g} s of 2 s" in told.text
-    assert "the model does not" not in told.text  # at level full the model clips
+    result = next(c for c in clipped if row["path"] in c.text)
+    assert f"for {row['clipped_s']:.3g} s of 2 s" in result.text
+    assert "the model does not" not in result.text  # at level full the model clips
     unlimited = press("solver.model=spice", push)
     assert any("the model does not" in c.text for c in unlimited.warnings if c.code == "amplifier-clipped")
 
@@ -185,25 +185,25 @@ def test_a_wall_that_pulls_is_told() -> None:
         for name, values in run.signals.items()
     }
     assert wall_frame(run.scene, run.signals)["push"].max() > 0.5
-    found = _of(run, signals=turned)
-    assert [caution.code for caution in found] == ["stiffness-wrong-sign"]
+    result = _of(run, signals=turned)
+    assert [caution.code for caution in result] == ["stiffness-wrong-sign"]
 
 
 def test_a_push_out_of_contact_is_told() -> None:
     run = press("solver.model=linear", "wall.point_m=[0.07,0.1]", "duration_s=0.5")
     # 0.05 N at the reach of 0.1333 m are 0.02 A; the brake of the back-EMF goes with the speed, no offset
-    for offset, told in ((0.0, False), (0.015, False), (0.03, True)):
+    for offset, each in ((0.0, False), (0.015, False), (0.03, True)):
         signals = {name: np.asarray(values) for name, values in run.signals.items()}
         signals["imot1"] = signals["imot1"] + offset - 0.3 * signals["v1"]
-        found = {caution.code for caution in _of(run, signals=signals)}
-        assert ("force-out-of-contact" in found) is told, offset
+        names = {caution.code for caution in _of(run, signals=signals)}
+        assert ("force-out-of-contact" in names) is each, offset
 
 
 def test_an_open_ledger_is_told() -> None:
     run = press("solver.model=linear")
-    found = _of(run, ledger={**run.ledger, "closes": False, "closure": 0.3})
-    assert [caution.code for caution in found] == ["ledger-open"]
-    assert "0.3 of the energy" in found[0].text
+    result = _of(run, ledger={**run.ledger, "closes": False, "closure": 0.3})
+    assert [caution.code for caution in result] == ["ledger-open"]
+    assert "0.3 of the energy" in result[0].text
 
 
 def _of(run: Run, **changed: object) -> list[Caution]:
@@ -239,7 +239,7 @@ def test_cautions_cross_the_process_and_nest() -> None:
 
 def test_many_of_a_kind_are_told_in_short() -> None:
     many = [Caution("a", f"t{k}", "do") for k in range(10)] + [Caution("b", "t", "do")]
-    assert [(len(told), more) for told, more in grouped(many)] == [(3, 7), (1, 0)]
+    assert [(len(each), more) for each, more in grouped(many)] == [(3, 7), (1, 0)]
 
 
 @pytest.mark.long
@@ -251,12 +251,12 @@ def test_terminal_json_file_page_and_strict(tmp_path: Path, capsys: pytest.Captu
     assert cli.main([*far, str(tmp_path / "b"), "--strict", "--json"]) == 2
     out, err = capsys.readouterr()
     assert "1 warning with --strict; finished results are kept" in err
-    told = json.loads(out)
-    assert told["warnings"] == told["runs"][0]["warnings"]
+    result = json.loads(out)
+    assert result["warnings"] == result["runs"][0]["warnings"]
     stored = json.loads((tmp_path / "b" / "run.json").read_text())
-    assert stored["warnings"] == told["warnings"]
+    assert stored["warnings"] == result["warnings"]
     run = Run.load(tmp_path / "b")
-    assert [caution_of(fields) for fields in told["warnings"]] == list(run.warnings)
+    assert [caution_of(fields) for fields in result["warnings"]] == list(run.warnings)
     page = write_report(run, tmp_path / "page").read_text()
     assert page.index("the wall was never touched") < page.index('class="tiles"')
     assert "What to do: look at device.start" in page
@@ -283,16 +283,16 @@ def test_plan_tells_a_stiffness_beyond_the_board(capsys: pytest.CaptureFixture[s
     assert f"at most {K_FS / 0.07**2:.4g} N/m" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("share", "told"), [(0.999, False), (1.001, True)])
-def test_a_wall_is_too_stiff_beyond_the_range_at_its_own_pose(share: float, told: bool) -> None:
+@pytest.mark.parametrize(("share", "doubted"), [(0.999, False), (1.001, True)])
+def test_a_wall_is_too_stiff_beyond_the_range_at_its_own_pose(share: float, doubted: bool) -> None:
     """Between 169 N/m, the range at the reach that the board quotes, and that at the wall all is well."""
     scene = load_scene(PRESS, ["solver.model=linear"])
     constants = resolve(scene).stated()
     most = share * constants.k_fs / 0.07**2 * constants.dac_v / constants.v_fs
     damper = share * constants.c_fs / 0.07**2 * constants.dac_v / constants.v_fs
     for key, asked in (("stiffness_n_per_m", most), ("damping_n_s_per_m", damper)):
-        found = list(of_asked(scene.with_values({f"computer.analog_{key}": asked}), constants))
-        assert [caution.code for caution in found] == ["gain-beyond-full-scale"] * told
+        every = list(of_asked(scene.with_values({f"computer.analog_{key}": asked}), constants))
+        assert [caution.code for caution in every] == ["gain-beyond-full-scale"] * doubted
     far = scene.with_values({"computer.analog_stiffness_n_per_m": 1e6, "wall.point_m": [0.5, 0.155]})
     assert list(of_asked(far, constants)) == []  # the point, not the wall, is out of reach: no pose
 

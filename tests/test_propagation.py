@@ -209,18 +209,18 @@ def test_matrix_exponential_of_large_norm(h: float) -> None:  # 6
     a[0, 1] = 1.0
     for i, pole in enumerate((3.0, 2e3, 5e5, 6e7)):
         a[2 + i, 2 + i], a[2 + i, 1 + i] = -pole, pole
-    found = phi_functions(a, h, 2)
+    result = phi_functions(a, h, 2)
     getcontext().prec = 60
     nodes = [0, 0, -3 * h, -2e3 * h, -5e5 * h, -6e7 * h]
     # column of the integrator's speed: products of the couplings times divided differences
     values, of_b, both = (np.zeros(TOP + 1, complex) for _ in range(3))
     single(complex(nodes[2]), values)
-    assert found[0][0, 1] == pytest.approx(h, rel=1e-12)
-    assert found[0][2, 1] == pytest.approx((3 * h * values[1]).real, rel=1e-9)
+    assert result[0][0, 1] == pytest.approx(h, rel=1e-12)
+    assert result[0][2, 1] == pytest.approx((3 * h * values[1]).real, rel=1e-9)
     single(complex(nodes[3]), of_b)
     double(complex(nodes[3]), complex(nodes[2]), of_b, values, both)
-    assert found[0][3, 1] == pytest.approx((3 * h * 2e3 * h * both[1]).real, rel=1e-9)
-    assert np.isfinite(found[0]).all()
+    assert result[0][3, 1] == pytest.approx((3 * h * 2e3 * h * both[1]).real, rel=1e-9)
+    assert np.isfinite(result[0]).all()
 
 
 # ---- one joint: closed forms
@@ -285,9 +285,9 @@ def period_map(tmp_path: Path, period: float, viscosity: float) -> Array:
 @pytest.mark.parametrize(("period", "growth"), [(3e-3, 1.002247), (0.1, 2.449490)])
 def test_sampled_spring_without_damping_grows(tmp_path: Path, period: float, growth: float) -> None:  # 21
     assert COMMAND_TRUE * V_NM == pytest.approx(1.0, rel=1e-12)
-    found = math.sqrt(np.linalg.det(period_map(tmp_path, period, 0.0)))
-    assert found == pytest.approx(math.sqrt(1 + 1e3 * period**2 / 2), rel=1e-9)
-    assert found == pytest.approx(growth, abs=1e-6)
+    result = math.sqrt(np.linalg.det(period_map(tmp_path, period, 0.0)))
+    assert result == pytest.approx(math.sqrt(1 + 1e3 * period**2 / 2), rel=1e-9)
+    assert result == pytest.approx(growth, abs=1e-6)
 
 
 @pytest.mark.parametrize(("period", "border"), [(3e-3, 1.49888), (0.1, 28.7841)])

@@ -113,10 +113,10 @@ def test_a_number_from_nowhere_is_seen():
 def test_numbers_of_scenes_and_code_are_those():
     for phrases in SCENES.values():
         for phrase, (name, key, value) in phrases.items():
-            found = cosim.load_scene(ROOT / f"scenes/{name}.toml")
+            result = cosim.load_scene(ROOT / f"scenes/{name}.toml")
             for part in key.split("."):
-                found = getattr(found, part)
-            assert found == value, (phrase, found)
+                result = getattr(result, part)
+            assert result == value, (phrase, result)
     for phrases in CODE.values():
         for phrase, (name, text) in phrases.items():
             assert re.search(re.escape(text), (ROOT / name).read_text(encoding="utf-8")), (phrase, name, text)
@@ -149,10 +149,10 @@ def test_bounds_hold_as_often_as_they_say(capsys):
     from benchmarks.estimates import main
 
     assert main(["press"]) == 0
-    said = capsys.readouterr().out
-    found = re.search(
-        r"^all: (\d+) errors, ([\d.]+) % within the bound, ([\d.]+) % within", said, re.MULTILINE
+    out = capsys.readouterr().out
+    match = re.search(
+        r"^all: (\d+) errors, ([\d.]+) % within the bound, ([\d.]+) % within", out, re.MULTILINE
     )
-    assert int(found[1]) >= 20
-    assert float(found[2]) >= 95.0
-    assert float(found[3]) == 100.0
+    assert int(match[1]) >= 20
+    assert float(match[2]) >= 95.0
+    assert float(match[3]) == 100.0

@@ -55,19 +55,19 @@ def test_fit_recovers_order_and_response(seed):
     rng = np.random.default_rng(seed)
     clean = sum_of_poles(SWEEP, poles, residues, d)
     noisy = clean * (1 + 1e-15 * rng.normal(size=clean.shape))  # as `.ac` is
-    found = fit(SWEEP, noisy)
+    result = fit(SWEEP, noisy)
     truth = sum_of_poles(BETWEEN, poles, residues, d)
-    miss = np.abs(rational(BETWEEN, found.a, found.b, found.c, found.d) - truth).max(axis=0)
+    miss = np.abs(rational(BETWEEN, result.a, result.b, result.c, result.d) - truth).max(axis=0)
     assert (miss < STATED * np.abs(truth).max(axis=0)).all()
-    assert len(found.a) <= sum(2 if pole.imag else 1 for pole in poles)
-    assert (np.linalg.eigvals(found.a).real < 0).all()
+    assert len(result.a) <= sum(2 if pole.imag else 1 for pole in poles)
+    assert (np.linalg.eigvals(result.a).real < 0).all()
 
 
 def test_noise_makes_no_poles():
     rng = np.random.default_rng(0)
     truth = sum_of_poles(SWEEP, [-1e3 + 0j], [np.ones((1, 1))], np.zeros((1, 1)))
-    found = fit(SWEEP, truth * (1 + 1e-13 * rng.normal(size=truth.shape)))
-    assert found.poles == pytest.approx([-1e3], rel=1e-9)
+    result = fit(SWEEP, truth * (1 + 1e-13 * rng.normal(size=truth.shape)))
+    assert result.poles == pytest.approx([-1e3], rel=1e-9)
 
 
 def test_unstable_pole_is_told():
@@ -102,15 +102,15 @@ def test_a_fit_that_leaves_little_serves_and_tells_it(share, served):
 
 
 def test_cautions_tell_a_fit_worse_than_the_tolerance():
-    for error, tolerance, told in (
+    for error, tolerance, each in (
         (5e-9, 1e-6, False),
         (4.5e-6, 1e-6, True),
         (4.5e-6, 1e-3, False),
         (1e-16, 0, False),
     ):
-        found = cautions({"fit_error": error, "tolerance": tolerance})
-        assert bool(found) == told
-        assert all(f"{error:.1e}" in caution.text for caution in found)
+        result = cautions({"fit_error": error, "tolerance": tolerance})
+        assert bool(result) == each
+        assert all(f"{error:.1e}" in caution.text for caution in result)
 
 
 @pytest.mark.few(6)
@@ -187,7 +187,7 @@ def test_the_rest_of_a_series_is_bounded_where_it_is_largest(reach):
 
 def test_a_bound_holds_where_the_rest_of_the_series_decides():
     """A resonance just beside a wide interval: what the series leaves out is most of the error there."""
-    found = []
+    rows = []
     for width in np.geomspace(0.02, 0.6, 25):
         # the first interval reaches 1e-6 of the band: put the peak at its far side
         p = -1e-3 + 1j * width
@@ -195,9 +195,9 @@ def test_a_bound_holds_where_the_rest_of_the_series_decides():
         bound = error_bound(peak, network([], [], [], 0, []), 1.0, np.ones((1, 1)))
         w = 1j * np.concatenate([np.linspace(0, 1, 20001), width + np.linspace(-0.01, 0.01, 2001)])
         w = w[np.abs(w) <= 1.0]
-        found.append(bound.worst / np.abs(rational(w, peak.a, peak.b, peak.c, peak.d)).max())
-    assert min(found) >= 1.0 - 1e-9
-    assert max(found) <= 1.03
+        rows.append(bound.worst / np.abs(rational(w, peak.a, peak.b, peak.c, peak.d)).max())
+    assert min(rows) >= 1.0 - 1e-9
+    assert max(rows) <= 1.03
 
 
 def test_tighter_tolerance_never_lowers_the_order():
@@ -216,8 +216,8 @@ def check_boards(seeds):
         rng = np.random.default_rng(seed)
         omega, tolerance = 2 * np.pi * 10 ** rng.uniform(1, 4), 10 ** rng.uniform(-5, -1)
         for block, h in ((pre, truth.x), (post, truth.post)):
-            whole = block.joined()
-            miss = np.abs(rational(truth.s, whole.a, whole.b, whole.c, whole.d) - h).max(axis=0)
+            result = block.joined()
+            miss = np.abs(rational(truth.s, result.a, result.b, result.c, result.d) - h).max(axis=0)
             peak = np.abs(h).max(axis=0)
             # below 1e-6 of the strongest path to an output, rounding in ngspice is more than 1e-9 of a path
             assert (miss <= STATED * np.maximum(peak, 1e-6 * peak.max(axis=1, keepdims=True))).all(), seed
@@ -245,12 +245,12 @@ def test_paths_that_grow_as_powers_of_s_are_fitted_and_not_called_unstable():
     a, b, c, d = 2e8, 3e8, 6e6, 1.9e8
     proper = (1.0 - s / a) * (1.0 + s / b) / ((1.0 + s / c) * (1.0 + s / d))
     rising = np.stack([proper + 1e-15 * s, 1e-13 * s * (1.0 + s / 1e11)], axis=1)[:, None, :]
-    found = fit(s, rising)
-    assert (found.poles.real < 0.0).all()
+    result = fit(s, rising)
+    assert (result.poles.real < 0.0).all()
     # within the band of anything: what stands for powers of s is far beyond the last point
-    assert found.worst < 1e-6
-    near = np.abs(found.poles) < 2.0 * np.pi * hz[-1]
-    assert sorted(np.abs(found.poles[near])) == pytest.approx([c, d], rel=1e-3)
+    assert result.worst < 1e-6
+    near = np.abs(result.poles) < 2.0 * np.pi * hz[-1]
+    assert sorted(np.abs(result.poles[near])) == pytest.approx([c, d], rel=1e-3)
 
 
 def test_a_pole_on_the_right_beside_powers_of_s_is_told():

@@ -36,11 +36,11 @@ def test_toleranced_parts_agree_with_a_deck_of_their_own(driver):
         for values in sets:
             values["r_drv_in"], values["r_drv_fb"] = 13.7e3 * 1.1, 2.8e3 * 0.9
     sets[3:] = [values | {"motor_r": 5.5, "tl072_gbw": 2.5e6} for values in sets[3:]]
-    for values, found in zip(sets, again(deck, sets), strict=True):
+    for values, each in zip(sets, again(deck, sets), strict=True):
         # the deck as if its files had been written with these values
         truth = extract(shipped(2, "gbw", driver, overrides={k: repr(v) for k, v in values.items()}))
-        assert apart(truth, found, 1e8) < UNREDUCED
-        assert apart(truth, found, 1e8, np.array([10.0, -3, 2, 7, 5, 1, -2, 10])) < UNREDUCED
+        assert apart(truth, each, 1e8) < UNREDUCED
+        assert apart(truth, each, 1e8, np.array([10.0, -3, 2, 7, 5, 1, -2, 10])) < UNREDUCED
 
 
 def test_nothing_but_the_first_of_these_is_extracted_anew():
@@ -57,34 +57,34 @@ def test_reduced_models_keep_the_tolerance(tolerance):
     rng = np.random.default_rng(3)
     deck = shipped(2, "gbw")
     sets = [drawn(rng, 0.2) for _ in range(4)]
-    for values, found in zip(sets, again(deck, sets, 1e3, tolerance), strict=True):
+    for values, each in zip(sets, again(deck, sets, 1e3, tolerance), strict=True):
         truth = extract(shipped(2, "gbw", overrides={k: repr(v) for k, v in values.items()}))
-        assert "extracted_anew" not in found.certificate
-        assert found.order < truth.order
-        assert apart(truth, found, 1e3) <= tolerance + UNREDUCED
-        assert found.certificate["error"] <= tolerance
+        assert "extracted_anew" not in each.certificate
+        assert each.order < truth.order
+        assert apart(truth, each, 1e3) <= tolerance + UNREDUCED
+        assert each.certificate["error"] <= tolerance
     # as many states as a full extraction with the same band and tolerance, or nearly so
     full = extract(deck, band_hz=1e3, tolerance=tolerance)
-    assert found.order <= full.order + 2
+    assert each.order <= full.order + 2
 
 
 def test_values_do_not_stay():
     sets = [{"r_sum_fb": 12e3}, {}, {"motor_r": 6.0}, {"r_sum_fb": 12e3}, {"xdiff1.r12": 150e3}, {}]
     deck = shipped(1, "gbw")
-    found = again(deck, sets)
-    assert apart(found[0], found[3], 1e8) < UNREDUCED
+    result = again(deck, sets)
+    assert apart(result[0], result[3], 1e8) < UNREDUCED
     nominal = extract(deck)
     for k in (1, 5):
-        assert apart(nominal, found[k], 1e8) < UNREDUCED
-    assert apart(nominal, found[2], 1e8) > 1e-2
-    assert apart(nominal, found[4], 1e8) > 1e-2
+        assert apart(nominal, result[k], 1e8) < UNREDUCED
+    assert apart(nominal, result[2], 1e8) > 1e-2
+    assert apart(nominal, result[4], 1e8) > 1e-2
 
 
 def test_one_instance_alone():
     # difference amplifier of joint 1: its X is the only one that changes
     deck = shipped(2, "gbw")
-    (found,) = again(deck, [{"xdiff1.r12": 150e3}])
-    before, after = (circuit.before(0.1j)[0].real for circuit in (extract(deck), found))
+    (result,) = again(deck, [{"xdiff1.r12": 150e3}])
+    before, after = (circuit.before(0.1j)[0].real for circuit in (extract(deck), result))
     # pot: -r12/r11; u: r14/(r13 + r14) (1 + r12/r11); op-amp gain 2e5, noise gain 17.9: 1e-4, changes by 1e-5
     assert after[0, 0] / before[0, 0] == pytest.approx(150 / 169, rel=2e-5)
     assert after[0, 2] / before[0, 2] == pytest.approx(160 / 179, rel=2e-5)
@@ -112,17 +112,17 @@ def test_cancelled_pole_appears(tmp_path):
     stage = "R1 u1 a 1k\nC1 a 0 1u\nEa b 0 a 0 1\nR3 b x1 1k\nC2 b x1 1u\nR4 x1 0 1k\nEx x 0 x1 0 1"
     deck = board(tmp_path, spring=stage)
     sets = [{"C2": c} for c in (2e-6, 3e-6, 5e-7)]
-    for values, found in zip(sets, again(deck, sets), strict=True):
+    for values, each in zip(sets, again(deck, sets), strict=True):
         truth = extract(altered(deck, {k: repr(v) for k, v in values.items()}))
-        assert apart(truth, found, 1e8) < UNREDUCED
+        assert apart(truth, each, 1e8) < UNREDUCED
 
 
 def test_values_over_four_decades():
     deck = shipped(1, "gbw")
     sets = [{"r_der_in": r, "motor_l": inductance} for r in (15.8, 158e3) for inductance in (1.5e-5, 0.15)]
-    for values, found in zip(sets, again(deck, sets), strict=True):
+    for values, each in zip(sets, again(deck, sets), strict=True):
         truth = extract(shipped(1, "gbw", overrides={k: repr(v) for k, v in values.items()}))
-        assert apart(truth, found, 1e8) < UNREDUCED
+        assert apart(truth, each, 1e8) < UNREDUCED
 
 
 def test_current_limit_and_offset_follow(tmp_path):
@@ -131,18 +131,18 @@ def test_current_limit_and_offset_follow(tmp_path):
         "Bi imot1 0 V=max(-v(k),min(v(k),v(s)))"
     )
     deck = board(tmp_path, output=output, top=".param lim=2")
-    (found,) = again(deck, [{"lim": 1.5}])
-    assert found.limit == pytest.approx(np.array([[-1.5, 1.5]]))
-    assert found.offset == pytest.approx([0.125])
+    (result,) = again(deck, [{"lim": 1.5}])
+    assert result.limit == pytest.approx(np.array([[-1.5, 1.5]]))
+    assert result.offset == pytest.approx([0.125])
 
 
 def test_board_without_probes_takes_the_long_way(tmp_path):
     top = ".subckt bare x y w\nBw w 0 V=v(x)*v(y)/10\n.ends bare\n.param gain=1k"
     deck = board(tmp_path, multipliers="xs x ksp11 ws bare\nxd y ksd11 wd bare", top=top,
                  spring="R1 u1 a 1k\nR2 a 0 {gain}\nEx x 0 a pot1 1")  # fmt: skip
-    (found,) = again(deck, [{"gain": 3e3}])
-    assert "probes" in found.certificate["extracted_anew"]
-    assert found.response(1j, np.array([10.0, 0.0]))[0, 0, 1].real == pytest.approx(0.75, rel=1e-9)
+    (result,) = again(deck, [{"gain": 3e3}])
+    assert "probes" in result.certificate["extracted_anew"]
+    assert result.response(1j, np.array([10.0, 0.0]))[0, 0, 1].real == pytest.approx(0.75, rel=1e-9)
 
 
 def test_what_is_no_value_is_refused():

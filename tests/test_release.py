@@ -35,21 +35,21 @@ def test_the_version_is_one():
 
 def test_the_citation_is_one():
     """What the Citation File Format 1.2.0 requires; cffconvert --validate agrees."""
-    found = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    assert {"cff-version", "message", "title", "authors"} <= set(found)
-    assert found["cff-version"] == "1.2.0"
-    assert found["type"] in ("software", "dataset")
-    assert re.fullmatch(r"\d{4}-\d\d-\d\d", found["date-released"])
-    assert isinstance(found["version"], str)
-    assert found["license"] == tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["license"]
+    text = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert {"cff-version", "message", "title", "authors"} <= set(text)
+    assert text["cff-version"] == "1.2.0"
+    assert text["type"] in ("software", "dataset")
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d", text["date-released"])
+    assert isinstance(text["version"], str)
+    assert text["license"] == tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["license"]
     person = {"family-names", "given-names", "affiliation", "email", "orcid", "alias", "website"}
-    for entry in (found, *found.get("references", [])):
+    for entry in (text, *text.get("references", [])):
         assert entry["title"]
         for author in entry["authors"]:
             assert author
             assert set(author) <= person or "name" in author
-    assert all({"type", "title", "authors"} <= set(each) for each in found["references"])
-    assert len(set(found["keywords"])) == len(found["keywords"])
+    assert all({"type", "title", "authors"} <= set(each) for each in text["references"])
+    assert len(set(text["keywords"])) == len(text["keywords"])
 
 
 def test_readme_and_site_lead_to_what_a_contributor_needs():

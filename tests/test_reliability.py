@@ -68,10 +68,10 @@ def test_endless_step_cutting_names_deck_node_and_time(
     project: Project, capsys: pytest.CaptureFixture[str], lines: str, node: str
 ) -> None:
     project.edit("netlists/blocks/diffamp.cir", LEG, f"{LEG}\n{lines}")
-    told = failed(project, capsys)
-    assert f"{project.folder}/netlists/board2.cir: the time step became too small" in told
-    assert node in told
-    assert re.search(r"\(at t = 0\.0[3-9]", told.splitlines()[0])
+    result = failed(project, capsys)
+    assert f"{project.folder}/netlists/board2.cir: the time step became too small" in result
+    assert node in result
+    assert re.search(r"\(at t = 0\.0[3-9]", result.splitlines()[0])
 
 
 @pytest.mark.few(1)
@@ -80,10 +80,10 @@ def test_a_division_by_zero_ends(project: Project, capsys: pytest.CaptureFixture
     """ngspice takes 1e-32 for the zero: at a loose tolerance it goes on, and the amplifiers are at 1e34 V."""
     lines = f"B77 z 0 V=time>0.03 ? {over}/(v(pot)-v(pot)) : 0\nR77 z inn 1k"
     project.edit("netlists/blocks/diffamp.cir", LEG, f"{LEG}\n{lines}")
-    told = failed(project, capsys)
-    assert f"{project.folder}/netlists/board2.cir: " in told
-    assert re.search(r"\bxboard\.\S+ is at \S+ V, which no circuit is|the time step became too small", told)
-    assert re.search(r"\(at t = 0\.0(29|3)", told)  # the step that vanishes may begin before
+    result = failed(project, capsys)
+    assert f"{project.folder}/netlists/board2.cir: " in result
+    assert re.search(r"\bxboard\.\S+ is at \S+ V, which no circuit is|the time step became too small", result)
+    assert re.search(r"\(at t = 0\.0(29|3)", result)  # the step that vanishes may begin before
 
 
 @pytest.mark.few(1)
@@ -93,10 +93,10 @@ def test_a_runaway_ends(project: Project, capsys: pytest.CaptureFixture[str], va
 
     Below zero the board itself is unstable, which is refused unless it is wanted.
     """
-    told = failed(project, capsys, "--set", f"r_diff_in={value}", "--allow-unstable")
-    assert "the device ran away" in told
-    assert "The closed loop is unstable" in told
-    assert "cosim check" in told
+    result = failed(project, capsys, "--set", f"r_diff_in={value}", "--allow-unstable")
+    assert "the device ran away" in result
+    assert "The closed loop is unstable" in result
+    assert "cosim check" in result
 
 
 def test_a_force_beyond_all_measure_ends(project: Project, capsys: pytest.CaptureFixture[str]) -> None:
@@ -106,8 +106,8 @@ def test_a_force_beyond_all_measure_ends(project: Project, capsys: pytest.Captur
 
 def applied_here() -> bool:
     """Whether this machine keeps a simulation from starting programs."""
-    said: str = call("cosim.commands.version_info:seen_inside", None)[1]
-    return "(seccomp)" in said
+    value: str = call("cosim.commands.version_info:seen_inside", None)[1]
+    return "(seccomp)" in value
 
 
 # --- the process in trouble --------------------------------------------------------------------------
@@ -128,9 +128,9 @@ def test_the_parent_survives(
 ) -> None:
     project.user_law(LAW.format(body=body))
     limit = 3 if "time limit" in words else 300  # a busy machine takes long to start a process
-    told = failed(project, capsys, "--set", f"solver.time_limit_s={limit}")
-    assert words in told
-    assert "board2.cir" in told
+    result = failed(project, capsys, "--set", f"solver.time_limit_s={limit}")
+    assert words in result
+    assert "board2.cir" in result
 
 
 def test_a_hang_is_told_from_slow_work(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -185,9 +185,9 @@ def test_errors_of_a_users_operator(
     project: Project, capsys: pytest.CaptureFixture[str], body: str, words: str
 ) -> None:
     project.user_operator(PUSH.format(body=body))
-    told = failed(project, capsys)
-    assert words in told
-    assert "Traceback" not in told
+    result = failed(project, capsys)
+    assert words in result
+    assert "Traceback" not in result
 
 
 @pytest.mark.few(2)
@@ -206,10 +206,10 @@ def test_errors_of_a_users_law(
     project: Project, capsys: pytest.CaptureFixture[str], body: str, words: str
 ) -> None:
     project.user_law(LAW.format(body=body.replace("return 1 /", "1 /") + "; return Command()"))
-    told = failed(project, capsys)
-    assert words in told
-    assert "law.py" in told
-    assert "Traceback" not in told
+    result = failed(project, capsys)
+    assert words in result
+    assert "law.py" in result
+    assert "Traceback" not in result
 
 
 def test_a_users_operator_does_what_the_compiled_one_does(
@@ -267,9 +267,9 @@ def test_unsafe_netlists_are_refused_and_nothing_is_executed(
     text = lines.format(mark=mark, outside=outside)
     project.edit("netlists/blocks/diffamp.cir", ".subckt diffamp", f"{text}\n.subckt diffamp")
     assert run(project) == 2
-    told = capsys.readouterr().err
-    assert "diffamp.cir:" in told
-    assert "--trust allows it" in told
+    err = capsys.readouterr().err
+    assert "diffamp.cir:" in err
+    assert "--trust allows it" in err
     assert not mark.exists()
     assert not (project.folder / "out").exists()
 
@@ -348,12 +348,12 @@ def test_recorded_nodes_are_signals_and_ngspice_reads_them(project: Project, tmp
         "load signals.raw\n"
         "print length(time) 'xboard.x1'[length(time)-1]\n.endc\n.end\n"
     )
-    said = subprocess.run(  # in its folder: `load` takes no path with a blank
+    output = subprocess.run(  # in its folder: `load` takes no path with a blank
         [program, "-n", "-b", str(script)], cwd=project.folder / "out", capture_output=True, text=True,
         check=False, timeout=30,
     ).stdout  # fmt: skip
-    assert f"length(time) = {len(result.signals['time']):.6e}" in said
-    assert f"{result.signals['xboard.x1'][-1]:.6e}" in said
+    assert f"length(time) = {len(result.signals['time']):.6e}" in output
+    assert f"{result.signals['xboard.x1'][-1]:.6e}" in output
 
 
 # --- odd but in order --------------------------------------------------------------------------------

@@ -436,9 +436,9 @@ def test_a_sweep_says_what_it_is_over() -> None:
         ("computer.gain_ramp_samples", "computer.gain_ramp_samples"),
         ("rho", "rho"),
     ):
-        found = Sweep((name,), (("1",), ("2",)), {"peak_force": (1.0, 2.0)}, {})
+        result = Sweep((name,), (("1",), ("2",)), {"peak_force": (1.0, 2.0)}, {})
         with look():
-            drawn = draw_sweep(found)
+            drawn = draw_sweep(result)
         assert drawn is not None
         assert drawn.figure.axes[-1].get_xlabel() == label
         assert drawn.figure.axes[0].get_ylabel() == "peak force [N]"

@@ -303,23 +303,23 @@ def test_damaged_results_are_refused(run: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "damage",
     [
-        lambda whole: whole[:-9],
-        lambda whole: whole + b"\n",
-        lambda whole: b"",
-        lambda whole: whole[:-8] + struct.pack("<d", math.nan),
-        lambda whole: whole[:60] + bytes([whole[60] ^ 1]) + whole[61:],
+        lambda data: data[:-9],
+        lambda data: data + b"\n",
+        lambda data: b"",
+        lambda data: data[:-8] + struct.pack("<d", math.nan),
+        lambda data: data[:60] + bytes([data[60] ^ 1]) + data[61:],
     ],
 )
 def test_a_result_with_a_damaged_file_is_refused(run: Run, tmp_path: Path, name: str, damage: Any) -> None:
     folder = run.save(tmp_path / "out")
-    whole = (folder / name).read_bytes()
-    (folder / name).write_bytes(damage(whole))
+    data = (folder / name).read_bytes()
+    (folder / name).write_bytes(damage(data))
     with pytest.raises(InputError, match=rf"{name}: is damaged"):
         Run.load(folder)
     (folder / name).unlink()
     with pytest.raises(InputError, match=rf"{name}: is missing"):
         Run.load(folder)
-    (folder / name).write_bytes(whole)
+    (folder / name).write_bytes(data)
     Run.load(folder)
 
 

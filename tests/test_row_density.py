@@ -22,15 +22,15 @@ LEFT_OUT = ("ledger_closure", "headroom")
 @pytest.mark.few(1)
 @pytest.mark.parametrize("model", ["ideal", "linear", "spice"])
 def test_rows_ten_times_sparser_move_no_measure(tmp_path: Path, model: str) -> None:  # 53
-    found = []
+    rows = []
     for step in (2e-3, 2e-4):
         asked = (f"solver.model={model}", f"solver.max_step_s={step}", "computer.period_s=0.1")
         if model == "ideal":
             asked = (*without_dynamics(load_scene(SCENES / "slope.toml")), *asked)
         scene = load_scene(SCENES / "slope.toml", asked)
         run = simulate(scene, tmp_path / f"{step}")
-        found.append({name: measure["value"] for name, measure in run.measures.items()})
-    sparse, dense = found
+        rows.append({name: measure["value"] for name, measure in run.measures.items()})
+    sparse, dense = rows
     assert sparse.keys() == dense.keys()
     assert 0.5 < dense["contact_share"] < 1.0
     assert sparse["contact_share"] == pytest.approx(dense["contact_share"], rel=1e-6)

@@ -24,13 +24,13 @@ COMMAND = COMMAND_TRUE * V_NM
 def test_exact_border_of_a_held_mass(mass, viscosity, known):
     """`known` are given to four digits; beside them the double root of the map itself, by hand."""
     for period, value in zip((3e-3, 5e-3, 10e-3, 25e-3, 50e-3, 100e-3), known, strict=True):
-        found = closed_form_limits.held_mass(mass, viscosity, period)
-        assert found == pytest.approx(value, abs=0.051)
+        result = closed_form_limits.held_mass(mass, viscosity, period)
+        assert result == pytest.approx(value, abs=0.051)
         tau = mass / viscosity
         e = math.exp(-period / tau)
         step = np.array([[1.0, tau * (1 - e)], [0.0, e]])
         push = np.array([period - tau * (1 - e), 1 - e]) / viscosity
-        z = np.linalg.eigvals(step - found * np.outer(push, [1.0, 0.0]))
+        z = np.linalg.eigvals(step - result * np.outer(push, [1.0, 0.0]))
         assert np.abs(z).max() == pytest.approx(1.0, abs=1e-12)
 
 
@@ -76,9 +76,9 @@ def test_diolaitis_plane_and_cycle():
     }
     assert len(regions) == 4
     case = (0.1, 0.05, 1e-3, 0.02)
-    found = closed_form_limits.cycle_amplitude(200.0, *case)
-    assert found == pytest.approx(11.39e-3, abs=0.006e-3)
-    assert closed_form_limits.stiffness_of_cycle(found, *case) == pytest.approx(200.0, rel=1e-9)
+    result = closed_form_limits.cycle_amplitude(200.0, *case)
+    assert result == pytest.approx(11.39e-3, abs=0.006e-3)
+    assert closed_form_limits.stiffness_of_cycle(result, *case) == pytest.approx(200.0, rel=1e-9)
     assert closed_form_limits.cycle_amplitude(99.0, *case) == math.inf
     # without viscosity: 4 f_c sqrt(m)/(pi A T/2) = K^(3/2)
     bare = closed_form_limits.stiffness_of_cycle(0.01, 0.1, 0.0, 1e-3, 0.02)

@@ -99,12 +99,12 @@ def _attempt(base: Path, user: str, inside: str = "") -> list[str]:
     return done.stdout.splitlines()
 
 
-def _all_refused(base: Path, found: dict[str, str], said: str) -> None:
-    if "Landlock " in said:
+def _all_refused(base: Path, answers: dict[str, str], reason: str) -> None:
+    if "Landlock " in reason:
         assert (base / "secret").read_text() == "the secret"
         assert not list(base.glob("owned*"))
-    expected = {name for name in found if "Landlock " in said or name not in NEEDS_LANDLOCK}
-    assert {name: found[name] for name in sorted(expected)} == {
+    expected = {name for name in answers if "Landlock " in reason or name not in NEEDS_LANDLOCK}
+    assert {name: answers[name] for name in sorted(expected)} == {
         name: "PermissionError" for name in sorted(expected)
     }
 
@@ -115,10 +115,10 @@ def test_a_simulation_reaches_nothing_else(world: Path, user: str) -> None:
     """As the user of the tests, and where that is root as nobody."""
     if user == "plain" and os.geteuid() != 0:
         pytest.skip("the tests run as a plain user already")
-    found, (_, said) = map(json.loads, _attempt(world, user))
-    if "seccomp" not in said:
+    result, (_, answer) = map(json.loads, _attempt(world, user))
+    if "seccomp" not in answer:
         pytest.skip("this machine filters no system calls")
-    _all_refused(world, found, said)
+    _all_refused(world, result, answer)
 
 
 @pytest.mark.few(2)
@@ -147,17 +147,17 @@ def test_a_container_weakens_nothing(world: Path, kind: str) -> None:
     if docker:
         assert answers["a key"] == answers["another personality"] == errno.EPERM
 
-    found, (_, said), volts = map(json.loads, rest[:3])
-    assert "no programs, processes or sockets (seccomp)" in said
-    _all_refused(world, found, said)
+    result, (_, answer), volts = map(json.loads, rest[:3])
+    assert "no programs, processes or sockets (seccomp)" in answer
+    _all_refused(world, result, answer)
     assert volts == pytest.approx(2.5, rel=1e-9)  # ngspice works
-    (told,) = (row for row in rest[3:] if row.startswith("sandbox"))
-    assert told.split(maxsplit=1)[1] == said
+    (value,) = (row for row in rest[3:] if row.startswith("sandbox"))
+    assert value.split(maxsplit=1)[1] == answer
     if kind == "older docker":
         assert answers["version of Landlock"] == errno.EPERM
-        assert "files NOT limited: no Landlock" in told
+        assert "files NOT limited: no Landlock" in value
     else:
-        assert ("only listed files (Landlock" in told) == (answers["version of Landlock"] == 0)
+        assert ("only listed files (Landlock" in value) == (answers["version of Landlock"] == 0)
 
 
 def test_a_simulation_does_what_it_needs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -178,11 +178,11 @@ def test_a_simulation_does_what_it_needs(monkeypatch: pytest.MonkeyPatch, tmp_pa
 
 
 def test_limits_of_resources() -> None:
-    found = call("sandbox_targets:limits", None, time_limit_s=10.0)
-    assert found["RLIMIT_CORE"] == [0, 0] or found["RLIMIT_CORE"] == (0, 0)
-    assert 0 < found["RLIMIT_CPU"][0] <= 10 * 4 + 60 + 30  # its share, and what it took to start
-    assert 0 < found["RLIMIT_DATA"][0] <= os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    assert 0 < found["RLIMIT_FSIZE"][0] <= 64 << 30
+    result = call("sandbox_targets:limits", None, time_limit_s=10.0)
+    assert result["RLIMIT_CORE"] == [0, 0] or result["RLIMIT_CORE"] == (0, 0)
+    assert 0 < result["RLIMIT_CPU"][0] <= 10 * 4 + 60 + 30  # its share, and what it took to start
+    assert 0 < result["RLIMIT_DATA"][0] <= os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    assert 0 < result["RLIMIT_FSIZE"][0] <= 64 << 30
     with pytest.raises(SimulationError, match="MemoryError"):
         call("sandbox_targets:eat_memory", None)
     with pytest.raises(SimulationError, match="File too large"):
@@ -190,8 +190,8 @@ def test_limits_of_resources() -> None:
 
 
 def test_trust_lifts_the_refusals_and_not_the_sandbox(tmp_path: Path) -> None:
-    said = call("sandbox_targets:trusted", None, collect=tmp_path)
-    assert "was here" in said
+    result = call("sandbox_targets:trusted", None, collect=tmp_path)
+    assert "was here" in result
     assert not (tmp_path / "owned").exists()
 
 

@@ -32,7 +32,7 @@ def test_every_effect_is_a_key_and_is_named_by_none_that_is_none() -> None:
 
 
 def _dotted(table: dict[str, object], path: str = "") -> list[str]:
-    found = []
+    rows = []
     for name, value in table.items():
         here = f"{path}.{name}".lstrip(".")
         names = {"device.parts": "<part>", "device.values": "<name>",
@@ -40,10 +40,10 @@ def _dotted(table: dict[str, object], path: str = "") -> list[str]:
         if here in names:
             for inner in value.values():  # type: ignore[attr-defined]
                 each = f"{here}.{names[here]}"
-                found += [each] if not isinstance(inner, dict) else _dotted(inner, each)
+                rows += [each] if not isinstance(inner, dict) else _dotted(inner, each)
         else:
-            found += _dotted(value, here) if isinstance(value, dict) else [here]
-    return found
+            rows += _dotted(value, here) if isinstance(value, dict) else [here]
+    return rows
 
 
 @pytest.mark.parametrize("path", sorted(SCENES.glob("*.toml")), ids=lambda path: path.stem)
@@ -53,7 +53,7 @@ def test_all_that_a_resolved_scene_writes_is_listed(path: Path) -> None:
 
 def test_default_unit_and_range_are_those_of_the_schema(tmp_path: Path) -> None:
     """A scene that states every default by hand is the scene that leaves them out."""
-    whole = scene_of(tmp_path, slider())
+    result = scene_of(tmp_path, slider())
     stated: dict[str, object] = {}
     for key in ALL.values():
         if key.default in ("required", "none", "0 for each joint") or "<" in key.path:
@@ -70,7 +70,7 @@ def test_default_unit_and_range_are_those_of_the_schema(tmp_path: Path) -> None:
         stated = merge(stated, value)
     text = merge(merge({"solver": {"model": "spice"}}, stated), slider())
     (tmp_path / "stated.toml").write_text(toml(text))
-    assert load_scene(tmp_path / "stated.toml").as_dict() == whole.as_dict()
+    assert load_scene(tmp_path / "stated.toml").as_dict() == result.as_dict()
     period = ALL["computer.period_s"]
     assert (period.unit, period.allowed, period.default) == ("s", ">= 1e-06 and <= 10", "required")
 
@@ -92,14 +92,14 @@ def test_nodes_that_are_listed_can_be_recorded(tmp_path: Path, capsys: pytest.Ca
     scene = scene_of(tmp_path, slider(duration_s=0.05))
     assert scene.file is not None
     assert cli.main(["nodes", str(scene.file), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert "xboard.xdiff1.inn" in told["nodes"]
+    out = json.loads(capsys.readouterr().out)
+    assert "xboard.xdiff1.inn" in out["nodes"]
     run = simulate(
-        load_scene(scene.file, [f"record.nodes={json.dumps(told['nodes'][:40])}"]), tmp_path / "run"
+        load_scene(scene.file, [f"record.nodes={json.dumps(out['nodes'][:40])}"]), tmp_path / "run"
     )
-    assert set(run.signals) == set(told["signals"]) | set(told["nodes"][:40])
-    assert set(run.samples) == set(told["samples"])
-    assert set(run.measures) <= set(told["measures"])
+    assert set(run.signals) == set(out["signals"]) | set(out["nodes"][:40])
+    assert set(run.samples) == set(out["samples"])
+    assert set(run.measures) <= set(out["measures"])
 
 
 def test_units_of_signals_and_samples() -> None:
@@ -126,16 +126,16 @@ def test_own_joint_dampers_are_used(tmp_path: Path) -> None:
 
 
 def test_a_word_finds_keys_by_name_and_by_meaning() -> None:
-    def found(word: str) -> set[str]:
+    def paths(word: str) -> set[str]:
         return {key.path for key in section(word)}
 
-    assert found("Gravity") == {
+    assert paths("Gravity") == {
         "effects.gravity",
         "device.chain.gravity_m_per_s2",
         "device.slider.gravity_m_per_s2",
     }
-    assert "computer.period_s" in found("period")
-    assert "operator.mass_kg" in found("hand mass")  # both words, in name and meaning together
-    assert found("computer.dac") == {path for path in ALL if path.startswith("computer.dac.")}  # no search
+    assert "computer.period_s" in paths("period")
+    assert "operator.mass_kg" in paths("hand mass")  # both words, in name and meaning together
+    assert paths("computer.dac") == {path for path in ALL if path.startswith("computer.dac.")}  # no search
     with pytest.raises(InputError, match=r"nearest is computer\.period_s"):
         section("perod")

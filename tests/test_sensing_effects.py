@@ -51,13 +51,13 @@ def in_free_space(model: str, **more: Any) -> dict[str, Any]:
 
 
 def test_linearity_is_the_largest_distance_from_the_straight_line() -> None:
-    found = errors(linearity_rad=0.006)
+    result = errors(linearity_rad=0.006)
     q = np.linspace(-TURN, TURN, 20_001)
     for joint in range(2):
         # the largest value is at a point of the table; 20001 angles miss it by half a spacing at most:
         # (pi / 2)^2 / 8 (1 / 1600)^2 of it
-        assert np.abs(shown(found, q, joint)).max() == pytest.approx(0.006, rel=1e-4)
-    assert np.abs(np.diff(found.table[:, 0])).max() < 0.006 * math.pi / 2 * 3 / 64  # varies over a radian
+        assert np.abs(shown(result, q, joint)).max() == pytest.approx(0.006, rel=1e-4)
+    assert np.abs(np.diff(result.table[:, 0])).max() < 0.006 * math.pi / 2 * 3 / 64  # varies over a radian
 
 
 def test_each_joint_and_seed_has_a_curve_of_its_own_and_nothing_else_changes() -> None:
@@ -76,10 +76,10 @@ def test_each_joint_and_seed_has_a_curve_of_its_own_and_nothing_else_changes() -
 
 
 def test_calibration_is_a_straight_line_as_far_as_joints_go() -> None:
-    found = errors(gain_error=0.02, zero_rad=-0.003)
+    result = errors(gain_error=0.02, zero_rad=-0.003)
     for q in (-99.0, -1.0, 0.0, 0.3, 99.0):
         # 1e-14: rounding of 100 rad
-        assert shown(found, np.array([q]), 1)[0] == pytest.approx(0.02 * q - 0.003, abs=1e-14)
+        assert shown(result, np.array([q]), 1)[0] == pytest.approx(0.02 * q - 0.003, abs=1e-14)
 
 
 def test_errors_and_position_noise_add_up_point_by_point() -> None:

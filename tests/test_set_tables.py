@@ -51,7 +51,7 @@ def test_energy_round_a_circle_is_that_of_the_enclosed_area(pose: tuple[float, f
     normal, mismatch, stiffness = np.array([-math.sqrt(0.5), math.sqrt(0.5)]), 0.01, 100.0
     w = chain.jacobian(q).T @ normal
     off = stiffness * w[0] * w[1]
-    found = unevenness(chain, q, normal, stiffness, mismatch, radius).circle_j
-    assert found == pytest.approx(
+    circle_j = unevenness(chain, q, normal, stiffness, mismatch, radius).circle_j
+    assert circle_j == pytest.approx(
         mismatch * abs(off) * area * math.sqrt(2.0), rel=1e-7
     )  # a polygon: 1.6e-3 less

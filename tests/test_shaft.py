@@ -462,12 +462,12 @@ def problems(folder: Path, tables: dict[str, Any]) -> str:
 
 
 def test_what_a_shaft_needs(tmp_path: Path) -> None:
-    said = problems(
+    result = problems(
         tmp_path,
         two_masses(device={"slider": {"rotor_inertia_kg_m2": 0.0, "shaft_stiffness_n_m_per_rad": 0.0}}),
     )
-    assert "device.slider.rotor_inertia_kg_m2" in said
-    assert "device.slider.shaft_stiffness_n_m_per_rad" in said
+    assert "device.slider.rotor_inertia_kg_m2" in result
+    assert "device.slider.shaft_stiffness_n_m_per_rad" in result
     for effects, key in (
         ({"shaft": False, "backlash": True}, "backlash"),
         ({"rotor_inertia": False}, "shaft"),
@@ -489,8 +489,8 @@ def test_too_many_joints_and_a_link_that_hangs_on_its_rotor(tmp_path: Path) -> N
     two = {name: values[:2] for name, values in chain.items()}
     two |= {"masses_kg": [0.1, 0.0], "inertias_kg_m2": [1e-4, 0.0]}
     tables = merge(tables, {"device": {"chain": None, "start": {"q_rad": [0.0] * 2}}})
-    said = problems(tmp_path, merge(tables, {"device": {"chain": two}}))
-    assert "without effects.shaft" in said
+    result = problems(tmp_path, merge(tables, {"device": {"chain": two}}))
+    assert "without effects.shaft" in result
     with pytest.raises(ParameterError, match="backlash_rad"):
         Slider(radius_m=0.1, mass_kg=0.1, backlash_rad=1e-3)
 
@@ -541,12 +541,12 @@ def test_what_knows_no_shaft_says_so(tmp_path: Path) -> None:
 
 def test_a_plan_states_size_and_cost_of_the_shaft(tmp_path: Path) -> None:
     plan = resolve(scene_of(tmp_path, pressed("ideal", 60.0, gap=1e-3)))
-    told = plan.as_dict()
-    assert told["mechanical_states"] == 4
-    found = {row["name"]: row for row in told["effects"]}
+    result = plan.as_dict()
+    assert result["mechanical_states"] == 4
+    by_name = {row["name"]: row for row in result["effects"]}
     # a wall of 150 N/m at 0.1333 m in series with 60 N m/rad gives way by k/(k + k_s/r^2) of its force
     share = 150.0 / (150.0 + 60.0 / RADIUS**2)
-    force = next(float(row["size"]["force_n"]) for row in told["effects"] if row["name"] == "shaft")
+    force = next(float(row["size"]["force_n"]) for row in result["effects"] if row["name"] == "shaft")
     assert 0.0 < force < 10.0 * share * 20.0
-    assert found["backlash"]["size"]["value"] == 1e-3
-    assert found["shaft"]["cost"]["events_per_s"] == pytest.approx(5.0 * math.sqrt(60.0 / MOTOR), rel=1e-6)
+    assert by_name["backlash"]["size"]["value"] == 1e-3
+    assert by_name["shaft"]["cost"]["events_per_s"] == pytest.approx(5.0 * math.sqrt(60.0 / MOTOR), rel=1e-6)

@@ -14,9 +14,9 @@ from reports.sliders import SLIDERS, sliders_page
 @pytest.mark.browser
 def test_a_moved_resistor_moves_measure_and_yield(tmp_path: Path) -> None:
     """A shift of 1 % is one standard deviation of r1, which weighs most: the mean moves by its slope."""
-    found = measured(formulas(400))
+    result = measured(formulas(400))
     page = tmp_path / SLIDERS
-    page.write_text(sliders_page(found), encoding="utf-8")
+    page.write_text(sliders_page(result), encoding="utf-8")
     assert page.stat().st_size < 500_000
     cell = "Number(document.querySelector('#measures td:nth-child(2)').textContent)"
     passing = "document.querySelector('#yields td:nth-child(2)').textContent"
@@ -25,7 +25,7 @@ def test_a_moved_resistor_moves_measure_and_yield(tmp_path: Path) -> None:
         assert not visit.complaints
         assert len(visit.requests) == 1
         before = browser.evaluate(cell)
-        assert before == pytest.approx(found.study.results.mean(), rel=1e-3)
+        assert before == pytest.approx(result.study.results.mean(), rel=1e-3)
         assert "r1" in browser.evaluate("document.querySelector('label span').textContent")
         browser.evaluate(
             f"(() => {{ const i = document.querySelector('input'); i.value = {-SIGMA};"

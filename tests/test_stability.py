@@ -29,8 +29,8 @@ SPRING = SPRING_TRUE / CONSTANTS.k_fs
 def k_max(scene, circuit=None, key="discrete_stiffness_n_per_m", low=1e-1, high=1e6):
     circuit = ideal(1, emf=False) if circuit is None else circuit
     scale = COMMAND if key.startswith("discrete") else SPRING
-    found = border(lambda k: held(at_wall(with_computer(scene, **{key: k}), circuit)), low, high)
-    return found.value * scale
+    result = border(lambda k: held(at_wall(with_computer(scene, **{key: k}), circuit)), low, high)
+    return result.value * scale
 
 
 @pytest.mark.few(1)
@@ -44,10 +44,10 @@ def k_max(scene, circuit=None, key="discrete_stiffness_n_per_m", low=1e-1, high=
 def test_a_sampled_wall_on_a_mass(tmp_path, mass, viscous, known):
     """k* = b (1 - E)/(tau (1 - E) - T E), to rounding; `known` are published to four digits."""
     for period, value in zip((3e-3, 5e-3, 10e-3, 25e-3, 50e-3, 100e-3), known, strict=True):
-        found = k_max(carriage(tmp_path, period, mass, viscous))
+        result = k_max(carriage(tmp_path, period, mass, viscous))
         tau, e = mass / viscous, math.exp(-period * viscous / mass)
-        assert found == pytest.approx(viscous * (1 - e) / (tau * (1 - e) - period * e), rel=1e-10)
-        assert found == pytest.approx(value, abs=0.051)
+        assert result == pytest.approx(viscous * (1 - e) / (tau * (1 - e) - period * e), rel=1e-10)
+        assert result == pytest.approx(value, abs=0.051)
 
 
 @pytest.mark.parametrize(("damping", "known"), [(0.002, 133.2), (0.2, 154.0), (2.0, 382.0)])
@@ -75,11 +75,11 @@ def test_gil_and_hulins_device(tmp_path):
 @pytest.mark.parametrize(("period", "growth"), [(3e-3, 1.002247), (0.1, 2.449490)])
 def test_hard_case_21_growth_of_an_undamped_sampled_spring(tmp_path, period, growth):
     scene = carriage(tmp_path, period, 1.0, 0.0, discrete_stiffness_n_per_m=1000.0 / COMMAND)
-    found = stability(held(at_wall(scene, ideal(1, emf=False))))
+    result = stability(held(at_wall(scene, ideal(1, emf=False))))
     exact = math.sqrt(1.0 + 1000.0 * period**2 / 2.0)
     assert exact == pytest.approx(growth, abs=6e-7)
-    assert found.critical.growth == pytest.approx(exact, rel=1e-12)
-    assert not found.stable
+    assert result.critical.growth == pytest.approx(exact, rel=1e-12)
+    assert not result.stable
 
 
 @pytest.mark.parametrize(("period", "critical"), [(3e-3, 1.49888), (0.1, 28.7841)])
@@ -88,10 +88,10 @@ def test_hard_case_22_the_verdict_flips_at_a_millionth(tmp_path, period, critica
         scene = carriage(tmp_path, period, 1.0, viscous, discrete_stiffness_n_per_m=1000.0 / COMMAND)
         return held(at_wall(scene, ideal(1, emf=False)))
 
-    found = border(lambda b: system(b), 0.1, 300.0)
-    assert found.from_value == pytest.approx(critical, rel=4e-6)
-    assert stability(system(found.from_value * (1 + 1e-6))).stable
-    assert not stability(system(found.from_value * (1 - 1e-6))).stable
+    result = border(lambda b: system(b), 0.1, 300.0)
+    assert result.from_value == pytest.approx(critical, rel=4e-6)
+    assert stability(system(result.from_value * (1 + 1e-6))).stable
+    assert not stability(system(result.from_value * (1 - 1e-6))).stable
 
 
 def test_hard_case_36_a_run_on_its_border_grows_as_the_eigenvalue(tmp_path):
@@ -155,9 +155,9 @@ def test_a_pole_behind_the_multipliers_limits_the_analog_spring(tmp_path, hz, kn
     circuit = replace(lag, a_pre=plain.a_pre, b_pre=plain.b_pre, c_pre=plain.c_pre, d_pre=plain.d_pre)
     scene = carriage(tmp_path, 0.01, 0.2, 1.66, method="continuous", analog_stiffness_n_per_m=1.0,
                      discrete_stiffness_n_per_m=0.0)  # fmt: skip
-    found = k_max(scene, circuit, "analog_stiffness_n_per_m", 10.0, 1e6)
-    assert found == pytest.approx(1.66 * 2 * math.pi * hz + 1.66**2 / 0.2, rel=1e-9)
-    assert found == pytest.approx(known, abs=0.6)
+    result = k_max(scene, circuit, "analog_stiffness_n_per_m", 10.0, 1e6)
+    assert result == pytest.approx(1.66 * 2 * math.pi * hz + 1.66**2 / 0.2, rel=1e-9)
+    assert result == pytest.approx(known, abs=0.6)
 
 
 def test_a_pole_before_the_multipliers_does_the_same(tmp_path):
@@ -165,8 +165,8 @@ def test_a_pole_before_the_multipliers_does_the_same(tmp_path):
     circuit = replace(lag, a_post=plain.a_post, b_post=plain.b_post, c_post=plain.c_post, d_post=plain.d_post)
     scene = carriage(tmp_path, 0.1, 0.05, 1.6625, method="continuous", analog_stiffness_n_per_m=1.0,
                      discrete_stiffness_n_per_m=0.0)  # fmt: skip
-    found = k_max(scene, circuit, "analog_stiffness_n_per_m", 10.0, 1e6)
-    assert found == pytest.approx(10501, abs=1)
+    result = k_max(scene, circuit, "analog_stiffness_n_per_m", 10.0, 1e6)
+    assert result == pytest.approx(10501, abs=1)
 
 
 @pytest.mark.parametrize("lag", [0.25, 1.0, 2.6])
@@ -178,7 +178,7 @@ def test_delay_against_a_dense_model(tmp_path, lag):
         delay_periods=int(lag), delay_fraction=lag - int(lag),
     )  # fmt: skip
     h = period / fine
-    whole = expm(h * np.array([[0, 1, 0], [0, -viscous / mass, 1 / mass], [0, 0, 0]]))
+    result = expm(h * np.array([[0, 1, 0], [0, -viscous / mass, 1 / mass], [0, 0, 0]]))
     registers = 4
     step = np.eye(3 + registers)  # x, v, force; then the samples, the newest first
     total = np.eye(3 + registers)
@@ -196,7 +196,7 @@ def test_delay_against_a_dense_model(tmp_path, lag):
             release[2, 3 + late] = -k
             total = release @ total
         step = np.eye(3 + registers)
-        step[:3, :3] = whole
+        step[:3, :3] = result
         total = step @ total
     theirs = np.abs(np.linalg.eigvals(total)).max()
     ours = stability(held(at_wall(scene, ideal(1, emf=False)))).modes[0].growth
@@ -228,12 +228,12 @@ def test_the_two_link_arm_at_a_pose(tmp_path):
     z = eigenvalues(k)
     lifted = held(at_wall(scene, ideal(2)))
     assert np.allclose(touching(scene, CONSTANTS), q, rtol=0.0, atol=1e-12)
-    found = stability(lifted)
+    result = stability(lifted)
     theirs = np.sort(np.abs(z[np.abs(z) > 1e-6]))[::-1]
-    ours = np.sort(np.concatenate([[m.growth] * (2 if m.z.imag else 1) for m in found.modes]))[::-1]
+    ours = np.sort(np.concatenate([[m.growth] * (2 if m.z.imag else 1) for m in result.modes]))[::-1]
     # gains change with the pose, but multiply springs without force here
     assert np.allclose(ours, theirs[: len(ours)], rtol=1e-9)
-    assert found.free == 1  # along the wall nothing holds the tip
+    assert result.free == 1  # along the wall nothing holds the tip
     limit = border(
         lambda x: held(at_wall(with_computer(scene, discrete_stiffness_n_per_m=x), ideal(2))), 1.0, 1e5
     )
@@ -302,11 +302,11 @@ def test_the_arms_linearisation_is_that_of_its_equations():
 
 def test_nothing_is_stable_without_damping(tmp_path):
     scene, circuit = carriage(tmp_path, 0.01, 1.0, 0.0), ideal(1, emf=False)
-    found = border(
+    result = border(
         lambda k: held(at_wall(with_computer(scene, discrete_stiffness_n_per_m=k), circuit)), 1.0, 1e4
     )
-    assert found.value == 0.0
-    assert math.isnan(found.from_value)
+    assert result.value == 0.0
+    assert math.isnan(result.from_value)
 
 
 def test_a_scene_without_a_wall(tmp_path):

@@ -42,8 +42,8 @@ def finite(path, drive="voltage"):
 
 def fastest(board, gain):
     """The pole [rad/s] furthest to the right by the reference."""
-    found = Circuit(bench_text(board, gain)).poles()
-    return found[np.argmax(found.real)]
+    result = Circuit(bench_text(board, gain)).poles()
+    return result[np.argmax(result.real)]
 
 
 def truth(board):
@@ -66,18 +66,18 @@ def grows(pole):
 
 def agrees(folder, seed):
     """Compare the verdict on a random slip with the truth; return what the truth was."""
-    path, drive, said = slipped(folder, seed)
+    path, drive, result = slipped(folder, seed)
     board = finite(path, drive)
-    poles, found = truth(board), judged(board)
+    poles, value = truth(board), judged(board)
     if poles is None:
         return None
     unstable = any(map(grows, poles))
-    assert bool(found.refused) == unstable, f"seed {seed}: {said}: {found}"
-    assert found.stable == (not unstable), f"seed {seed}: {said}: {found}"
+    assert bool(value.refused) == unstable, f"seed {seed}: {result}: {value}"
+    assert value.stable == (not unstable), f"seed {seed}: {result}: {value}"
     if unstable:  # the first gains that show it are told
         pole = next(filter(grows, poles))
-        told = [complex(each.real, each.imag) for each in found.found]
-        assert min(abs(each - pole) for each in told) <= 0.05 * abs(pole)  # as well as two fits must agree
+        rows = [complex(each.real, each.imag) for each in value.found]
+        assert min(abs(each - pole) for each in rows) <= 0.05 * abs(pole)  # as well as two fits must agree
     return unstable
 
 
@@ -105,10 +105,10 @@ def test_a_random_slip_is_judged_as_its_eigenvalues_say(tmp_path, seed):
 
 @pytest.mark.slow
 def test_two_hundred_random_slips_without_a_miss(tmp_path):
-    found = {kind: [] for kind in KINDS}
+    by_name = {kind: [] for kind in KINDS}
     for seed in range(200):
-        found[KINDS[seed % len(KINDS)]].append(agrees(tmp_path, seed))
-    every = [each for row in found.values() for each in row]
+        by_name[KINDS[seed % len(KINDS)]].append(agrees(tmp_path, seed))
+    every = [each for row in by_name.values() for each in row]
     assert every.count(True) >= 30
     assert every.count(False) >= 120
     assert every.count(None) <= 15
@@ -128,9 +128,9 @@ def test_the_shipped_boards_are_stable(tmp_path, joints, drive, level):
     path = tmp_path / "netlists" / "own.cir"
     path.write_text(board_text(joints))
     levels = {role: "full" for role in FINITE} if level == "full" else FINITE
-    found = judged(load_deck(path, levels={**levels, "driver": drive}))
-    assert found.stable, found
-    assert not found.found
+    result = judged(load_deck(path, levels={**levels, "driver": drive}))
+    assert result.stable, result
+    assert not result.found
 
 
 @pytest.mark.few(7)
@@ -142,11 +142,11 @@ def test_a_declared_latch_or_oscillator_passes(tmp_path, name, kind):
     path.write_text(board_with(BOARD1.read_text(), name, body, kind))
     board = finite(path)
     assert grows(fastest(board, 0.0)), "the circuit does not even start"
-    found = judged(board)
-    assert found.stable
-    assert not found.refused
-    assert all(each.declared for each in found.found)
-    assert found.found
+    result = judged(board)
+    assert result.stable
+    assert not result.refused
+    assert all(each.declared for each in result.found)
+    assert result.found
 
 
 @pytest.mark.parametrize(
@@ -157,9 +157,9 @@ def test_the_same_undeclared_is_refused(tmp_path, name):
     shutil.copytree(NETLISTS, tmp_path / "netlists")
     path = tmp_path / "netlists" / "board1.cir"
     path.write_text(board_with(BOARD1.read_text(), name, body, ""))
-    found = judged(finite(path))
-    assert found.refused
-    assert all("xextra" in owner for each in found.refused for owner in each.loop)
+    result = judged(finite(path))
+    assert result.refused
+    assert all("xextra" in owner for each in result.refused for owner in each.loop)
 
 
 def test_a_declaration_is_checked(tmp_path):
@@ -198,16 +198,16 @@ FULL = {**DYNAMIC, "opamp": "full", "driver_level": "full"}
 )
 def test_hard_case_48_every_model_refuses_swapped_inputs(tmp_path, block, old, new, amplifier):
     board, _ = swapped(tmp_path, block, old, new)
-    said = set()
+    every = set()
     for model, effects in (("ideal", IDEAL), ("linear", DYNAMIC), ("spice", IDEAL), ("spice", FULL)):
         tables = slider(device={"board": str(board)}, effects=effects, solver={"model": model})
         plan = resolve(scene_of(tmp_path, tables))
         with pytest.raises(InputError) as raised:
             run(plan, tmp_path / "out", formats=(), child=shared_child())
-        said.add(str(raised.value))
+        every.add(str(raised.value))
         assert amplifier in str(raised.value)
         assert "rad/s" in str(raised.value)
-    assert len(said) == 1, "the models say different things"
+    assert len(every) == 1, "the models say different things"
     assert not (tmp_path / "out").exists()
 
 
@@ -257,12 +257,12 @@ def test_a_loop_through_a_multiplier_is_judged_at_the_commanded_gains(tmp_path):
     assert line in BOARD1.read_text()
     path.write_text(BOARD1.read_text().replace(line, looped))
     board = finite(path)
-    found = judged(board)
+    result = judged(board)
     pole = fastest(board, 10.0)
     assert fastest(board, 0.0).real < 0.0 < pole.real
-    assert [each.condition for each in found.refused] == ["with all gains at full scale"]
-    assert found.refused[0].real == pytest.approx(pole.real, rel=0.05)  # as well as two fits must agree
-    assert found.gains_matter
+    assert [each.condition for each in result.refused] == ["with all gains at full scale"]
+    assert result.refused[0].real == pytest.approx(pole.real, rel=0.05)  # as well as two fits must agree
+    assert result.gains_matter
 
 
 #: An op-amp in the manner of old macro-models: its common-mode gain rises with frequency and never falls. The
@@ -302,25 +302,25 @@ def test_a_pole_where_no_part_is_what_its_model_says_condemns_no_board(tmp_path)
     right = np.abs(poles[poles.real > 0.0])
     assert right.size > 0
     assert right.min() > 2.0 * np.pi * 1e10
-    found = judged(board)
-    assert found.found == ()
-    assert found.stable
+    result = judged(board)
+    assert result.found == ()
+    assert result.stable
 
 
 def test_such_a_part_hides_no_slip(tmp_path):
-    found = judged(rising(tmp_path, "2 1 3 4 5"))  # its inputs swapped
-    assert not found.stable
-    told = found.found[0]
+    result = judged(rising(tmp_path, "2 1 3 4 5"))  # its inputs swapped
+    assert not result.stable
+    value = result.found[0]
     # as a follower: the gain of 1 MHz at its whole output on the right
-    assert 2e6 < told.real < 2.0 * np.pi * 30e6
+    assert 2e6 < value.real < 2.0 * np.pi * 30e6
 
 
 def test_a_stuck_output_at_rest_is_said(tmp_path):
     """Hard case 49: Newton finds an output at its limit, where the loop has no gain and nothing grows."""
     board, _ = swapped(tmp_path, "summer", "xop 0 sum", "xop sum 0")
-    found = Verdict(latched=(Latched("xboard.xsum1.xop", 13.4),))
-    assert not found.stable
-    assert "xboard.xsum1.xop" in found.cautions()[0].text
+    result = Verdict(latched=(Latched("xboard.xsum1.xop", 13.4),))
+    assert not result.stable
+    assert "xboard.xsum1.xop" in result.cautions()[0].text
     # an offset pushes the clamped amplifier to its rail before Newton begins
     file = tmp_path / "netlists" / "blocks" / "summer.cir"
     file.write_text(file.read_text().replace("R31 sum out {r31}", "R31 sum out {r31}\nIpush 0 sum 3m"))
@@ -336,9 +336,9 @@ def test_an_output_that_hangs_at_the_end_of_a_run_is_said(tmp_path):
     plan = resolve(scene_of(tmp_path, slider(effects=FULL)))
     node = next(a.out_node for a in plan.board.amplifiers if a.path == "xboard.xsum1.xop")
     end = {"nodes": {node: 13.4}, "pins": {"cmd1": 4.0}, "speed_rad_per_s": 0.0}
-    (said,) = latched(plan, end, {node: 13.5}, shared_child())
-    assert "xboard.xsum1.xop" in said.text
-    assert "-2 V" in said.text
+    (result,) = latched(plan, end, {node: 13.5}, shared_child())
+    assert "xboard.xsum1.xop" in result.text
+    assert "-2 V" in result.text
     # it is overdriven where its inputs ask for more than it can, and nobody knows while the device moves
     assert not latched(plan, end | {"pins": {"cmd1": -40.0}}, {node: 13.5}, shared_child())
     assert not latched(plan, end | {"speed_rad_per_s": 1.0}, {node: 13.5}, shared_child())
@@ -348,8 +348,8 @@ def test_an_output_that_hangs_at_the_end_of_a_run_is_said(tmp_path):
 def test_a_verdict_survives_its_file():
     odd = Instability(np.nan, np.nan, ("a", "b"), "with all gains at zero", confirmed=False, declared=False)
     known = Instability(2.5e4, 8e4, ("c",), "at full scale", confirmed=True, declared=True)
-    whole = Verdict((known,), (Latched("d", 12.0),), gains_matter=True)
-    assert Verdict.of(whole.as_dict()) == whole
+    result = Verdict((known,), (Latched("d", 12.0),), gains_matter=True)
+    assert Verdict.of(result.as_dict()) == result
     again = Verdict.of(Verdict((odd,)).as_dict())
     assert np.isnan(again.found[0].real)
     assert again.found[0].loop == ("a", "b")

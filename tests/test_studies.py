@@ -87,15 +87,15 @@ def test_a_parameter_out_of_range_is_named(study_file):
 def test_apparent_stiffness_is_what_pressing_finds(compensated):
     """Two ways: the formula of theory, and the pose solved for forces a little off."""
     q, force, k = np.array([0.6, 1.1]), np.array([1.0, -2.0]), np.diag([100.0, 100.0])
-    found = apparent(CHAIN, q, k, force, compensated=compensated)
+    result = apparent(CHAIN, q, k, force, compensated=compensated)
     # central differences of 1e-4 N: (1e-4 N / 1 N)^2 = 1e-8 of it, and rounding of 1e-16 m / 1e-6 m
-    assert found == pytest.approx(pressed(CHAIN, q, k, force, compensated=compensated), rel=1e-6, abs=1e-5)
+    assert result == pytest.approx(pressed(CHAIN, q, k, force, compensated=compensated), rel=1e-6, abs=1e-5)
     if compensated:
-        assert found == pytest.approx(k, abs=1e-9)
+        assert result == pytest.approx(k, abs=1e-9)
     else:
         jac = CHAIN.jacobian(q)
         shift = np.linalg.inv(jac).T @ np.array([[0.24161234, 0.21121741], [0.21121741, 0.21121741]])
-        assert k - found == pytest.approx(shift @ np.linalg.inv(jac), rel=1e-6)
+        assert k - result == pytest.approx(shift @ np.linalg.inv(jac), rel=1e-6)
 
 
 NORMAL = np.array([-1.0, 1.0]) / np.sqrt(2.0)
@@ -123,20 +123,20 @@ def test_the_compensating_law_holds_the_stiffness_in_runs():
 )
 def test_joint_pd_drags_along_the_wall(q, at_wall, diagonal):
     """Numbers of theory, given to their last digit: l = 0.1 m, slope 45 degrees, k = 100 N/m, 7.5 mm deep."""
-    found = drag(CHAIN, np.array(q), NORMAL, 100.0, 7.5e-3)
-    assert abs(found.coupled) < 1e-12
-    assert found.coupled_at_wall == pytest.approx(at_wall, abs=6e-4)
-    assert found.diagonal == pytest.approx(diagonal, abs=6e-3)
+    result = drag(CHAIN, np.array(q), NORMAL, 100.0, 7.5e-3)
+    assert abs(result.coupled) < 1e-12
+    assert result.coupled_at_wall == pytest.approx(at_wall, abs=6e-4)
+    assert result.diagonal == pytest.approx(diagonal, abs=6e-3)
 
 
 def test_unequal_multipliers_drag_and_feed_energy():
     """1 % at q = (0.6, 1.1): drag 2.3 %, curl about 1.5 N/m; energy of a small circle is curl times area."""
     q, radius = np.array([0.6, 1.1]), 1e-3
-    found = unevenness(CHAIN, q, NORMAL, 100.0, 0.01, radius)
-    assert found.drag == pytest.approx(0.023, abs=5e-4)
-    assert found.curl_n_per_m == pytest.approx(1.5, abs=0.06)
+    result = unevenness(CHAIN, q, NORMAL, 100.0, 0.01, radius)
+    assert result.drag == pytest.approx(0.023, abs=5e-4)
+    assert result.curl_n_per_m == pytest.approx(1.5, abs=0.06)
     # both are the antisymmetric part of one matrix, whose curvature over 1 mm in 0.1 m is 1e-4 of it
-    assert found.circle_j == pytest.approx(found.curl_n_per_m * np.pi * radius**2, rel=2e-4)
+    assert result.circle_j == pytest.approx(result.curl_n_per_m * np.pi * radius**2, rel=2e-4)
 
 
 def test_mismatch_is_what_drawing_it_gives():
@@ -150,9 +150,9 @@ def test_mismatch_is_what_drawing_it_gives():
         k = inverse.T @ (ksp * (1.0 + 0.01 * rng.standard_normal((2, 2)))) @ inverse
         drags.append((tangent @ k @ NORMAL) / (NORMAL @ k @ NORMAL))
         curls.append(k[0, 1] - k[1, 0])
-    found = unevenness(CHAIN, q, NORMAL, 100.0, 0.01, 1e-3)
-    assert found.drag == pytest.approx(np.std(drags), rel=0.04)
-    assert found.curl_n_per_m == pytest.approx(np.std(curls), rel=0.04)
+    result = unevenness(CHAIN, q, NORMAL, 100.0, 0.01, 1e-3)
+    assert result.drag == pytest.approx(np.std(drags), rel=0.04)
+    assert result.curl_n_per_m == pytest.approx(np.std(curls), rel=0.04)
 
 
 def test_mismatch_makes_the_least_eigenvalue_negative():
@@ -162,7 +162,7 @@ def test_mismatch_makes_the_least_eigenvalue_negative():
     v = np.array([-w[1], w[0]]) / np.linalg.norm(w)
     signs = np.array([[-1.0, 1.0], [-1.0, -1.0]])
     shift = 0.01 * v @ (signs * gains(CHAIN.jacobian(q), NORMAL, 100.0)) @ v
-    found = unevenness(CHAIN, q, NORMAL, 100.0, 0.01, 1e-3)
+    result = unevenness(CHAIN, q, NORMAL, 100.0, 0.01, 1e-3)
     # second order in 1 %: a hundredth of the shift
-    assert found.least_n_m_per_rad == pytest.approx(shift, rel=0.03)
-    assert found.least_n_m_per_rad < 0.0
+    assert result.least_n_m_per_rad == pytest.approx(shift, rel=0.03)
+    assert result.least_n_m_per_rad < 0.0

@@ -67,9 +67,9 @@ def test_every_claim_stands_once_in_its_order(page: Path) -> None:
     assert re.findall(r'href="#(\w+)"', bodies["A1"]) == ["7_second", "0_first"]
     assert bodies["N3"].count('class="verdict does-not-hold"') == 2
     assert "2e-11 &lt; 1e-8" in bodies["A1"]
-    told = html.replace("\u00a0", " ")
-    assert "4 of 6 verdicts on the paper hold; not all of N3 (footnote 2" in told  # no code to be looked up
-    assert "2 more answer a question" in told
+    result = html.replace("\u00a0", " ")
+    assert "4 of 6 verdicts on the paper hold; not all of N3 (footnote 2" in result  # no code to be looked up
+    assert "2 more answer a question" in result
     missing = ", ".join(row for row in ROWS if row not in ("A1", "N3"))
     assert f"Not judged: {missing}." in html
 

@@ -49,8 +49,8 @@ def test_the_rendered_force_follows_the_stiffness(tmp_path, capsys):
     asked = ["sweep", DROP, "computer.analog_stiffness_n_per_m=50:200:4", "--measure", "peak_current", *FAST]
     asked += ["--set", "computer.method=continuous", "--set", "computer.discrete_stiffness_n_per_m=0"]
     assert main([*asked, "--out", str(tmp_path), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    current = found["measures"]["peak_current"]
+    out = json.loads(capsys.readouterr().out)
+    current = out["measures"]["peak_current"]
     assert current == sorted(current)
     with (tmp_path / "sweep.csv").open() as stream:
         rows = list(csv.reader(stream))
@@ -80,9 +80,9 @@ def test_a_sweep_goes_on_where_it_was_stopped(tmp_path, counted, capsys):
     asked = ["sweep", DROP, "computer.period_s=0.01:0.03:3", "--out", str(tmp_path), "--json"]
     broken.add(0.02)
     assert main(asked) == 1
-    found = json.loads(capsys.readouterr().out)
-    assert found["measures"]["peak_force"] == [0.01, None, 0.03]
-    assert "did not converge" in found["failed"]["computer.period_s=0.02"]
+    out = json.loads(capsys.readouterr().out)
+    assert out["measures"]["peak_force"] == [0.01, None, 0.03]
+    assert "did not converge" in out["failed"]["computer.period_s=0.02"]
     broken.clear()
     assert main([*asked[:2], "computer.period_s=0.01:0.04:4", *asked[3:]]) == 0
     assert seen == [0.01, 0.03, 0.02, 0.04]  # only what was missing
@@ -94,13 +94,13 @@ def test_a_sweep_goes_on_where_it_was_stopped(tmp_path, counted, capsys):
 def test_two_ranges_make_a_grid(tmp_path, counted, capsys):
     asked = ["sweep", DROP, "computer.period_s=0.01,0.02", "seed=1:3:3", "--out", str(tmp_path), "--json"]
     assert main(asked) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["values"][:4] == [["0.01", "1"], ["0.01", "2"], ["0.01", "3"], ["0.02", "1"]]
+    out = json.loads(capsys.readouterr().out)
+    assert out["values"][:4] == [["0.01", "1"], ["0.01", "2"], ["0.01", "3"], ["0.02", "1"]]
 
 
 def test_slips_are_told_before_anything_runs(tmp_path, counted, capsys):
     out = ["--out", str(tmp_path / "out")]
-    for words, said in (
+    for words, each in (
         (["computer.period_s=-3:-1:3"], "out of range"),
         (["computer.perod_s=0.01:0.02:3"], "did you mean"),
         (["seed=1:3:3", "--measure", "max_force"], "nearest is peak_force"),
@@ -108,7 +108,7 @@ def test_slips_are_told_before_anything_runs(tmp_path, counted, capsys):
         (["seed=1:3:3", "--set", "duration_s=1,2"], "for all points"),
     ):
         assert main(["sweep", DROP, *words, *out]) == 2
-        assert said in capsys.readouterr().err
+        assert each in capsys.readouterr().err
     assert not counted[0]
     assert not (tmp_path / "out").exists()
 

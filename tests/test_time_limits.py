@@ -91,7 +91,7 @@ def test_every_call_has_the_scenes_limit(
 ) -> None:
     assert cli.main(command) == 0
     assert asks <= set(limits)
-    assert {target: found for target, found in limits.items() if found != {LIMIT_S}} == {}
+    assert {target: each for target, each in limits.items() if each != {LIMIT_S}} == {}
 
 
 @pytest.mark.few(3)

@@ -40,11 +40,11 @@ class Formula:
 def parts(nominal: list[float], *shapes: Shape, lot: Shape | None = None) -> Tolerances:
     """Components with own deviations, and a lot that all share."""
     variables = [f"r{k}" for k in range(len(nominal))] + (["lot"] if lot else [])
-    found = []
+    rows = []
     for k, value in enumerate(nominal):
         terms = [Term(k, shapes[k % len(shapes)])] + ([Term(len(nominal), lot)] if lot else [])
-        found.append(Component(f"r{k}", value, "Ohm", "", recipe=Recipe(value, terms=tuple(terms))))
-    return Tolerances(tuple(found), tuple(variables))
+        rows.append(Component(f"r{k}", value, "Ohm", "", recipe=Recipe(value, terms=tuple(terms))))
+    return Tolerances(tuple(rows), tuple(variables))
 
 
 def study(
@@ -66,8 +66,8 @@ UNIFORM = Shape("uniform", -0.01, 0.01)
 def test_divider(shape: Shape) -> None:
     """v = 1/2 + (d2 - d1)/4 to first order, so sd = sigma sqrt(2)/4; the next order is 1e-4 of it."""
     sigma = shape.moments()[1]
-    found = study(parts([1e3, 1e3], shape), divider, 20_000)
-    mean, spread = (of(found.column(NAME), found.sampling) for of in (intervals.mean, intervals.spread))
+    result = study(parts([1e3, 1e3], shape), divider, 20_000)
+    mean, spread = (of(result.column(NAME), result.sampling) for of in (intervals.mean, intervals.spread))
     assert mean.low <= 0.5 <= mean.high
     assert spread.low <= sigma * math.sqrt(2.0) / 4.0 * (1 + 1e-4)
     assert spread.high >= sigma * math.sqrt(2.0) / 4.0 * (1 - 1e-4)
@@ -91,7 +91,7 @@ def test_rc_corner() -> None:
     """f = 1/(2 pi R C): ln f is the sum of two uniforms' logarithms; mean and variance by quadrature."""
     r, c = Shape("uniform", -0.05, 0.05), Shape("uniform", -0.2, 0.2)
     tolerances = parts([1.58e3, 1e-6], r, c)
-    found = study(tolerances, lambda v: 1.0 / (2.0 * np.pi * v[:, 0] * v[:, 1]), 16_384, "sobol")
+    result = study(tolerances, lambda v: 1.0 / (2.0 * np.pi * v[:, 0] * v[:, 1]), 16_384, "sobol")
 
     def inverse_mean(a: float, power: int) -> float:
         """Mean of (1 + d)^-power of d uniform within +-a."""
@@ -100,23 +100,23 @@ def test_rc_corner() -> None:
     f = 1.0 / (2.0 * math.pi * 1.58e-3)
     mean = f * inverse_mean(0.05, 1) * inverse_mean(0.2, 1)
     second = f**2 * inverse_mean(0.05, 2) * inverse_mean(0.2, 2)
-    told = intervals.mean(found.column(NAME), found.sampling)
-    assert told.low <= mean <= told.high
-    assert told.half < 1e-4 * mean  # plain samples leave 1.5e-3
-    spread = intervals.spread(found.column(NAME), found.sampling)
+    answer = intervals.mean(result.column(NAME), result.sampling)
+    assert answer.low <= mean <= answer.high
+    assert answer.half < 1e-4 * mean  # plain samples leave 1.5e-3
+    spread = intervals.spread(result.column(NAME), result.sampling)
     assert spread.low <= math.sqrt(second - mean**2) <= spread.high
 
 
 @pytest.mark.parametrize("method", ["plain", "lhs", "sobol"])
 def test_a_sample_depends_on_its_number_alone(method: Method) -> None:
     how = sampling(method, 200, 7, 3)
-    whole = how.uniforms(0, how.n)
+    result = how.uniforms(0, how.n)
     pieces = [how.uniforms(at, min(13, how.n - at)) for at in range(0, how.n, 13)]
-    assert np.array_equal(whole, np.vstack(pieces))
-    assert np.array_equal(how.uniforms(150, 1)[0], whole[150])
-    assert 0.0 < whole.min() < whole.max() < 1.0
-    assert not np.array_equal(whole, sampling(method, 200, 7, 4).uniforms(0, how.n))
-    assert abs(whole.mean() - 0.5) < 5 / math.sqrt(12 * whole.size)
+    assert np.array_equal(result, np.vstack(pieces))
+    assert np.array_equal(how.uniforms(150, 1)[0], result[150])
+    assert 0.0 < result.min() < result.max() < 1.0
+    assert not np.array_equal(result, sampling(method, 200, 7, 4).uniforms(0, how.n))
+    assert abs(result.mean() - 0.5) < 5 / math.sqrt(12 * result.size)
 
 
 def test_intervals_hold_as_often_as_they_say() -> None:
@@ -127,13 +127,13 @@ def test_intervals_hold_as_often_as_they_say() -> None:
     how = sampling("plain", 100, 1, 0)
     for _ in range(400):
         x = rng.standard_normal(100)
-        told = {
+        by_name = {
             "mean": intervals.mean(x, how),
             "spread": intervals.spread(x, how),
             "quantile": intervals.quantile(x, 0.9, how),
             "share": intervals.share(x < stats.norm.ppf(0.9), how),
         }
-        for name, of in told.items():
+        for name, of in by_name.items():
             hit[name] += of.low <= truth[name] <= of.high
     for name, count in hit.items():
         slack = 0.02 if name == "spread" else 0.0  # the delta method falls a little short at 100 samples
@@ -146,18 +146,18 @@ def test_of_randomisations_the_interval_is_students_and_narrow() -> None:
     covered, halves = 0, []
     for seed in range(100):
         how = sampling("sobol", 256, 2, seed)
-        told = intervals.mean(divider(tolerances.values(how.uniforms(0, how.n))), how)
+        result = intervals.mean(divider(tolerances.values(how.uniforms(0, how.n))), how)
         # E v = 1/2 by symmetry of the two resistors
-        covered += told.low <= 0.5 <= told.high
-        halves.append(told.half)
+        covered += result.low <= 0.5 <= result.high
+        halves.append(result.half)
     assert covered >= 95 - 4 * math.sqrt(100 * 0.95 * 0.05)
     assert float(np.median(halves)) < 0.2 * 1.96 * 0.01 / math.sqrt(3) * math.sqrt(2) / 4 / 16
 
 
 def test_where_all_pass_the_bound_is_not_zero() -> None:
     how = sampling("lhs", 160, 2, 1)
-    told = intervals.share(np.ones(160, dtype=bool), how)
-    assert told.low == pytest.approx(0.025 ** (1 / 160), rel=1e-9)
+    result = intervals.share(np.ones(160, dtype=bool), how)
+    assert result.low == pytest.approx(0.025 ** (1 / 160), rel=1e-9)
     exact = stats.binomtest(7, 90).proportion_ci(method="exact")
     assert intervals.clopper_pearson(7, 90) == pytest.approx((exact.low, exact.high), rel=1e-9)
 
@@ -172,20 +172,20 @@ def test_yield_of_a_hyperplane() -> None:
     """Distance to the border in standard deviations is all that counts."""
     tolerances = parts([1e3] * 3, GAUSS)
     sigma = 100 * 0.01 / 3 * math.sqrt(1 + 4 + 0.25)
-    found = study(tolerances, plane, 20_000)
-    told = yields(found, parse_specs([f"k_max <= {100 + 1.2 * sigma}"]))
-    estimate = next(iter(told.values()))
+    result = study(tolerances, plane, 20_000)
+    answer = yields(result, parse_specs([f"k_max <= {100 + 1.2 * sigma}"]))
+    estimate = next(iter(answer.values()))
     assert estimate.low <= stats.norm.cdf(1.2) <= estimate.high
 
 
 def test_shares_of_variance_of_a_hyperplane() -> None:
-    found = study(parts([1e3] * 3, UNIFORM), plane, 200)
-    surface = fit_surface(found, NAME)
+    result = study(parts([1e3] * 3, UNIFORM), plane, 200)
+    surface = fit_surface(result, NAME)
     assert surface is not None
     assert surface.held_out == pytest.approx(1.0, abs=1e-9)
-    for told, weight in zip(surface.shares(), (1.0, 4.0, 0.25), strict=True):
+    for each, weight in zip(surface.shares(), (1.0, 4.0, 0.25), strict=True):
         # the variance is the samples' own, which 200 of them know to 10 %
-        assert told.value == pytest.approx(weight / 5.25, rel=0.25)
+        assert each.value == pytest.approx(weight / 5.25, rel=0.25)
 
 
 def test_squares_and_products_are_found_where_a_plane_does_not_do() -> None:
@@ -193,8 +193,8 @@ def test_squares_and_products_are_found_where_a_plane_does_not_do() -> None:
         d = (values / 1e3 - 1.0) / 0.01
         return 5.0 + d[:, 0] + 0.5 * d[:, 0] * d[:, 1] + 0.7 * d[:, 2] ** 2
 
-    found = study(parts([1e3] * 8, UNIFORM), bent, 256)
-    surface = fit_surface(found, NAME)
+    result = study(parts([1e3] * 8, UNIFORM), bent, 256)
+    surface = fit_surface(result, NAME)
     assert surface is not None
     assert surface.held_out > 0.9999
     assert {frozenset(pair) for pair in surface.terms} >= {frozenset((0, 1)), frozenset((2,))}
@@ -203,11 +203,11 @@ def test_squares_and_products_are_found_where_a_plane_does_not_do() -> None:
 def test_the_bill_names_what_to_buy() -> None:
     """With the dear component perfect the rest has sd s sqrt(1.25): the yield follows from the normal law."""
     tolerances = parts([1e3] * 3, GAUSS)
-    found = study(tolerances, plane, 20_000)
+    result = study(tolerances, plane, 20_000)
     specs = (Spec(NAME, 99.0, 101.0),)
-    surface = fit_surface(found, NAME)
+    surface = fit_surface(result, NAME)
     assert surface is not None
-    lines = bill(found, {NAME: surface}, specs)
+    lines = bill(result, {NAME: surface}, specs)
     assert [line.name for line in lines] == ["r1", "r0", "r2"]
     assert lines[0].slope[NAME] == pytest.approx(2.0, rel=1e-6)  # 200 times 1 %
     s = 100 * 0.01 / 3
@@ -219,9 +219,9 @@ def test_the_bill_names_what_to_buy() -> None:
     assert gain is not None
     assert lines[0].better == 0.005
     assert gain.low <= within(1.25 + 1.0) - within(5.25) <= gain.high
-    both = bought(found, {NAME: surface}, specs, {"r1": 0.001, "r0": 0.001})
+    both = bought(result, {NAME: surface}, specs, {"r1": 0.001, "r0": 0.001})
     assert both.low <= within(0.25 + 0.05) <= both.high
-    pair = best_pair(found, {NAME: surface}, specs)
+    pair = best_pair(result, {NAME: surface}, specs)
     assert pair == (("r1", "r0"), both)
     assert lines[0].loosest == 0.01  # what it is: any looser one costs yield
 
@@ -233,8 +233,8 @@ def test_a_pilot_tells_how_many_samples_an_interval_takes() -> None:
     pilot = study(tolerances, plane, 64, seed=9)
     n = pilot_size(("yield", 0.02), pilot, specs)
     assert 0.3 * 864 < n < 3 * 864  # 0.9 * 0.1 (1.96 / 0.02)^2, of a share that 64 samples know
-    told = next(iter(yields(study(tolerances, plane, n), specs).values()))
-    assert told.half < 0.03
+    result = next(iter(yields(study(tolerances, plane, n), specs).values()))
+    assert result.half < 0.03
 
 
 def test_a_lot_that_pulls_both_ways() -> None:
@@ -245,13 +245,13 @@ def test_a_lot_that_pulls_both_ways() -> None:
     def lower(values: Array) -> Array:
         return 10.0 * values[:, 0] / (1e3 + values[:, 0] + values[:, 1])
 
-    found = study(tolerances, lower, 500)
-    told = corner(found, NAME, Formula(lower))
-    assert told.high == pytest.approx(10.0 * 115.0 / 1220.0, rel=1e-9)
-    assert told.high == pytest.approx(0.9426, abs=5e-5)
-    assert (told.high_at["r0"], told.high_at["r1"]) == pytest.approx((115.0, 105.0))
-    assert told.high >= np.max(found.column(NAME))
-    assert told.low <= np.min(found.column(NAME))
+    result = study(tolerances, lower, 500)
+    answer = corner(result, NAME, Formula(lower))
+    assert answer.high == pytest.approx(10.0 * 115.0 / 1220.0, rel=1e-9)
+    assert answer.high == pytest.approx(0.9426, abs=5e-5)
+    assert (answer.high_at["r0"], answer.high_at["r1"]) == pytest.approx((115.0, 105.0))
+    assert answer.high >= np.max(result.column(NAME))
+    assert answer.low <= np.min(result.column(NAME))
 
 
 def test_an_extreme_within_the_box_and_one_that_takes_two_together() -> None:
@@ -300,17 +300,17 @@ def test_a_limit_may_have_a_unit_with_a_prefix(text: str, low: float, high: floa
 def test_nothing_varies_is_an_error_and_findings_are_whole() -> None:
     with pytest.raises(InputError, match="nothing varies"):
         draw(Tolerances(), sampling("plain", 3, 0, 1), [NAME], Formula(plane), "ideal")
-    found = find(study(parts([1e3] * 3, GAUSS), plane, 64), (Spec(NAME, 99.0, 101.0),))
-    told = found.as_dict()
-    assert told["bill"][0]["name"] == "r1"
-    assert len(found.samples_csv().splitlines()) == 65
+    result = find(study(parts([1e3] * 3, GAUSS), plane, 64), (Spec(NAME, 99.0, 101.0),))
+    answer = result.as_dict()
+    assert answer["bill"][0]["name"] == "r1"
+    assert len(result.samples_csv().splitlines()) == 65
 
 
 def test_a_trimmer_is_set_for_each_device() -> None:
     """The measure is a ratio: the setting is the target's, and what cannot be reached has failed."""
     values = np.array([[1000.0, 500.0], [1040.0, 480.0], [9000.0, 500.0]])
     trimmed = Trimmed(Formula(lambda v: 100.0 * v[:, 1] / v[:, 0]), (NAME,), Trim("r1", NAME, 50.0), (1,))
-    found = trimmed.measures(values)[:, 0]
-    assert found[:2] == pytest.approx(50.0, rel=1e-6)
-    assert math.isnan(found[2])  # it would take 9 times the resistor
+    value = trimmed.measures(values)[:, 0]
+    assert value[:2] == pytest.approx(50.0, rel=1e-6)
+    assert math.isnan(value[2])  # it would take 9 times the resistor
     assert list(trimmed.failures) == [2]

@@ -38,58 +38,60 @@ def read(folder: Path, *edits: tuple[str, str, str], overrides: tuple[str, ...] 
     return tolerances(scene, board=load_deck(scene.device.board, overrides=scene.device.values))
 
 
-def values(found: Tolerances, n: int = 4000) -> dict[str, np.ndarray]:
-    drawn = found.values(sampling("plain", n, len(found.variables), 1).uniforms(0, n))
-    return dict(zip(found.keys, drawn.T, strict=True))
+def values(drawn_tolerances: Tolerances, n: int = 4000) -> dict[str, np.ndarray]:
+    drawn = drawn_tolerances.values(sampling("plain", n, len(drawn_tolerances.variables), 1).uniforms(0, n))
+    return dict(zip(drawn_tolerances.keys, drawn.T, strict=True))
 
 
-def deviation(found: Tolerances, key: str) -> np.ndarray:
-    place = found.keys.index(key)
-    return values(found)[key] / found.components[place].nominal - 1.0
+def deviation(drawn_tolerances: Tolerances, key: str) -> np.ndarray:
+    place = drawn_tolerances.keys.index(key)
+    return values(drawn_tolerances)[key] / drawn_tolerances.components[place].nominal - 1.0
 
 
-def spring(found: Tolerances) -> list[np.ndarray]:
-    return [deviation(found, f"rsp{pair}") for pair in ("11", "12", "21", "22")]
+def spring(drawn_tolerances: Tolerances) -> list[np.ndarray]:
+    return [deviation(drawn_tolerances, f"rsp{pair}") for pair in ("11", "12", "21", "22")]
 
 
 SPRING = ".param r_sum_spring=24.3k $ tol=1%"
 
 
 def test_four_parts_from_a_bag_are_four_draws(tmp_path: Path) -> None:
-    found = read(tmp_path)
-    drawn = np.array(spring(found))
+    result = read(tmp_path)
+    drawn = np.array(spring(result))
     assert np.abs(drawn).max() <= 0.01
     assert np.abs(np.corrcoef(drawn) - np.eye(4)).max() < 5 / np.sqrt(4000)
-    assert "lot" not in " ".join(found.variables)
-    of = found.components[found.keys.index("rsp12")]
+    assert "lot" not in " ".join(result.variables)
+    of = result.components[result.keys.index("rsp12")]
     assert (Path(of.file).name, of.line, of.nominal, of.unit) == ("summer.cir", 3, 24300.0, "Ohm")
     # the tolerance is that of the element although its subcircuit hands the value on
-    assert found.components[found.keys.index("xdiff1.r11")].nominal == 10e3
+    assert result.components[result.keys.index("xdiff1.r11")].nominal == 10e3
 
 
 def test_lot_is_shared_and_dev_is_not(tmp_path: Path) -> None:
     """Deviations are lot + dev: their covariance is the lot's variance."""
-    found = read(tmp_path, (SUMMER, "24.3k $ tol=1%", "24.3k $ lot=5% dev=1%"))
-    drawn = np.array(spring(found))
+    result = read(tmp_path, (SUMMER, "24.3k $ tol=1%", "24.3k $ lot=5% dev=1%"))
+    drawn = np.array(spring(result))
     lot, dev = (0.98659 * tol / 3 for tol in (0.05, 0.01))
     together = np.cov(drawn)
     assert together[0, 1] == pytest.approx(lot**2, rel=0.1)
     assert together[0, 0] - together[0, 1] == pytest.approx(dev**2, rel=0.1)
-    assert found.components[found.keys.index("rsp11")].lots == ("lot:r_sum_spring",)
+    assert result.components[result.keys.index("rsp11")].lots == ("lot:r_sum_spring",)
 
 
 def test_match_is_shared_within_an_instance_or_on_the_board(tmp_path: Path) -> None:
     net = (DIFFAMP, "r_diff_in=10.0k $ tol=1%", "r_diff_in=10.0k $ tol=1% match=net1 dev=0.1%")
-    found = read(tmp_path / "a", net)
-    a, b, other = (deviation(found, key) for key in ("xdiff1.r11", "xdiff1.r13", "xdiff2.r11"))
+    result = read(tmp_path / "a", net)
+    a, b, other = (deviation(result, key) for key in ("xdiff1.r11", "xdiff1.r13", "xdiff2.r11"))
     assert np.abs(a - b).max() <= 0.002 * (1 + 1e-9)
     assert np.abs(np.corrcoef(a, other)[0, 1]) < 5 / np.sqrt(4000)
-    whole = (net[0], net[1], net[2].replace("net1", "board:net1"))
-    found = read(tmp_path / "b", whole)
-    assert np.abs(deviation(found, "xdiff1.r11") - deviation(found, "xdiff2.r13")).max() <= 0.002 * (1 + 1e-9)
+    value = (net[0], net[1], net[2].replace("net1", "board:net1"))
+    result = read(tmp_path / "b", value)
+    assert np.abs(deviation(result, "xdiff1.r11") - deviation(result, "xdiff2.r13")).max() <= 0.002 * (
+        1 + 1e-9
+    )
     exact = (net[0], net[1], "r_diff_in=10.0k $ tol=1% match=net1")
-    found = read(tmp_path / "c", exact)
-    assert np.array_equal(deviation(found, "xdiff1.r11"), deviation(found, "xdiff1.r13"))
+    result = read(tmp_path / "c", exact)
+    assert np.array_equal(deviation(result, "xdiff1.r11"), deviation(result, "xdiff1.r13"))
 
 
 def test_a_network_that_shares_nothing_is_refused(tmp_path: Path) -> None:
@@ -97,53 +99,53 @@ def test_a_network_that_shares_nothing_is_refused(tmp_path: Path) -> None:
     net = (DIFFAMP, "r_diff_in=10.0k $ tol=1%", "r_diff_in=10.0k $ match=net1 dev=0.1%")
     with pytest.raises(InputError) as caught:
         read(tmp_path / "a", net)
-    (told,) = caught.value.problems
-    assert (Path(told.file or "").name, told.line) == ("diffamp.cir", 2)
-    assert "tol=1% match=net1 dev=0.1%" in str(told)
+    (problems,) = caught.value.problems
+    assert (Path(problems.file or "").name, problems.line) == ("diffamp.cir", 2)
+    assert "tol=1% match=net1 dev=0.1%" in str(problems)
     scene = tmp_path / "press.toml"
     text = PRESS.read_text().replace("../netlists", (ROOT / "netlists").as_posix())
     line = text.count("\n") + 2
     names = ("xdiff1.r11", "xdiff1.r13")
 
-    def said(tolerance: str) -> Path:
+    def board_with(tolerance: str) -> Path:
         rows = "".join(f'"{name}" = "{tolerance}"\n' for name in names)
         scene.write_text(f"{text}[tolerance.components]\n{rows}")
         return scene
 
     with pytest.raises(InputError) as caught:
-        tolerances(load_scene(said("match=net1 dev=0.1%")))
+        tolerances(load_scene(board_with("match=net1 dev=0.1%")))
     assert [(p.file, p.line) for p in caught.value.problems] == [(str(scene), line), (str(scene), line + 1)]
-    found = tolerances(load_scene(said("tol=1% match=net1 dev=0.1%")))
-    a, b = (deviation(found, name) for name in names)
+    result = tolerances(load_scene(board_with("tol=1% match=net1 dev=0.1%")))
+    a, b = (deviation(result, name) for name in names)
     assert 0.0 < np.abs(a - b).max() <= 0.002 * (1 + 1e-9)
     assert np.abs(a).max() > 0.005
 
 
 def test_parts_vary_one_by_one(tmp_path: Path) -> None:
-    found = read(tmp_path)
-    keys = [key for key in found.keys if key.endswith(":motor_r")]
+    result = read(tmp_path)
+    keys = [key for key in result.keys if key.endswith(":motor_r")]
     assert keys == ["xdrv1.xmotor:motor_r", "xdrv2.xmotor:motor_r"]
-    assert not np.array_equal(*(values(found)[key] for key in keys))
+    assert not np.array_equal(*(values(result)[key] for key in keys))
 
 
 def test_functions_draw_as_the_netlist_says(tmp_path: Path) -> None:
     """A function in a .param is drawn by each part that uses it; one in a value by that element."""
-    found = read(
+    result = read(
         tmp_path,
         (SUMMER, "r_sum_fb=10.0k $ tol=1%", "r_sum_fb=agauss(10k,100,3) $"),
         ("board2.cir", "Rcmd1 cmd1 sum1 {r_sum_cmd}", "Rcmd1 cmd1 sum1 {2*unif(10k,0.05)}"),
     )
-    a, b = (values(found)[f"xsum{j}.r31"] for j in (1, 2))
+    a, b = (values(result)[f"xsum{j}.r31"] for j in (1, 2))
     assert np.std(a) == pytest.approx(100 / 3, rel=0.05)
     assert abs(np.corrcoef(a, b)[0, 1]) < 5 / np.sqrt(4000)
-    drawn = values(found)["rcmd1"]
+    drawn = values(result)["rcmd1"]
     assert (19e3 <= drawn.min() < 19.05e3, 20.95e3 < drawn.max() <= 21e3) == (True, True)
 
 
 def test_an_edited_value_keeps_its_grade(tmp_path: Path) -> None:
-    found = read(tmp_path, overrides=("device.values.xdiff1.r12=165k", "device.values.r_sum_fb=9.09k"))
+    result = read(tmp_path, overrides=("device.values.xdiff1.r12=165k", "device.values.r_sum_fb=9.09k"))
     for key, nominal in (("xdiff1.r12", 165e3), ("xsum1.r31", 9090.0), ("xdiff2.r12", 169e3)):
-        of = found.components[found.keys.index(key)]
+        of = result.components[result.keys.index(key)]
         assert (of.nominal, of.distribution) == (nominal, "Gaussian +-1% = 3 sigma, cut")
 
 
@@ -154,15 +156,15 @@ def test_the_scene_gives_defaults_and_exceptions() -> None:
          "tolerance.components.rsp12=0.1%", "tolerance.components.device.chain.lengths_m=0.2%",
          "tolerance.offset=100%"],
     )  # fmt: skip
-    found = tolerances(scene)
-    said = {each.key: each for each in found.components}
-    assert said["rsp12"].distribution == "Gaussian +-0.1% = 3 sigma, cut"
-    assert said["rsp11"].distribution == "Gaussian +-1% = 3 sigma, cut"  # the netlist knows better
-    assert said["scene:device.chain.lengths_m[1]"].nominal == 0.1
-    assert said["xdrv2.xmotor:motor_k"].nominal == 0.04
-    assert said["xangle1.xop:tl072_gbw"].unit == "Hz"
-    assert said["scene:device.chain.masses_kg[0]"].lots == said["scene:device.chain.masses_kg[1]"].lots
-    assert found.idle == ("offset",)  # no offset is in force
+    result = tolerances(scene)
+    by_name = {each.key: each for each in result.components}
+    assert by_name["rsp12"].distribution == "Gaussian +-0.1% = 3 sigma, cut"
+    assert by_name["rsp11"].distribution == "Gaussian +-1% = 3 sigma, cut"  # the netlist knows better
+    assert by_name["scene:device.chain.lengths_m[1]"].nominal == 0.1
+    assert by_name["xdrv2.xmotor:motor_k"].nominal == 0.04
+    assert by_name["xangle1.xop:tl072_gbw"].unit == "Hz"
+    assert by_name["scene:device.chain.masses_kg[0]"].lots == by_name["scene:device.chain.masses_kg[1]"].lots
+    assert result.idle == ("offset",)  # no offset is in force
 
 
 def test_what_the_scene_gives_is_drawn_by_every_joint_link_and_mass() -> None:
@@ -172,7 +174,7 @@ def test_what_the_scene_gives_is_drawn_by_every_joint_link_and_mass() -> None:
         ["effects.viscous=true", "effects.coulomb=true", "device.chain.coulomb_n_m=[0.01, 0.01]",
          *(f"tolerance.{name}=10%" for name in ("k_t", "link_length", "mass", "friction"))],
     )  # fmt: skip
-    found = tolerances(scene)
+    result = tolerances(scene)
     pairs = [
         *(
             f"scene:device.chain.{name}"
@@ -181,7 +183,7 @@ def test_what_the_scene_gives_is_drawn_by_every_joint_link_and_mass() -> None:
     ]
     keys = [*(f"{pair}[{joint}]" for pair in pairs for joint in (0, 1)),
             "xdrv1.xmotor:motor_k", "xdrv2.xmotor:motor_k"]  # fmt: skip
-    drawn = np.array([deviation(found, key) for key in keys])
+    drawn = np.array([deviation(result, key) for key in keys])
     assert np.abs(np.corrcoef(drawn) - np.eye(len(keys))).max() < 5 / np.sqrt(4000)
     assert drawn.std(axis=1) == pytest.approx(0.98659 * 0.1 / 3, rel=0.05)
 
@@ -189,8 +191,8 @@ def test_what_the_scene_gives_is_drawn_by_every_joint_link_and_mass() -> None:
 def test_a_network_without_a_size_takes_that_of_its_class(tmp_path: Path) -> None:
     """`match=net1 dev=0.1%` and `resistors = "2%"`: 2 % in common, 0.1 % each."""
     net = (DIFFAMP, "r_diff_in=10.0k $ tol=1%", "r_diff_in=10.0k $ match=net1 dev=0.1%")
-    found = read(tmp_path, net, overrides=("tolerance.resistors=2%",))
-    a, b, other = (deviation(found, key) for key in ("xdiff1.r11", "xdiff1.r13", "xdiff2.r11"))
+    result = read(tmp_path, net, overrides=("tolerance.resistors=2%",))
+    a, b, other = (deviation(result, key) for key in ("xdiff1.r11", "xdiff1.r13", "xdiff2.r11"))
     together = np.cov(a, b)
     assert together[0, 1] == pytest.approx((0.98659 * 0.02 / 3) ** 2, rel=0.1)
     assert 0.0 < np.abs(a - b).max() <= 0.002 * (1 + 1e-9)
@@ -198,8 +200,8 @@ def test_a_network_without_a_size_takes_that_of_its_class(tmp_path: Path) -> Non
 
 
 def test_values_that_may_be_changed_become_preferred_ones(tmp_path: Path) -> None:
-    found = read(tmp_path, overrides=("tolerance.series=E96", "device.values.r_diff_fb=168.1k"))
-    assert found.components[found.keys.index("xdiff1.r12")].nominal == 169e3
+    result = read(tmp_path, overrides=("tolerance.series=E96", "device.values.r_diff_fb=168.1k"))
+    assert result.components[result.keys.index("xdiff1.r12")].nominal == 169e3
 
 
 def test_all_that_is_wrong_is_told_with_file_and_line(tmp_path: Path) -> None:
@@ -212,22 +214,22 @@ def test_all_that_is_wrong_is_told_with_file_and_line(tmp_path: Path) -> None:
             ("board2.cir", "Rcmd1 cmd1 sum1 {r_sum_cmd}", "Rcmd1 cmd1 sum1 {r_sum_cmd} $ match=lone dev=1%"),
             overrides=("tolerance.components.rsp13=1%",),
         )
-    told = {(Path(p.file or "").name, p.line) for p in caught.value.problems}
-    assert {("summer.cir", 3), ("summer.cir", 4), ("diffamp.cir", 3), ("press.toml", None)} <= told
+    problems = {(Path(p.file or "").name, p.line) for p in caught.value.problems}
+    assert {("summer.cir", 3), ("summer.cir", 4), ("diffamp.cir", 3), ("press.toml", None)} <= problems
     text = str(caught.value)
-    for said in (
+    for each in (
         "more tolerance than value",
         "negative",
         "'metal' is no part",
         "alone in the network",
         "rsp21",
     ):
-        assert said in text
+        assert each in text
 
 
 def test_five_per_cent_of_a_millihenry_is_a_share(tmp_path: Path) -> None:
     """Taken as an absolute sigma it once made 47 % of all inductors negative."""
-    found = read(
+    result = read(
         tmp_path,
         (
             "board2.cir",
@@ -235,7 +237,7 @@ def test_five_per_cent_of_a_millihenry_is_a_share(tmp_path: Path) -> None:
             "Rcmd1 cmd1 sum0 {r_sum_cmd}\nLcmd1 sum0 sum1 1m $ tol=5%",
         ),
     )
-    drawn = values(found, 20_000)["lcmd1"]
+    drawn = values(result, 20_000)["lcmd1"]
     assert (drawn.min() >= 0.95e-3, drawn.max() <= 1.05e-3) == (True, True)
 
 
@@ -246,17 +248,17 @@ def test_plain_ngspice_reads_what_has_tolerances(tmp_path: Path) -> None:
         "divider\n.param r=10k $ lot=5% dev=1% uniform\nV1 in 0 1\nR1 in out {r}\nR2 out 0 {r} $ tol=1%\n"
         ".op\n.print op v(out)\n.end\n"
     )
-    said = subprocess.run(
+    output = subprocess.run(
         ["ngspice", "-b", deck], capture_output=True, text=True, check=True, timeout=60
     ).stdout
-    assert "5.000000e-01" in said
+    assert "5.000000e-01" in output
 
 
 def test_list_prints_every_variable(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["mc", str(PRESS), "--list", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert len(told["components"]) == 36
-    assert {"key", "nominal", "unit", "distribution", "lots", "file", "line"} == set(told["components"][0])
+    out = json.loads(capsys.readouterr().out)
+    assert len(out["components"]) == 36
+    assert {"key", "nominal", "unit", "distribution", "lots", "file", "line"} == set(out["components"][0])
     assert cli.main(["mc", str(PRESS), "--list"]) == 0
     text = capsys.readouterr().out
     assert "rsp12" in text
@@ -268,8 +270,8 @@ def test_check_prints_them_and_what_is_wrong(tmp_path: Path, capsys: pytest.Capt
     assert cli.main(["check", str(wrong), "--level", "ideal"]) == 2
     assert "summer.cir:3: more tolerance than value" in capsys.readouterr().out
     assert cli.main(["check", str(ROOT / "netlists/board1.cir"), "--level", "ideal", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["checks"][0]["tolerances"]
-    assert "xdiff1.r11" in {row["key"] for row in told}
+    out = json.loads(capsys.readouterr().out)["checks"][0]["tolerances"]
+    assert "xdiff1.r11" in {row["key"] for row in out}
 
 
 def test_the_halves_of_a_dual_op_amp_have_a_lot(tmp_path: Path) -> None:
@@ -277,9 +279,9 @@ def test_the_halves_of_a_dual_op_amp_have_a_lot(tmp_path: Path) -> None:
     half = "xop inp inn vcc vee out tl072"
     dual = f"{half} $ match=dual dev=1%\nxspare inp inn vcc vee o2 tl072 $ match=dual dev=1%\nrl o2 0 1k"
     deck = load_deck(board(tmp_path, (DIFFAMP, half, dual)), levels={"opamp": "gbw"})
-    found = tolerances(load_scene(PRESS, ["tolerance.gbw=30%"]), board=deck)
+    result = tolerances(load_scene(PRESS, ["tolerance.gbw=30%"]), board=deck)
     a, b, other = (
-        deviation(found, f"{path}:tl072_gbw") for path in ("xdiff1.xop", "xdiff1.xspare", "xdiff2.xop")
+        deviation(result, f"{path}:tl072_gbw") for path in ("xdiff1.xop", "xdiff1.xspare", "xdiff2.xop")
     )
     assert 0.0 < np.abs(a - b).max() <= 0.02 * (1 + 1e-9)
     assert abs(np.corrcoef(a, other)[0, 1]) < 5 / np.sqrt(4000)

@@ -37,8 +37,8 @@ def test_each_point_of_a_sweep_is_within_the_tolerance(tmp_path, capsys):
     asked = ["sweep", str(tmp_path / "scene.toml"), "computer.analog_stiffness_n_per_m=60,100", "--json"]
     asked += ["--measure", "max_penetration", "-o", str(tmp_path / "out")]
     assert main([*asked, "--tol", "max_penetration=1e-5"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    values, errors = told["measures"]["max_penetration"], told["errors"]["max_penetration"]
+    out = json.loads(capsys.readouterr().out)
+    values, errors = out["measures"]["max_penetration"], out["errors"]["max_penetration"]
     for stiffness, value, error in zip((60.0, 100.0), values, errors, strict=True):
         assert error <= 1e-5 * value
         # gains of 1e9 of the ideal op-amps (5e-8, test_coupling) and the rows of `deepest`: k/m h^2/8 = 6e-9
@@ -56,9 +56,9 @@ def test_each_point_of_a_sweep_is_within_the_tolerance(tmp_path, capsys):
 def test_what_cannot_be_reached_is_said_of_its_point(tmp_path):
     plan = resolve(scene_of(tmp_path, THROWN, "solver.model=ideal"))
     wanted = Wanted({"headroom": Tolerance(1e-3, True)})
-    found = measurer_within(wanted)(plan, ["headroom"], child=shared_child())
-    assert [c.code for c in found.warnings] == ["tolerance-missed"]
-    assert found.rows["max_penetration"]["error"] > 0.0
+    result = measurer_within(wanted)(plan, ["headroom"], child=shared_child())
+    assert [c.code for c in result.warnings] == ["tolerance-missed"]
+    assert result.rows["max_penetration"]["error"] > 0.0
 
 
 def test_a_share_counts_for_what_is_looked_at():
@@ -115,7 +115,7 @@ def test_shipped_scenes_are_within_what_was_asked(name: str) -> None:
     path = SCENES / f"{name}.toml"
     right = truth(path, shared_child())
     for tolerance in TOLERANCES:
-        found = asked(path, tolerance, shared_child())
+        result = asked(path, tolerance, shared_child())
         for measure, value in right.items():
-            error = abs(found["measures"][measure]["value"] - value)
-            assert error <= tolerance * abs(value) or measure in found["missed"], (tolerance, measure)
+            error = abs(result["measures"][measure]["value"] - value)
+            assert error <= tolerance * abs(value) or measure in result["missed"], (tolerance, measure)

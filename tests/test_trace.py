@@ -36,8 +36,8 @@ def one(name: str, *, stiffness: float = ALONE, ratio: float = 1e-3, error: floa
 
 def judged(*runs: tuple[dict[str, Any], dict[str, Any]]) -> dict[str, Any]:
     given = TraceParameters(runs=tuple(asked for asked, _ in runs))  # type: ignore[arg-type]
-    found = {asked["name"]: got for asked, got in runs}
-    return {verdict.id: verdict.holds for verdict in verdicts(given, found)}
+    by_name = {asked["name"]: got for asked, got in runs}
+    return {verdict.id: verdict.holds for verdict in verdicts(given, by_name)}
 
 
 DISCRETE = ({"name": "discrete"}, one("discrete"))
@@ -110,8 +110,8 @@ def test_a_run_with_everything_is_no_method_of_its_own() -> None:
     """Coulomb friction drags as joint PD does: what it is worth is told, the method is not judged by it."""
     combined = ({"name": "combined"}, one("combined", stiffness=BOTH))
     every = ({"name": "all", "all_of": "combined"}, one("all", stiffness=0.95 * BOTH, ratio=0.31))
-    found = judged(DISCRETE, combined, every)
-    assert found == {"F16/17": True, "N1": None, "N2": True}
+    result = judged(DISCRETE, combined, every)
+    assert result == {"F16/17": True, "N1": None, "N2": True}
 
 
 def test_a_short_trace_from_scene_to_verdicts(tmp_path: Any) -> None:

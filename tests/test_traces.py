@@ -129,9 +129,9 @@ def test_what_settles_faster_than_rows_follow_has_no_top_behind_it(gap: float) -
     t = np.concatenate([np.linspace(-5.0, 0.0, 6), gap * np.arange(1, 60)])
     y = np.where(t <= 0.0, 0.0, -np.expm1(-t) - 1e-4 * t)
     peak = 1.0 - 1e-4 - 1e-4 * math.log(1e4)
-    found = Trace(t, y, smooth(t), kinks=t == 0.0).peak()
+    result = Trace(t, y, smooth(t), kinks=t == 0.0).peak()
     # rows alone show all but exp(-gap) and 1e-4 gap of it; nothing is invented on top but a parabola's error
-    assert -math.exp(-gap) - 1e-4 * gap <= found - peak <= 5e-3 * min(1.0, 2.0 / gap)
+    assert -math.exp(-gap) - 1e-4 * gap <= result - peak <= 5e-3 * min(1.0, 2.0 / gap)
 
 
 def test_a_dac_that_is_an_ulp_of_time_early_at_the_end_of_a_ramp_holds() -> None:

@@ -31,15 +31,15 @@ TRUE_SPREAD = math.sqrt((SLOPE**2).sum() + 2.0 * 0.05**2 + 0.1**2)
 
 
 def test_two_levels_are_unbiased_and_their_interval_holds():
-    found = [
+    rows = [
         moments(linear, bent, D, dear_samples=64, seed=s, cost_ratio=1e-3, pilot_samples=16)
         for s in range(100)
     ]
-    means, spreads = np.array([f.mean for f in found]), np.array([f.spread for f in found])
+    means, spreads = np.array([f.mean for f in rows]), np.array([f.spread for f in rows])
     assert abs(means.mean() - 100.0) < 4.0 * means.std() / math.sqrt(100)
     assert abs(spreads.mean() - TRUE_SPREAD) < 4.0 * spreads.std() / math.sqrt(100) + 1e-3
-    inside = sum(f.mean_low <= 100.0 <= f.mean_high for f in found)
-    inside_spread = sum(f.spread_low <= TRUE_SPREAD <= f.spread_high for f in found)
+    inside = sum(f.mean_low <= 100.0 <= f.mean_high for f in rows)
+    inside_spread = sum(f.spread_low <= TRUE_SPREAD <= f.spread_high for f in rows)
     # 95 % of 100, less three times a binomial's own scatter
     assert inside >= 88
     assert inside_spread >= 88
@@ -48,12 +48,12 @@ def test_two_levels_are_unbiased_and_their_interval_holds():
 
 
 def test_a_cheap_model_that_says_nothing_is_left_aside_with_a_word():
-    found = moments(lambda u: normal(u)[:, 5], lambda u: normal(u)[:, 0], D, dear_samples=400, seed=1,
+    result = moments(lambda u: normal(u)[:, 5], lambda u: normal(u)[:, 0], D, dear_samples=400, seed=1,
                     cost_ratio=0.01)  # fmt: skip
-    assert "plain sampling" in found.word
-    assert found.cheap == 0
-    assert found.mean_low < 0.0 < found.mean_high
-    assert found.spread_low < 1.0 < found.spread_high
+    assert "plain sampling" in result.word
+    assert result.cheap == 0
+    assert result.mean_low < 0.0 < result.mean_high
+    assert result.spread_low < 1.0 < result.spread_high
     assert pilot_of(np.ones(10), np.arange(10.0), 0.1).correlation == 0.0
     with pytest.raises(ValueError, match="eight"):
         pilot_of(np.ones(3), np.ones(3), 0.1)
@@ -128,12 +128,10 @@ def test_one_place_alone_misses_the_other_region():
     # the dear model fails a little later than the cheap one
     dear = lambda u: margin(u) + 0.1  # noqa: E731
     exact = special.ndtr(-4.6) + special.ndtr(-4.9)
-    found = [
-        count_failures(dear, nearest_failures(margin, d, seed=s), samples=300, seed=s) for s in range(30)
-    ]
-    rates = np.array([f.rate for f in found])
+    rows = [count_failures(dear, nearest_failures(margin, d, seed=s), samples=300, seed=s) for s in range(30)]
+    rates = np.array([f.rate for f in rows])
     assert abs(rates.mean() / exact - 1.0) < 4.0 * rates.std() / math.sqrt(30) / exact
-    assert all(f.effective > 10.0 and not f.word for f in found)
+    assert all(f.effective > 10.0 and not f.word for f in rows)
     assert truth > 0.0
 
 
@@ -144,17 +142,17 @@ def test_what_cannot_fail_within_its_tolerances_is_said_so():
     places = nearest_failures(cut, 3)
     assert places.distance == math.inf
     assert places.first_order == 0.0
-    found = count_failures(cut, places, samples=300, seed=1)
-    assert found.rate == 0.0
-    assert "impossible" in found.word
+    result = count_failures(cut, places, samples=300, seed=1)
+    assert result.rate == 0.0
+    assert "impossible" in result.word
 
 
 @pytest.mark.parametrize("far", [9.0, 30.0, 60.0])
 def test_failures_beyond_all_numbers_have_an_interval(far):
     """Squares of their weights underflow, and at last the weights: nothing is divided by nothing."""
-    found = count_failures(
+    result = count_failures(
         lambda u: 3.0 * far - u.sum(axis=1), Places(np.full((1, 9), far / 3.0), 0), samples=50, seed=1
     )
-    low, high = found.interval
-    assert 0.0 <= low <= found.rate <= high <= 1.0
-    assert math.isfinite(found.effective)
+    low, high = result.interval
+    assert 0.0 <= low <= result.rate <= high <= 1.0
+    assert math.isfinite(result.effective)

@@ -73,27 +73,27 @@ def estimate(seed, fails_at, n=600, cheap_samples=1 << 13):
 @pytest.mark.parametrize("fails_at", [math.inf, 3.0])
 def test_a_yield_by_strata_is_unbiased_and_covered(fails_at):
     exact = truth(fails_at)
-    found = [estimate(seed, fails_at) for seed in range(40)]
-    values = np.array([each.value for each in found])
+    rows = [estimate(seed, fails_at) for seed in range(40)]
+    values = np.array([each.value for each in rows])
     assert abs(values.mean() - exact) < 4.0 * values.std(ddof=1) / math.sqrt(40)
     # 95 % of 40 less three times a binomial's own scatter
-    assert sum(each.low <= exact <= each.high for each in found) >= 34
+    assert sum(each.low <= exact <= each.high for each in rows) >= 34
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fails_at", [math.inf, 3.0])
 def test_the_interval_of_strata_covers_in_1880_of_2000_repeats(fails_at):
     exact = truth(fails_at)
-    found = [estimate(seed, fails_at) for seed in range(2000)]
-    assert sum(each.low <= exact <= each.high for each in found) >= 1880
+    rows = [estimate(seed, fails_at) for seed in range(2000)]
+    assert sum(each.low <= exact <= each.high for each in rows) >= 1880
 
 
 def test_no_failure_leaves_the_bound_of_every_stratum():
     """Zero of n: three over n at least, whatever the cheap model is sure of."""
     weights = np.tile([0.0, 0.01, 0.99], (16, 1))
-    found = failure_rate(weights, (0, 0, 0), (0, 20, 300), 1 << 16)
-    assert found.value == 0.0
-    assert found.high > 0.99 * 3.0 / 300
+    result = failure_rate(weights, (0, 0, 0), (0, 20, 300), 1 << 16)
+    assert result.value == 0.0
+    assert result.high > 0.99 * 3.0 / 300
     # and with few cheap samples what they have not met: three of 1024 are at the border
     few = failure_rate(np.tile([0.0, 3 / 1024, 1021 / 1024], (16, 1)), (0, 3, 0), (0, 3, 10**6), 1024)
     assert few.high > stats.beta.ppf(0.975, 4, 1021)
@@ -101,15 +101,15 @@ def test_no_failure_leaves_the_bound_of_every_stratum():
 
 def test_mean_and_deviation_of_a_study_of_two_models(tmp_path):
     """Mean 0 and variance 1 + 2 * 0.02^2 in closed form; kept levels are not measured again."""
-    found = measured(formulas(400, two_level=True), tmp_path)
-    told = found.summaries["peak_force"]
+    result = measured(formulas(400, two_level=True), tmp_path)
+    value = result.summaries["peak_force"]
     spread = math.sqrt(1.0 + 2.0 * 0.02**2)
-    assert told.mean.low <= 0.0 <= told.mean.high
-    assert told.spread.low <= spread <= told.spread.high
-    assert "corrected by linear" in told.mean.how
+    assert value.mean.low <= 0.0 <= value.mean.high
+    assert value.spread.low <= spread <= value.spread.high
+    assert "corrected by linear" in value.mean.how
     # what plain samples leave, and what is left of it: the bend's share, 0.028
-    assert told.mean.half < 0.2 * 1.96 / math.sqrt(400)
-    levels = found.levels
+    assert value.mean.half < 0.2 * 1.96 / math.sqrt(400)
+    levels = result.levels
     assert levels.moments["peak_force"].pilot.correlation > 0.999
     share = levels.yields["peak_force <= 2 N"]
     assert share.failing.low <= truth(math.inf) <= share.failing.high
@@ -119,23 +119,23 @@ def test_mean_and_deviation_of_a_study_of_two_models(tmp_path):
     again = measured(formulas(400, two_level=True), tmp_path)
     assert again.levels.as_dict() == levels.as_dict()
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "levels").rglob("*.parquet")} == before
-    assert "Two models" in write_monte_carlo(found, tmp_path, "cosim mc --sample", "x").read_text()
+    assert "Two models" in write_monte_carlo(result, tmp_path, "cosim mc --sample", "x").read_text()
     assert (tmp_path / "sliders.html").stat().st_size < 500_000
 
 
 def test_what_is_left_of_an_interrupted_study_of_two_models_is_the_same(tmp_path):
-    whole = measured(formulas(100, two_level=True), tmp_path)
+    result = measured(formulas(100, two_level=True), tmp_path)
     for name in ("same", "cheap"):
         (tmp_path / "levels" / name / "samples.parquet").unlink()
     (tmp_path / "samples.parquet").unlink()
     again = measured(formulas(100, two_level=True), tmp_path)
-    assert again.levels.as_dict() == whole.levels.as_dict()
+    assert again.levels.as_dict() == result.levels.as_dict()
 
 
 def test_a_failure_in_40_million_is_counted_by_300_samples(tmp_path):
     """The border of the dear model is nearly a plane, 5.45 standard deviations away at the cheap one."""
-    found = measured(formulas(300, limit=5.45, rare=True), tmp_path)
-    rare = found.rare
+    result = measured(formulas(300, limit=5.45, rare=True), tmp_path)
+    rare = result.rare
     # Gaussian and the bend's lean, to second order: by quadrature
     exact = truth_at(5.45)
     assert rare.distance == pytest.approx(5.45, abs=0.01)
@@ -144,16 +144,16 @@ def test_a_failure_in_40_million_is_counted_by_300_samples(tmp_path):
     assert rare.rate.low <= exact <= rare.rate.high
     assert rare.effective > 10.0
     assert max(rare.device.items(), key=lambda each: abs(each[1] - 1.0))[0] == "r1"
-    assert "rare failures" in " ".join(found.notes)
-    assert "Rare failures" in write_monte_carlo(found, tmp_path, "cosim mc --sample", "x").read_text()
+    assert "rare failures" in " ".join(result.notes)
+    assert "Rare failures" in write_monte_carlo(result, tmp_path, "cosim mc --sample", "x").read_text()
 
 
 def test_what_cannot_fail_is_the_answer(tmp_path):
     """Cut at three standard deviations the sum ends at 3 sum |a|, here 6.0: a limit of 6.5 is never met."""
     end = 3.0 * float(np.abs(SLOPE).sum())
-    found = measured(formulas(64, kind="truncated", limit=end + 0.5, rare=True))
-    assert "no device within the tolerances" in found.rare.word
-    assert found.rare.rate.high == 0.0
+    result = measured(formulas(64, kind="truncated", limit=end + 0.5, rare=True))
+    assert "no device within the tolerances" in result.rare.word
+    assert result.rare.rate.high == 0.0
     # within the corners' reach it is possible, and found
     near = measured(formulas(64, kind="truncated", limit=0.8 * end, rare=True))
     assert near.rare.places > 0
@@ -173,7 +173,7 @@ def command(capsys, *words):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "reason"),
     [
         (["--two-level", "-n", "20"], "too few"),
         (["--two-level", "--sampling", "sobol"], "is of plain samples"),
@@ -181,6 +181,6 @@ def command(capsys, *words):
         (["--rare"], "give one"),
     ],
 )
-def test_slips_are_told(words, said, tmp_path, capsys):
-    assert said in command(capsys, *WORDS, *words, "-o", str(tmp_path / "mc"))
+def test_slips_are_told(words, reason, tmp_path, capsys):
+    assert reason in command(capsys, *WORDS, *words, "-o", str(tmp_path / "mc"))
     assert not (tmp_path / "mc" / "samples.parquet").exists()

@@ -21,14 +21,14 @@ _WRITTEN = re.compile(
 
 def otherwise_written(text: str) -> list[str]:
     """Every value with a unit that `quantity` writes in no number of digits as the text has it."""
-    found = []
+    rows = []
     for each in _WRITTEN.finditer(text):
         unit = each["unit"] or each["simple"]
         value = float(each["number"]) * _PREFIX[each["prefix"] or ""]
         wanted = {write(value, unit, digits) for write in (quantity, signed) for digits in range(1, 7)}
         if each[0] not in wanted:
-            found.append(each[0])
-    return found
+            rows.append(each[0])
+    return rows
 
 
 def test_the_finder_sees_what_is_written_in_another_way() -> None:
@@ -80,5 +80,5 @@ def test_effects_writes_measures_as_run_does(unit: str, none: float, change: flo
     assert signed(change, unit) in text
     assert "12.3 ms" in text
     assert "+2 ms" in text
-    told = measure_table([("one", measures[0])]).splitlines()[1].split()
-    assert told[-1 if len(told) == 3 else 2] in text.splitlines()[0]  # the same unit and prefix
+    result = measure_table([("one", measures[0])]).splitlines()[1].split()
+    assert result[-1 if len(result) == 3 else 2] in text.splitlines()[0]  # the same unit and prefix

@@ -33,9 +33,9 @@ def spoken() -> Iterator[tuple[str, str]]:
                 node for node in ast.walk(function)
                 if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Verdict"
             ]  # fmt: skip
-            told = [argument for call in calls for argument in call.args[1:4]]
+            rows = [argument for call in calls for argument in call.args[1:4]]
             named = {
-                node.id for argument in told for node in ast.walk(argument) if isinstance(node, ast.Name)
+                node.id for argument in rows for node in ast.walk(argument) if isinstance(node, ast.Name)
             }
             for node in ast.walk(function):
                 target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
@@ -43,8 +43,8 @@ def spoken() -> Iterator[tuple[str, str]]:
                     node.value, ast.JoinedStr | ast.Constant
                 )
                 if texts and isinstance(target, ast.Name) and target.id in named:
-                    told.append(node.value)  # type: ignore[union-attr]
-            for argument in told:
+                    rows.append(node.value)  # type: ignore[union-attr]
+            for argument in rows:
                 yield from ((path.name, text) for text in literals(argument))
 
 
@@ -75,7 +75,7 @@ def test_claims_without_an_equation_of_the_paper_are_plain_words() -> None:
     assert [c.id for c in plain if _CODE.search(c.says + c.counts)] == []
 
 
-def told(errors: list[float], eta: list[float], dampings: tuple[float, ...] = (0.11, 2.0)) -> str:
+def verdict_text(errors: list[float], eta: list[float], dampings: tuple[float, ...] = (0.11, 2.0)) -> str:
     """What is said of op-amps, two dampings each, with thresholds of 5 %."""
     names = [f"op-amp {number // len(dampings)}" for number in range(len(errors))]
     at: dict[str, list[Any]] = {"op-amp": names, "stiffness error [%]": errors, "eta [%]": eta}
@@ -86,15 +86,17 @@ def told(errors: list[float], eta: list[float], dampings: tuple[float, ...] = (0
 
 
 def test_whether_the_op_amp_decides_is_judged_from_the_numbers() -> None:
-    assert told([1.0, 2.0, 1.5, 2.5], [4.0, 4.0, 4.1, 4.1]).startswith(
+    assert verdict_text([1.0, 2.0, 1.5, 2.5], [4.0, 4.0, 4.1, 4.1]).startswith(
         "no: error and eta move by at most 0.5 "
     )
-    assert told([1.0, 2.0, 1.0, 6.0], [4.0] * 4).startswith(
+    assert verdict_text([1.0, 2.0, 1.0, 6.0], [4.0] * 4).startswith(
         "yes, at 2 N s/m: error and eta move by at most 4 "
     )
-    assert told([1.0, 2.0] * 2, [4.9, 4.9, 5.1, 4.9]).startswith("yes, at 0.11 N s/m:")  # across eta's limit
-    assert told([6.0, 9.0, 8.0, 7.0], [4.0] * 4).startswith("no:")  # none holds with any op-amp
-    assert told([1.0, 2.0], [4.0, 4.0]).startswith("one op-amp cannot tell:")
+    assert verdict_text([1.0, 2.0] * 2, [4.9, 4.9, 5.1, 4.9]).startswith(
+        "yes, at 0.11 N s/m:"
+    )  # across eta's limit
+    assert verdict_text([6.0, 9.0, 8.0, 7.0], [4.0] * 4).startswith("no:")  # none holds with any op-amp
+    assert verdict_text([1.0, 2.0], [4.0, 4.0]).startswith("one op-amp cannot tell:")
 
 
 #: The cases of every study are few here; the rest of the scene's cases is told below.
@@ -120,9 +122,9 @@ def test_the_page_says_what_the_cases_hold(name: str, changes: dict[str, Any], t
     if name == "5_3_footnote":
         return  # its maps cannot be drawn of so few points; the page takes every study's tables alike
     html = write_study_page([(name, result)], tmp_path, "t").read_text(encoding="utf-8")
-    told = html.replace("\u00a0", " ")
-    assert "What the cases hold" in told
-    assert "opamp gbw, vca gbw" in told
+    answer = html.replace("\u00a0", " ")
+    assert "What the cases hold" in answer
+    assert "opamp gbw, vca gbw" in answer
 
 
 def test_every_case_is_told_with_its_own_levels() -> None:

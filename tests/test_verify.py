@@ -17,8 +17,8 @@ SHORT = ["--set", "duration_s=0.05", "--set", "solver.model=linear"]
 
 def call(capsys: pytest.CaptureFixture[str], *words: str, code: int = 0) -> str:
     assert cli.main([*words]) == code
-    said = capsys.readouterr()
-    return said.err if code == 2 else said.out
+    printed = capsys.readouterr()
+    return printed.err if code == 2 else printed.out
 
 
 def test_a_run_comes_out_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -40,18 +40,18 @@ def test_a_study_comes_out_again_and_a_changed_number_is_found(
     out = tmp_path / "mc"
     call(capsys, "mc", DROP, "--model", "linear", "--measure", "eta", "--measure", "k_max", "-n", "6",
          "--spec", "k_max > 100", "-o", str(out), "--workers", "1")  # fmt: skip
-    told = json.loads(call(capsys, "verify", str(out), "--samples", "3", "--json"))
-    assert told["same"]
-    assert len(told["repeated"]) == 3
+    result = json.loads(call(capsys, "verify", str(out), "--samples", "3", "--json"))
+    assert result["same"]
+    assert len(result["repeated"]) == 3
     file = out / "samples.parquet"
     table = pq.read_table(file)
     k_max = table["k_max"].to_numpy().copy()
     k_max[4] = np.nextafter(k_max[4], np.inf)
     place = table.schema.get_field_index("k_max")
     pq.write_table(table.set_column(place, table.schema.field(place), pa.array(k_max)), file)
-    said = call(capsys, "verify", str(out), "--samples", "6", code=1)
-    assert "sample 4: k_max" in said
-    assert said.count("sample ") == 1
+    answer = call(capsys, "verify", str(out), "--samples", "6", code=1)
+    assert "sample 4: k_max" in answer
+    assert answer.count("sample ") == 1
     # another version, another scene, no record of what was asked
     record = json.loads((out / "mc.json").read_text())
     for change, expected in (
@@ -79,13 +79,13 @@ def test_the_folder_of_all_results_says_which_to_name(
     for k in range(9):
         (top / f"run{k}").mkdir()
         (top / f"run{k}" / "run.json").write_text("{}")
-    told = call(capsys, "verify", str(top), code=2)
+    result = call(capsys, "verify", str(top), code=2)
     # of eleven runs and studies of tolerances eight are shown; deeper2 has neither
-    assert "below it: deeper0/one, deeper1/one, run0, run1, run2, run3, run4, run5, and 3 more" in told
+    assert "below it: deeper0/one, deeper1/one, run0, run1, run2, run3, run4, run5, and 3 more" in result
     deep = tmp_path / "all"  # `report` itself takes the results right below a folder
     deep.mkdir()
     for name in ("deeper0", "deeper1"):
         (top / name).rename(deep / name)
-    told = call(capsys, "report", str(deep), code=2)
-    assert "below it: deeper0/one" in told
-    assert "deeper1" not in told  # a study of tolerances has a page of its own
+    result = call(capsys, "report", str(deep), code=2)
+    assert "below it: deeper0/one" in result
+    assert "deeper1" not in result  # a study of tolerances has a page of its own

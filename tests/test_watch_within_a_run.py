@@ -45,24 +45,24 @@ def test_an_output_that_latches_within_a_run_is_said(tmp_path: Path) -> None:
 
     The kick is at 50 ms. The carriage is so heavy that it stands still for a while, and moves at the end.
     """
-    found = run(tmp_path, 1.4e-3, mass_kg=200.0, duration_s=0.5)
-    assert abs(found.signals["v1"][-1]) > stability_gate.REST_RAD_PER_S  # the end tells nothing
-    (said,) = [c.text for c in found.warnings if c.code == "output-latched" and "xsum1.xop" in c.text]
-    since, unit = said.split()[1:3]
+    result = run(tmp_path, 1.4e-3, mass_kg=200.0, duration_s=0.5)
+    assert abs(result.signals["v1"][-1]) > stability_gate.REST_RAD_PER_S  # the end tells nothing
+    (doubt,) = [c.text for c in result.warnings if c.code == "output-latched" and "xsum1.xop" in c.text]
+    since, unit = doubt.split()[1:3]
     assert unit == "ms"
     assert 50.0 <= float(since) <= 75.0
 
 
 def test_an_operating_point_that_is_left_is_said(tmp_path: Path) -> None:
     """0.8 mA ask for 8 V: no limit is reached, but the circuit without a past stands at 0 V."""
-    found = run(tmp_path, 0.8e-3, mass_kg=1e3, duration_s=0.15)
-    said = [c.text for c in found.warnings if c.code == "operating-point-left"]
-    assert any("xboard.xsum1.xop" in text and "-7.99 V" in text for text in said), said
+    result = run(tmp_path, 0.8e-3, mass_kg=1e3, duration_s=0.15)
+    rows = [c.text for c in result.warnings if c.code == "operating-point-left"]
+    assert any("xboard.xsum1.xop" in text and "-7.99 V" in text for text in rows), rows
 
 
 def test_a_healthy_board_says_nothing(tmp_path: Path) -> None:
-    found = run(tmp_path, 0.0, mass_kg=1e3, duration_s=0.15)
-    assert not {c.code for c in found.warnings} & {"output-latched", "operating-point-left"}
+    result = run(tmp_path, 0.0, mass_kg=1e3, duration_s=0.15)
+    assert not {c.code for c in result.warnings} & {"output-latched", "operating-point-left"}
 
 
 def test_the_poses_that_a_run_reached_are_judged_too(monkeypatch: pytest.MonkeyPatch) -> None:

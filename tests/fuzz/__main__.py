@@ -62,11 +62,11 @@ def _row(name: str, count: int, task: Callable[[], object]) -> int:
     """Run one fuzzer; print what came out of it."""
     begun = time.monotonic()
     try:
-        said: object = task()
+        result: object = task()
     except Exception:
-        said = "DEFECT\n" + traceback.format_exc(limit=-6)
-    print(f"{name:10} {count:6} cases {time.monotonic() - begun:7.1f} s  {said}", flush=True)
-    return int(str(said).startswith("DEFECT"))
+        result = "DEFECT\n" + traceback.format_exc(limit=-6)
+    print(f"{name:10} {count:6} cases {time.monotonic() - begun:7.1f} s  {result}", flush=True)
+    return int(str(result).startswith("DEFECT"))
 
 
 if __name__ == "__main__":

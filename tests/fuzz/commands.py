@@ -152,16 +152,16 @@ def _run(words: list[str], out: Path) -> int:
         )
     except subprocess.TimeoutExpired:
         raise Defect(f"{words}: still runs after {time.monotonic() - begun:.0f} s") from None
-    said = done.stderr.decode("utf-8", "replace")
+    output = done.stderr.decode("utf-8", "replace")
     answer = done.stdout.decode("utf-8", "replace")
     if done.returncode not in (0, 1, 2):
-        raise Defect(f"{words}: exit code {done.returncode}\n{said[-3000:]}")
-    if done.returncode != 0 and not (said.strip() or answer.strip()):
+        raise Defect(f"{words}: exit code {done.returncode}\n{output[-3000:]}")
+    if done.returncode != 0 and not (output.strip() or answer.strip()):
         raise Defect(f"{words}: exit code {done.returncode} without a word")
     try:
-        check_words(said[:20_000])
+        check_words(output[:20_000])
     except AssertionError as error:
-        raise Defect(f"{words}: {error}\n{said[-3000:]}") from error
+        raise Defect(f"{words}: {error}\n{output[-3000:]}") from error
     if "--json" in words and done.returncode == 0:
         json.loads(answer, parse_constant=_refuse)
     return done.returncode
@@ -193,11 +193,11 @@ def kill_and_resume(project: Project, folder: Path, number: int, count: int) -> 
     quick = ["--set", "duration_s=0.1", "--set", "solver.model=linear"]
     sweep = ["sweep", scene, "seed=1:4:4", "--measure", "peak_force", *quick, "--out"]
     single = ["run", scene, *quick, "--out"]
-    whole = folder / "undisturbed"
+    undisturbed = folder / "undisturbed"
     lengths = {}
     for name, words in (("sweep", sweep), ("run", single)):
         begun = time.monotonic()
-        _must(words, whole / name, folder)
+        _must(words, undisturbed / name, folder)
         lengths[name] = time.monotonic() - begun
     killed = 0
     for turn in range(count):
@@ -219,7 +219,7 @@ def kill_and_resume(project: Project, folder: Path, number: int, count: int) -> 
             raise Defect(f"kill {turn}: half a result in {out}")
         _must(words, out, folder)
         kept = "sweep.csv" if name == "sweep" else "signals.raw"
-        if (out / kept).read_bytes() != (whole / name / kept).read_bytes():
+        if (out / kept).read_bytes() != (undisturbed / name / kept).read_bytes():
             raise Defect(f"kill {turn}: {out / kept} differs from an undisturbed one")
         left = [path for path in out.parent.iterdir() if path.name.startswith(".")]
         if left:

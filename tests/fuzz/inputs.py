@@ -140,15 +140,15 @@ def _other_number(draw: Draw, text: str) -> str:
 
 
 def _other_word(draw: Draw, text: str) -> str:
-    found = sorted({match[0] for match in _WORD.finditer(text)})
-    return _replaced(draw, text, _WORD, st.sampled_from([*found[:400], *TOKENS]))
+    every = sorted({match[0] for match in _WORD.finditer(text)})
+    return _replaced(draw, text, _WORD, st.sampled_from([*every[:400], *TOKENS]))
 
 
 def _replaced(draw: Draw, text: str, form: re.Pattern[str], other: st.SearchStrategy[str]) -> str:
-    found = list(form.finditer(text))
-    if not found:
+    every = list(form.finditer(text))
+    if not every:
         return text
-    match = draw(st.sampled_from(found[:2000]))
+    match = draw(st.sampled_from(every[:2000]))
     return text[: match.start()] + draw(other) + text[match.end() :]
 
 
@@ -193,14 +193,14 @@ def damaged(draw: Any, contents: Sequence[bytes]) -> bytes:
 
 def scene_keys(scenes: Sequence[Path]) -> list[str]:
     """Dotted keys that scenes state, tables included."""
-    found: dict[str, None] = {}
+    by_name: dict[str, None] = {}
 
     def walk(table: dict[str, Any], before: str) -> None:
         for key, value in table.items():
-            found[before + key] = None
+            by_name[before + key] = None
             if isinstance(value, dict):
                 walk(value, f"{before}{key}.")
 
     for scene in scenes:
         walk(tomllib.loads(scene.read_text(encoding="utf-8")), "")
-    return list(found)
+    return list(by_name)

@@ -68,8 +68,8 @@ def kill_studies(project: Project, folder: Path, number: int, count: int) -> dic
         marked = _mark(out) if turn % 2 else {}
         counts["samples kept"] += len(_parts(out)) * _CHUNK
         _ended(_start([*words, "--workers", "2"], out, folder), f"turn {turn}, {kind}")
-        found = (out / "samples.parquet").read_bytes()
-        if not marked and found != truth:
+        data = (out / "samples.parquet").read_bytes()
+        if not marked and data != truth:
             raise Defect(f"turn {turn}, {kind}: other bytes than an undisturbed study")
         if marked:
             _compare(out, folder / "whole", marked, f"turn {turn}, {kind}")
@@ -103,8 +103,8 @@ def _local(kind: str, words: list[str], out: Path, folder: Path, wait_s: float) 
 
 def _is_worker(pid: int) -> bool:
     with suppress(OSError):
-        said = Path(f"/proc/{pid}/cmdline").read_bytes()
-        return b"spawn_main" in said and b"resource_tracker" not in said
+        data = Path(f"/proc/{pid}/cmdline").read_bytes()
+        return b"spawn_main" in data and b"resource_tracker" not in data
     return False
 
 
@@ -166,10 +166,10 @@ def _until_up(address: str) -> None:
 
 
 def _start(words: list[str], out: Path, folder: Path) -> subprocess.Popen[bytes]:
-    with (folder / "said").open("wb") as said:
+    with (folder / "said").open("wb") as log:
         return subprocess.Popen(
             [sys.executable, "-m", "cosim", *words, "-o", str(out)], cwd=folder, stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL, stderr=said, env={**os.environ, "TMPDIR": str(folder)},
+            stdout=subprocess.DEVNULL, stderr=log, env={**os.environ, "TMPDIR": str(folder)},
             start_new_session=True,
         )  # fmt: skip
 
@@ -207,11 +207,11 @@ def _mark(out: Path) -> dict[int, int]:
     return marked
 
 
-def _compare(out: Path, whole: Path, marked: dict[int, int], what: str) -> None:
-    found, truth = (pq.read_table(at / "samples.parquet")[_MEASURE].to_numpy() for at in (out, whole))
+def _compare(out: Path, undisturbed: Path, marked: dict[int, int], what: str) -> None:
+    result, truth = (pq.read_table(at / "samples.parquet")[_MEASURE].to_numpy() for at in (out, undisturbed))
     wanted = truth.copy()
     for first, count in marked.items():
         wanted[first : first + count] = np.nextafter(truth[first : first + count], np.inf)
-    if not np.array_equal(found, wanted):
-        again = [k for k in np.flatnonzero(found != wanted) if found[k] == truth[k]]
-        raise Defect(f"{what}: samples measured again: {again}, others differ: {np.sum(found != wanted)}")
+    if not np.array_equal(result, wanted):
+        again = [k for k in np.flatnonzero(result != wanted) if result[k] == truth[k]]
+        raise Defect(f"{what}: samples measured again: {again}, others differ: {np.sum(result != wanted)}")

@@ -135,12 +135,12 @@ class Project:
     @contextmanager
     def holding(self, path: Path, text: str | bytes) -> Iterator[None]:
         """Put other content into a file for the length of the block."""
-        whole = path.read_bytes()
+        data = path.read_bytes()
         path.write_bytes(text if isinstance(text, bytes) else text.encode("utf-8", "surrogatepass"))
         try:
             yield
         finally:
-            path.write_bytes(whole)
+            path.write_bytes(data)
 
 
 def readers(folder: Path, result: Path) -> list[Target]:
@@ -204,11 +204,11 @@ def _settings(project: Project) -> Target:
 
 def _schema_keys() -> list[str]:
     """Dotted keys of the schema, one table deep."""
-    found = []
+    rows = []
     for table, field in SceneTables.model_fields.items():
         fields = getattr(field.annotation, "model_fields", {})
-        found += [table, *(f"{table}.{key}" for key in fields)]
-    return found
+        rows += [table, *(f"{table}.{key}" for key in fields)]
+    return rows
 
 
 def _ranges() -> Target:
@@ -275,7 +275,7 @@ def _points(place: Path) -> Target:
     with Points(place, "a") as points:
         for key in "abc":
             points.get(key, lambda: {"peak_force": 1.25, "text": "x"})
-    whole = place.read_bytes()
+    data = place.read_bytes()
 
     def attempt(content: bytes) -> None:
         place.write_bytes(content)
@@ -283,4 +283,4 @@ def _points(place: Path) -> Target:
             for key in "abc":
                 assert again.get(key, lambda: {"peak_force": 1.25, "text": "x"})["peak_force"] == 1.25
 
-    return Target("points", damaged([whole]), attempt)
+    return Target("points", damaged([data]), attempt)

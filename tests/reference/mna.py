@@ -301,15 +301,15 @@ class Circuit:
         """
         g, c, _ = self.matrices(self.operating_point())
         held = np.flatnonzero(c.any(axis=0))  # the other columns of (G + s0 C)^-1 C are zero
-        found = []
+        rows = []
         for decade in range(-4, 13):
             shift = 10.0**decade
             mu = scipy.linalg.eigvals(_solve(g + shift * c, c[:, held])[held])
             mu = mu[np.abs(mu) > 1e-13 * np.abs(mu).max(initial=0.0)]
             s = shift - 1.0 / mu
             low, high = 10.0 ** (decade - 0.5), 10.0 ** (decade + 0.5)
-            found.append(s[(np.abs(s) >= low) & (np.abs(s) < high)])
-        return np.concatenate(found)
+            rows.append(s[(np.abs(s) >= low) & (np.abs(s) < high)])
+        return np.concatenate(rows)
 
 
 def _solve(a, b):
