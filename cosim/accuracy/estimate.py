@@ -35,8 +35,9 @@ _MARGIN = 1.6
 OWN_MARGIN = 2.5
 #: The twin's steps are an eighth of the scene's, of its period, and of this, the usual longest step [s].
 _FINER, _USUAL_STEP_S = 8.0, 2e-3
-#: Sums over rows are right to this share of the value.
-_ROUNDING = 1e-12
+#: Runs and twins are right to this share of a value, whatever their difference: steps are controlled to
+#: 1e-10 rad of joints that turn by a tenth of a radian.
+_RESOLVED = 1e-9
 #: What tells how right a run is has no error of its own.
 _WITHOUT = frozenset({"ledger_closure"})
 
@@ -154,4 +155,4 @@ def _with_error(
         return {**row, "error": None, "no_error": f"{twin.words} has no such measure"}
     value = float(row["value"])
     apart = abs(value - float(other["value"]))
-    return {**row, "error": twin.margin * apart + (share + _ROUNDING) * abs(value)}
+    return {**row, "error": twin.margin * apart + (share + _RESOLVED) * abs(value)}
