@@ -251,7 +251,7 @@ def _text(findings: "Findings") -> list[str]:
             )  # fmt: skip
         lines += ["", *_aligned(table)]
         lines += [
-            f"R^2 of samples that were not fitted, {n}: {s.held_out:.5g}"
+            f"R^2 of samples that were not fitted, {n}: {s.explained:.5g}"
             for n, s in findings.surfaces.items()
         ]
     return [*lines, *findings.notes]

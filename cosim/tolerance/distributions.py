@@ -126,6 +126,14 @@ class Shape:
         mean = float(_WEIGHTS @ x) / 2.0
         return mean, math.sqrt(float(_WEIGHTS @ (x - mean) ** 2) / 2.0)
 
+    def standard_moments(self) -> tuple[float, float]:
+        """Return third and fourth moment of the standardised deviation: 0 and 3 of a Gaussian."""
+        if self.kind == "gauss" and -self.low == self.high:
+            return 0.0, 3.0
+        middle, sigma = self.moments()
+        z = (self.inverse((_NODES + 1.0) / 2.0) - middle) / sigma
+        return float(_WEIGHTS @ z**3) / 2.0, float(_WEIGHTS @ z**4) / 2.0
+
     def below(self, deviation: float) -> float:
         """Return the probability of a smaller deviation."""
         low, high = self.support

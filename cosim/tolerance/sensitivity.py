@@ -8,13 +8,14 @@ products of the leading variables are added, one at a time, as long as that expl
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cosim.tolerance.intervals import CONFIDENCE, Estimate
 from cosim.tolerance.monte_carlo import Study
 from cosim.tolerance.random_variables import Tolerances
+from cosim.tolerance.sparse_chaos import Chaos, available, fit_chaos
 from cosim.types import Array
 
 __all__ = ["GOOD", "Surface", "deviations", "fit_surface"]
@@ -41,6 +42,12 @@ class Surface:
         Pairs of variables (twice the same: a square, less its mean), and their coefficients.
     errors
         Standard errors of `linear`.
+    noise
+        Variance that the polynomial leaves.
+    third, fourth
+        Moments of each variable's standardised deviation.
+    chaos
+        A sparse chaos that explains more, where the polynomial does not do and the extra ``stat`` is there.
     held_out
         R^2 on samples that were not fitted, by ten folds.
     total
@@ -59,6 +66,15 @@ class Surface:
     held_out: float
     total: float
     samples: int
+    noise: float
+    third: Array
+    fourth: Array
+    chaos: Chaos | None = None
+
+    @property
+    def explained(self) -> float:
+        """R^2 on samples that were not fitted, of what the shares are taken from."""
+        return self.chaos.held_out if self.chaos is not None else self.held_out
 
     def __call__(self, z: Array) -> Array:
         """Return the measure for standardised deviations (n, variables)."""
@@ -68,12 +84,24 @@ class Surface:
         return np.asarray(found)
 
     def shares(self) -> list[Estimate]:
-        """Return each variable's share of the variance by itself (first order)."""
-        own = self.linear**2
+        """Return each variable's share of the variance by itself (first order).
+
+        The variance is that of the polynomial over the distributions and of what it leaves: the samples' own
+        would add its error, a tenth of it for 200 samples.
+        """
+        if self.chaos is not None:
+            rest = max(1.0 - self.chaos.held_out, 0.0)
+            how = f"sparse chaos, degree {self.chaos.degree}"
+            return [
+                Estimate(s, max(s - rest, 0.0), min(s + rest, 1.0), how) for s in map(float, self.chaos.first)
+            ]
+        own, both = self.linear**2, 0.0
         for (a, b), c in zip(self.terms, self.second, strict=True):
-            if a == b:
-                own[a] += c**2 * 2.0  # variance of z^2 - 1 of a Gaussian
-        variance = self.total**2
+            if a == b:  # variance of a z + c (z^2 - 1)
+                own[a] += 2.0 * self.linear[a] * c * self.third[a] + c**2 * (self.fourth[a] - 1.0)
+            else:
+                both += c**2
+        variance = float(own.sum()) + both + self.noise
         found = []
         for value, slope, error in zip(own, self.linear, self.errors, strict=True):
             half = _Z * 2.0 * abs(slope) * error + (_Z * error) ** 2
@@ -107,7 +135,12 @@ def fit_surface(study: Study, name: str) -> Surface | None:
     held = _held_out(z, y)
     if held < GOOD and n >= 2 * p:
         terms, held = _grown(z, y, held)
-    return _fitted(name, study.tolerances.variables, z, y, tuple(terms), held, total)
+    chaos = fit_chaos(study, y, known, GOOD) if held < GOOD and available() else None
+    if chaos is not None and not chaos.held_out > held:
+        chaos = None
+    moments = [study.tolerances.shape(j).standard_moments() for j in range(p)]
+    found = _fitted(name, study.tolerances.variables, z, y, tuple(terms), held, total, np.array(moments))
+    return replace(found, chaos=chaos)
 
 
 def _grown(z: Array, y: Array, held: float) -> tuple[list[tuple[int, int]], float]:
@@ -136,7 +169,7 @@ def _grown(z: Array, y: Array, held: float) -> tuple[list[tuple[int, int]], floa
 
 def _fitted(
     name: str, names: tuple[str, ...], z: Array, y: Array, terms: tuple[tuple[int, int], ...], held: float,
-    total: float,
+    total: float, moments: Array,
 ) -> Surface:  # fmt: skip
     design = _columns(z, terms)
     found, *_ = np.linalg.lstsq(design, y, rcond=None)
@@ -146,7 +179,8 @@ def _fitted(
     p = z.shape[1]
     return Surface(
         name, names, float(found[0]), np.asarray(found[1 : p + 1], float), terms,
-        np.asarray(found[p + 1 :], float), errors[1 : p + 1], held, total, len(y),
+        np.asarray(found[p + 1 :], float), errors[1 : p + 1], held, total, len(y), noise,
+        moments[:, 0], moments[:, 1],
     )  # fmt: skip
 
 

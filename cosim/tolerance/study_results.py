@@ -174,9 +174,9 @@ def find(
                 f"{name}: no sensitivities; {count} random variables need at least {count + 12} samples, and "
                 "a measure that changes"
             )
-        elif surface.held_out < GOOD:
+        elif surface.explained < GOOD:
             notes_of.append(
-                f"{name}: the fitted surface explains R^2 = {surface.held_out:.4g} of samples that it was "
+                f"{name}: the fitted surface explains R^2 = {surface.explained:.4g} of samples that it was "
                 f"not fitted to, less than {GOOD:g}: shares and bill are rough; more samples help"
             )
     notes_of += _decision(study, surfaces, specs)
@@ -293,6 +293,7 @@ def estimate_dict(of: Estimate) -> dict[str, Any]:
 def _surface(of: Surface) -> dict[str, Any]:
     return {
         "held_out_r2": _finite(of.held_out),
+        "r2_of_the_shares": _finite(of.explained),
         "mean": of.mean,
         "linear": dict(zip(of.names, map(float, of.linear), strict=True)),
         "second": [

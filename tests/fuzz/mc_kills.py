@@ -125,7 +125,9 @@ def _cluster(kind: str, words: list[str], out: Path, folder: Path, wait_s: float
                 raise Defect("a study without a scheduler ended as if it were done")
         else:
             another()
-            _ended(process, kind)
+            _wait(process, kind)
+            if process.returncode not in (0, 2):  # 2: it died before the study knew of it
+                raise Defect(f"{kind}: exit code {process.returncode}")
     return True
 
 
