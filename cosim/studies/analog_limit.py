@@ -30,6 +30,7 @@ from cosim.scene import Method, PotNoise, Scene
 from cosim.scene.mechanism import operator
 from cosim.scene.parameters import Field, Parameters, Unit, Variation
 from cosim.storage.checkpoint import Points
+from cosim.studies import table_columns as col
 from cosim.studies.grid import geometric
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 
@@ -189,11 +190,11 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
 
 
 _COLUMNS: dict[str, Callable[[Delay], float]] = {
-    "sum(tau) [us]": lambda d: 1e6 * d.lag_s,
-    "viscosity b [N s/m]": lambda d: d.viscosity_n_s_per_m,
+    col.SUM_OF_TIME_CONSTANTS: lambda d: 1e6 * d.lag_s,
+    col.VISCOSITY: lambda d: d.viscosity_n_s_per_m,
     "moving mass [kg]": lambda d: d.mass_kg,
     "b/sum(tau) [N/m]": lambda d: d.eaten_n_per_m,
-    "stable spring up to [N/m]": lambda d: d.spring_n_per_m,
+    col.STABLE_SPRING_UP_TO: lambda d: d.spring_n_per_m,
     "rings at [Hz]": lambda d: d.spring_hz,
     "passive spring up to [N/m]": lambda d: d.passive_spring_n_per_m,
     "stable damper up to [N s/m]": lambda d: d.damper_n_s_per_m,
@@ -209,7 +210,7 @@ def _noise(contact: HeldContact, given: CeilingParameters, delays: Delay, points
     white = scene.effects.model_copy(update={"pot_noise": PotNoise.WHITE})
     noisy = contact.of_scene(scene.model_copy(update={"effects": white}))
     columns: dict[str, list[Any]] = {
-        name: [] for name in ("varied", "value [N/m or N s/m]", "force in the loop, rms [N]", "threshold [N]")
+        name: [] for name in ("varied", "value [N/m or N s/m]", col.FORCE_IN_THE_LOOP_RMS, "threshold [N]")
     }
     for name, key, other, low, end in (
         ("spring", SPRING, {DAMPER: 0.0}, 10.0, delays.spring_n_per_m),
@@ -241,7 +242,7 @@ def _noise(contact: HeldContact, given: CeilingParameters, delays: Delay, points
             forces = [*forces[:place], given.noise_n, *forces[place:]]
         columns["varied"] += [name] * len(values)
         columns["value [N/m or N s/m]"] += values
-        columns["force in the loop, rms [N]"] += forces
+        columns[col.FORCE_IN_THE_LOOP_RMS] += forces
         columns["threshold [N]"] += [given.noise_n] * len(values)
     pot = scene.device.potentiometer
     return Table(
@@ -297,7 +298,7 @@ def _limits(
         "limits", "Practical upper limit of the analog path",
         {
             "limit": [name for name, _, _ in rows],
-            "stiffness [N/m]": [k if math.isfinite(k) else None for _, k, _ in rows],
+            col.STIFFNESS: [k if math.isfinite(k) else None for _, k, _ in rows],
             "damping [N s/m]": [c if math.isfinite(c) else None for _, _, c in rows],
         },
         f"Board '{given.boards[0].name}'. What switching on at samples costs is a study of its own.",
@@ -307,7 +308,7 @@ def _limits(
 def _verdicts(limits: Table, delays: dict[str, Delay], given: CeilingParameters) -> list[Verdict]:
     names = limits.columns["limit"]
     texts, out = [], []
-    for column, unit in (("stiffness [N/m]", "N/m"), ("damping [N s/m]", "N s/m")):
+    for column, unit in ((col.STIFFNESS, "N/m"), ("damping [N s/m]", "N s/m")):
         rising = sorted(
             (value, name) for name, value in zip(names, limits.columns[column], strict=True) if value
         )

@@ -20,6 +20,7 @@ from cosim.plan import resolve
 from cosim.scene import Method, PotNoise
 from cosim.scene.parameters import Field, Parameters, Unit, Variation
 from cosim.storage.checkpoint import Points
+from cosim.studies import table_columns as col
 from cosim.studies.case_effects import holds_table
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 
@@ -185,7 +186,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         })  # fmt: skip
     forces: dict[str, list[Any]] = {}
     for group, source, newtons in numbers["forces"]:
-        row(forces, {"group": group, "source": source, "force [N rms]": newtons})
+        row(forces, {"group": group, "source": source, col.FORCE_RMS: newtons})
     noise_mm = 1e3 * numbers["errors"][0][2] * numbers["r_tip"]
     groups = {
         group: max(f for its, source, f in numbers["forces"] if its == group)

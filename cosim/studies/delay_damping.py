@@ -23,6 +23,7 @@ from cosim.scene import Method
 from cosim.scene.parameters import Field, Parameters, Unit, Variation
 from cosim.scene.quantities import Stiffness
 from cosim.storage.checkpoint import Points
+from cosim.studies import table_columns as col
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 
 __all__ = ["STUDY", "EtaParameters", "active_from", "block_delays", "unstable_from"]
@@ -93,25 +94,25 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     for case, answer in zip(given.cases, every, strict=True):
         for name, late in answer["blocks"].items():
             row(columns, {
-                "case": case.name, "block": name, "delay [us]": 1e6 * late,
+                "case": case.name, "block": name, col.DELAY: 1e6 * late,
                 f"eta at {given.stiffness_n_per_m:g} N/m [%]":
                     100.0 * given.stiffness_n_per_m * late / answer["b"],
-                "practical limit k = b/tau [N/m]": answer["b"] / late if late > 1e-15 else None,
+                col.LIMIT_BY_TAU: answer["b"] / late if late > 1e-15 else None,
             })  # fmt: skip
         total, b = answer["total"], answer["b"]
         row(limits, {
-            "case": case.name, "sum of delays [us]": 1e6 * total, "b at the wall's pose [N s/m]": b,
+            "case": case.name, col.SUM_OF_DELAYS: 1e6 * total, col.VISCOSITY_AT_THE_WALL: b,
             f"eta at {given.stiffness_n_per_m:g} N/m [%]": 100.0 * given.stiffness_n_per_m * total / b,
-            "practical limit b/sum [N/m]": b / total if total > 0.0 else None,
+            col.LIMIT_BY_SUM: b / total if total > 0.0 else None,
             "where the spring turns active [N/m]": answer["active"],
             "where it loses stability with its operator [N/m]": answer["unstable"],
         })  # fmt: skip
-    b_all = np.array(spread["b [N s/m]"])
-    band = {
-        "of b over poses": ["least", "5 %", "median", "95 %", "most"],
-        "b [N s/m]": np.quantile(b_all, [0.0, 0.05, 0.5, 0.95, 1.0]).tolist(),
+    b_all = np.array(spread[col.VISCOSITY_B])
+    band: dict[str, Any] = {
+        col.SHARE_OF_VISCOSITY: ["least", "5 %", "median", "95 %", "most"],
+        col.VISCOSITY_B: np.quantile(b_all, [0.0, 0.05, 0.5, 0.95, 1.0]).tolist(),
     }
-    limit = [value / first["total"] if first["total"] > 0.0 else None for value in band["b [N s/m]"]]
+    limit = [value / first["total"] if first["total"] > 0.0 else None for value in band[col.VISCOSITY_B]]
     eta = given.stiffness_n_per_m * first["total"] / first["b"]
     slowest = max(first["blocks"], key=lambda name: first["blocks"][name])
     fast = first["total"] - first["blocks"][slowest]
@@ -149,7 +150,7 @@ def _case(spec: StudyFile, case: Variation, with_poses: bool, child: Child) -> d
     tip = tip_of(scene, child)
     b = tip.viscosity()
     active, unstable = active_from(tip), unstable_from(tip)
-    spread: dict[str, list[float]] = {"x [m]": [], "y [m]": [], "b [N s/m]": []}
+    spread: dict[str, list[float]] = {col.X: [], col.Y: [], col.VISCOSITY_B: []}
     for there in reached(tip, given.points, given.margin_rad) if with_poses else ():
         place = _place(there)
         for column, value in zip(spread.values(), (*place, there.viscosity()), strict=True):

@@ -21,6 +21,7 @@ from cosim.scene import Method, Scene
 from cosim.scene.mechanism import mechanism
 from cosim.scene.parameters import Field, Parameters
 from cosim.storage.checkpoint import Points
+from cosim.studies import table_columns as col
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 from cosim.types import Array
 from mech import Chain
@@ -182,7 +183,7 @@ class DeviceNumbers:
             radius,
         )  # fmt: skip
         heads = (
-            "device", "force, continuous [N]", "force, peak [N]", "stiffness [N/m]", "damping [N s/m]",
+            "device", col.CONTINUOUS_FORCE, "force, peak [N]", col.STIFFNESS, "damping [N s/m]",
             "workspace [m]",
         )  # fmt: skip
         others = [
@@ -317,8 +318,8 @@ def _force_map(spec: StudyFile, constants: DesignConstants) -> Table:
     bends = np.linspace(poses[:, 1].min(), poses[:, 1].max(), spec.parameters.points)
     columns: dict[str, list[Any]] = {
         name: []
-        for name in ("reach [m]", "continuous, any direction [N]", "continuous, best direction [N]",
-                     "peak, any direction [N]", "full-scale stiffness, any direction [N/m]")
+        for name in (col.REACH, "continuous, any direction [N]", "continuous, best direction [N]",
+                     "peak, any direction [N]", col.FULL_SCALE_STIFFNESS)
     }  # fmt: skip
     rated = constants.torque_per_amp * constants.i_rated
     for bend in bends:

@@ -30,6 +30,7 @@ from cosim.scene import Method, PotNoise
 from cosim.scene.parameters import Field, Parameters, Unit, Variation
 from cosim.scene.quantities import Damping, Frequency, Stiffness
 from cosim.storage.checkpoint import Points
+from cosim.studies import table_columns as col
 from cosim.studies.case_effects import holds_table
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 
@@ -141,17 +142,17 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     kinds = [k.value for k in (PotNoise.WHITE, PotNoise.PEAK_TO_PEAK, PotNoise.POSITION, PotNoise.STATIC)]
     for corner, answer in zip(given.corners_hz, every, strict=True):
         row(columns, {
-            "corner [Hz]": corner,
+            col.CORNER: corner,
             **{f"{kind} [N rms]": answer and answer["noise"][kind] for kind in kinds},
-            "white, contact held [N rms]": answer and answer["closed"],
-            "passive stiffness [N/m]": answer and answer["passive"],
-            "exact border [N/m]": answer and answer["border"],
+            col.HELD_NOISE: answer and answer["closed"],
+            col.PASSIVE_STIFFNESS: answer and answer["passive"],
+            col.EXACT_BORDER: answer and answer["border"],
         })  # fmt: skip
     texts = []
     for kind in kinds[:3]:
         quiet = [
             (corner, stiff) for corner, noise, stiff in zip(
-                columns["corner [Hz]"], columns[f"{kind} [N rms]"], columns["passive stiffness [N/m]"],
+                columns[col.CORNER], columns[f"{kind} [N rms]"], columns[col.PASSIVE_STIFFNESS],
                 strict=True,
             ) if noise is not None and stiff is not None and noise < given.largest_noise_n
         ]  # fmt: skip
@@ -159,7 +160,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         texts.append(
             f"{kind}: none" if best is None else f"{kind}: {best[1]:.4g} N/m at a corner of {best[0]:g} Hz"
         )
-    pairs = zip(columns["corner [Hz]"], columns["passive stiffness [N/m]"], strict=True)
+    pairs = zip(columns[col.CORNER], columns[col.PASSIVE_STIFFNESS], strict=True)
     active = [corner for corner, stiff in pairs if stiff is None]
     if active:
         texts.append(f"corners from {min(active):g} Hz on make the analog damper itself active")
@@ -170,7 +171,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
               f"T = {1e3 * period:g} ms. Force noise with the tip held still; of position noise at "
               f"{given.speed_m_per_s:g} m/s; 'contact held': {given.discrete_n_per_m:g} N/m by the computer, "
               "exact covariance."),
-        Table("board", "The board as it is", {"corner [Hz]": [own]}),
+        Table("board", "The board as it is", {col.CORNER: [own]}),
         holds_table(
             spec, (Variation(name="every corner"),),
             "The force noise holds each kind of potentiometer noise by itself, and none of the components.",

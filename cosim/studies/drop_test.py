@@ -35,6 +35,7 @@ from cosim.scene.mechanism import mechanism, start
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.quantities import Period
 from cosim.storage.checkpoint import Points
+from cosim.studies import table_columns as col
 from cosim.studies.drop_curves import REFINED, Family, Found, compared, curve, verdicts
 from cosim.studies.grid import milli
 from cosim.studies.study import Study, StudyFile, StudyResult, Table
@@ -304,8 +305,8 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         "passive",
         f"Passive up to: {first}",
         {
-            "period [ms]": [milli(period) for name, period in names if name == first],
-            "stiffness [N/m]": passive,
+            col.PERIOD: [milli(period) for name, period in names if name == first],
+            col.STIFFNESS: passive,
         },
         "Colgate and Schenkel's condition for the device's own damping, its circuit included.",
     )
@@ -315,7 +316,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         "Largest discrete stiffness",
         {
             "curve": [name for name, _ in drops],
-            "period [ms]": [milli(period) for _, period in drops],
+            col.PERIOD: [milli(period) for _, period in drops],
             "exact, contact held [N/m]": [row[keys[0]] for row in drops.values()],
             f"first below {100 * given.rest_share:g} % at rest [N/m]": [
                 row[keys[1]] for row in drops.values()
@@ -334,8 +335,8 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         "Share of the phases at rest",
         {
             "curve": [name for (name, _), row in drops.items() for _ in row["share"]],
-            "period [ms]": [milli(period) for (_, period), row in drops.items() for _ in row["share"]],
-            "stiffness [N/m]": [k for row in drops.values() for k in row["stiffness_n_per_m"]],
+            col.PERIOD: [milli(period) for (_, period), row in drops.items() for _ in row["share"]],
+            col.STIFFNESS: [k for row in drops.values() for k in row["stiffness_n_per_m"]],
             "share": [share for row in drops.values() for share in row["share"]],
         },
     )

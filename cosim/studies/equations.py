@@ -27,6 +27,7 @@ from cosim.scene.mechanism import mechanism
 from cosim.scene.parameters import Field, Parameters, Unit, Variation
 from cosim.storage.checkpoint import Points
 from cosim.storage.staging import scratch_folder
+from cosim.studies import table_columns as col
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 from cosim.types import Array
 from mech import Chain
@@ -198,10 +199,10 @@ def _measured(spec: StudyFile, poses: list[Array]) -> tuple[dict[str, list[Any]]
     given: AcceptanceParameters = spec.parameters
     rows: dict[str, list[Any]] = {
         name: []
-        for name in ("level", "q1 [rad]", "q2 [rad]", "gain", "unit", "commanded", "measured", "error [%]")
+        for name in ("level", col.Q1, col.Q2, "gain", "unit", "commanded", "measured", col.ERROR_PERCENT)
     }
     forces: dict[str, list[Any]] = {
-        name: [] for name in ("level", "q1 [rad]", "q2 [rad]", "normal [N]", "error [%]", "F_t/F_n")
+        name: [] for name in ("level", col.Q1, col.Q2, "normal [N]", col.ERROR_PERCENT, "F_t/F_n")
     }
     for level in given.levels:
         scene = spec.scene(*level.set, "computer.method=continuous", "computer.discrete_stiffness_n_per_m=0")
@@ -223,7 +224,7 @@ def _measured(spec: StudyFile, poses: list[Array]) -> tuple[dict[str, list[Any]]
 
 def _workspace(chain: Chain, normal: Array, sink: float, grid: list[Array]) -> dict[str, list[Any]]:
     columns: dict[str, list[Any]] = {
-        name: [] for name in ("x [m]", "y [m]", "J of the pose, error [%]", "J half way, error [%]")
+        name: [] for name in (col.X, col.Y, col.ERROR_OF_THE_POSE, col.ERROR_HALF_WAY)
     }
     for q in grid:
         r = chain.forward(q)
@@ -246,14 +247,14 @@ def _verdicts(
         pairs = zip(columns["level"], columns[name], strict=True)
         return float(max(abs(value) for which, value in pairs if which == level and value is not None))
 
-    off = worst(rows, "error [%]", first)
+    off = worst(rows, col.ERROR_PERCENT, first)
     others = "; ".join(
-        f"{level.name}: {worst(rows, 'error [%]', level.name):.2g} %" for level in given.levels[1:]
+        f"{level.name}: {worst(rows, col.ERROR_PERCENT, level.name):.2g} %" for level in given.levels[1:]
     )
-    normal, tangent = worst(forces, "error [%]", first), worst(forces, "F_t/F_n", first)
+    normal, tangent = worst(forces, col.ERROR_PERCENT, first), worst(forces, "F_t/F_n", first)
     depth = f"{1e3 * given.sink_m:g} mm"
-    reached = [abs(value) for value in workspace["J of the pose, error [%]"] if value is not None]
-    between = [abs(value) for value in workspace["J half way, error [%]"] if value is not None]
+    reached = [abs(value) for value in workspace[col.ERROR_OF_THE_POSE] if value is not None]
+    between = [abs(value) for value in workspace[col.ERROR_HALF_WAY] if value is not None]
     within = [100.0 * float(np.mean(np.array(errors) <= 100 * _NORMAL)) for errors in (reached, between)]
     (alone, _), (circuit, _), (both, wanted) = (
         slopes[method] for method in ("discrete", "continuous", "combined")

@@ -26,6 +26,7 @@ from cosim.scene import PotNoise
 from cosim.scene.parameters import Field, Parameters, Unit, Variation
 from cosim.scene.quantities import Damping, Frequency, Stiffness
 from cosim.storage.checkpoint import Points
+from cosim.studies import table_columns as col
 from cosim.studies.case_effects import holds_table
 from cosim.studies.grid import geometric
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
@@ -188,8 +189,8 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         for i, k in enumerate(ks):
             for j, c in enumerate(cs):
                 row(gains, {
-                    "op-amp": case.name, "k [N/m]": float(k), "c [N s/m]": float(c),
-                    "error / limit": float(error[i, j]), "eta / limit": float(eta[i, j]),
+                    "op-amp": case.name, col.STIFFNESS_K: float(k), col.DAMPING_C: float(c),
+                    col.ERROR_OVER_LIMIT: float(error[i, j]), col.ETA_OVER_LIMIT: float(eta[i, j]),
                     **{f"noise, {kind.value} / limit": float(each[kind][2][i, j]) for kind in _KINDS},
                 })  # fmt: skip
         for damping in given.dampings_n_s_per_m:
@@ -200,21 +201,21 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
                     here = answer["grid"][number]
                     number += 1
                     values: dict[str, Any] = {
-                        "op-amp": case.name, "c [N s/m]": damping, "driver's gain-bandwidth [Hz]": driver,
-                        "corner [Hz]": corner, "error / limit": None, "eta / limit": None,
+                        "op-amp": case.name, col.DAMPING_C: damping, col.DRIVER_BANDWIDTH: driver,
+                        col.CORNER: corner, col.ERROR_OVER_LIMIT: None, col.ETA_OVER_LIMIT: None,
                         **{f"noise, {kind.value} / limit": None for kind in _KINDS},
                     }  # fmt: skip
                     for kind in _KINDS if here is not None else ():
                         e, t, f = shares(given, here, k0, c0, kind)
                         values |= {
-                            "error / limit": float(e), "eta / limit": float(t),
+                            col.ERROR_OVER_LIMIT: float(e), col.ETA_OVER_LIMIT: float(t),
                             f"noise, {kind.value} / limit": float(f),
                         }  # fmt: skip
                     row(parts, values)
             judged = {kind: shares(given, answer["own"], k0, c0, kind) for kind in _KINDS}
             e, t, _ = judged[PotNoise.POSITION]
             row(at, {
-                "op-amp": case.name, "c [N s/m]": damping,
+                "op-amp": case.name, col.DAMPING_C: damping,
                 "stiffness error [%]": 100.0 * given.largest_error * float(e),
                 "eta [%]": 100.0 * given.largest_eta * float(t),
                 **{f"force noise, {kind.value} [N rms]": given.largest_noise_n * float(judged[kind][2])
@@ -223,15 +224,15 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
             })  # fmt: skip
     own = every[0]
     limits = {
-        "b [N s/m]": [own["own"]["b"], *given.viscosities_n_s_per_m],
+        col.VISCOSITY_B: [own["own"]["b"], *given.viscosities_n_s_per_m],
         "k at which eta reaches its limit [N/m]": [
             given.largest_eta * b / own["own"]["tau_s"]
             for b in (own["own"]["b"], *given.viscosities_n_s_per_m)
         ],
     }
-    board = {
-        "corner [Hz]": [own["corner_hz"]], "driver's gain-bandwidth [Hz]": [own["driver_hz"]],
-        "stiffness [N/m]": [given.stiffness_n_per_m],
+    board: dict[str, list[Any]] = {
+        col.CORNER: [own["corner_hz"]], col.DRIVER_BANDWIDTH: [own["driver_hz"]],
+        col.STIFFNESS: [given.stiffness_n_per_m],
     }  # fmt: skip
     thresholds = (
         f"stiffness error < {100 * given.largest_error:g} % up to {given.motion_hz:g} Hz, eta < "

@@ -23,6 +23,7 @@ from cosim.scene import Method, PotNoise
 from cosim.scene.parameters import Field, Parameters, Unit, Variation
 from cosim.scene.quantities import Damping, Period, Stiffness
 from cosim.storage.checkpoint import Points
+from cosim.studies import table_columns as col
 from cosim.studies.case_effects import holds_table
 from cosim.studies.grid import milli
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
@@ -129,12 +130,14 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
             for name, value in moved.items():
                 worst[name] = max(worst.get(name, 0.0), abs(value or 0.0), key=abs)
             row(columns, {
-                "gains": gains.name, "T [ms]": milli(period), f"k_max, {given.cases[0].name} [N/m]": k[0],
+                "gains": gains.name, col.SAMPLING_PERIOD: milli(period),
+                f"k_max, {given.cases[0].name} [N/m]": k[0],
                 **moved,
             })  # fmt: skip
     for name, period, kind, share, k0, speed in every[0]["speeds"]:
         row(rest, {
-            "gains": name, "T [ms]": milli(period), "noise": kind, "share of k_max": share, "k [N/m]": k0,
+            "gains": name, col.SAMPLING_PERIOD: milli(period), "noise": kind, "share of k_max": share,
+            col.STIFFNESS_K: k0,
             "speed, rms [mm/s]": 1e3 * speed,
             f"counts as rest ({given.sigmas:g} sigma)": bool(given.sigmas * speed < given.rest_speed_m_per_s),
         })  # fmt: skip

@@ -28,6 +28,7 @@ from cosim.scene.mechanism import operator, start
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.quantities import Period
 from cosim.storage.checkpoint import Points
+from cosim.studies import table_columns as col
 from cosim.studies.drop_curves import Family
 from cosim.studies.drop_test import Falls, Job, Rest
 from cosim.studies.grid import milli
@@ -216,18 +217,18 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         "onset", "Drops on an analog wall",
         {
             "way": [name for name, _, _, _ in rows],
-            "period [ms]": [milli(t) for _, t, _, _ in rows],
-            "analog stiffness [N/m]": [k for _, _, k, _ in rows],
-            "phases that rest": [row["share"] for *_, row in rows],
-            "jump at the onset, mean [N]": [row["jump"] for *_, row in rows],
+            col.PERIOD: [milli(t) for _, t, _, _ in rows],
+            col.ANALOG_STIFFNESS: [k for _, _, k, _ in rows],
+            col.PHASES_THAT_REST: [row["share"] for *_, row in rows],
+            col.ONSET_JUMP: [row["jump"] for *_, row in rows],
             "jump at the onset, largest [N]": [row["jump_max"] for *_, row in rows],
-            "k v T [N]": [k * v * t for _, t, k, _ in rows],
-            "largest jump of the contact, mean [N]": [row["largest"] for *_, row in rows],
+            col.JUMP_CLOSED_FORM: [k * v * t for _, t, k, _ in rows],
+            col.LARGEST_JUMP: [row["largest"] for *_, row in rows],
             "energy at the onset, mean [mJ]": [1e3 * row["onset"] for *_, row in rows],
-            "its closed form [mJ]": [1e3 * flight.onset_j(k, t, phases[name]) for name, t, k, _ in rows],
+            col.ONSET_CLOSED_FORM: [1e3 * flight.onset_j(k, t, phases[name]) for name, t, k, _ in rows],
             "energy at the onset, largest [mJ]": [1e3 * row["onset_max"] for *_, row in rows],
-            "k (v T)^2 / 2 [mJ]": [5e2 * k * (v * t) ** 2 for _, t, k, _ in rows],
-            "energy of the whole contact, mean [mJ]": [1e3 * row["contact"] for *_, row in rows],
+            col.ENERGY_CLOSED_FORM: [5e2 * k * (v * t) ** 2 for _, t, k, _ in rows],
+            col.CONTACT_ENERGY: [1e3 * row["contact"] for *_, row in rows],
         },
         f"Touch at {v:.4g} m/s, {flight.mass_kg:.3g} kg, {flight.viscosity_n_s_per_m:.3g} N s/m; rest: below "
         f"{1e3 * given.rest_speed_m_per_s:g} mm/s for {given.rest_time_s:g} s within {given.window_s:g} s; "
@@ -247,7 +248,7 @@ def _curves(rows: _Rows) -> Iterator[tuple[str, float, list[tuple[float, Mapping
 
 def _limits(rows: _Rows, given: OnsetParameters) -> Table:
     columns: dict[str, list[Any]] = {
-        name: [] for name in ("way", "period [ms]", "rests up to [N/m]", "rests again above [N/m]")
+        name: [] for name in ("way", col.PERIOD, "rests up to [N/m]", "rests again above [N/m]")
     }
     for name, period, each in _curves(rows):
         shares = [row["share"] >= given.rest_share for _, row in each]

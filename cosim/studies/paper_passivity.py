@@ -27,6 +27,7 @@ from cosim.scene import Scene
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.storage.checkpoint import Points
 from cosim.storage.staging import scratch_folder
+from cosim.studies import table_columns as col
 from cosim.studies.grid import even, steps
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 
@@ -116,7 +117,7 @@ def _needed(given: PassiveParameters) -> tuple[Table, Table]:
     )  # fmt: skip
     return table, Table(
         "curves", "Needed viscosity over frequency",
-        {"wall": which, "frequency over pi/T": share, "needed over closed form": height},
+        {"wall": which, col.FREQUENCY_OVER_PI_T: share, col.NEEDED_OVER_CLOSED_FORM: height},
     )  # fmt: skip
 
 
@@ -182,7 +183,7 @@ def _energies(spec: StudyFile, points: Points) -> tuple[Table, Table]:
         "energies", "Energy taken up by the display, (20)",
         {
             "run": list(by_case),
-            "-k x(0)^2/2 [mJ]": [-value for value in held],
+            col.SPRING_ENERGY: [-value for value in held],
             "least taken up [mJ]": [1e3 * row["least_j"] for row in by_case.values()],
             "doubt of the ledger [mJ]": [1e3 * row["doubt_j"] for row in by_case.values()],
             "k (v T)^2/2 of its first contact [mJ]": [1e3 * row["late_j"] for row in by_case.values()],
@@ -194,8 +195,8 @@ def _energies(spec: StudyFile, points: Points) -> tuple[Table, Table]:
         "taken", "Energy taken up over time",
         {
             "run": [name for name, row in by_case.items() for _ in row["time_s"]],
-            "time [s]": [t for row in by_case.values() for t in row["time_s"]],
-            "taken up [mJ]": [1e3 * value for row in by_case.values() for value in row["taken_j"]],
+            col.TIME: [t for row in by_case.values() for t in row["time_s"]],
+            col.TAKEN_UP: [1e3 * value for row in by_case.values() for value in row["taken_j"]],
         },
     )  # fmt: skip
     return energies, over_time

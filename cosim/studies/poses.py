@@ -22,6 +22,7 @@ from cosim.plan import resolve
 from cosim.scene.mechanism import mechanism
 from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.storage.checkpoint import Points
+from cosim.studies import table_columns as col
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 from cosim.types import Array
 from mech import Chain
@@ -147,13 +148,13 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     columns: dict[str, list[float | None]] = {
         name: []
         for name in (
-            "x [m]",
-            "y [m]",
-            "joint PD, F_t/F_n",
-            "mismatch, F_t/F_n",
-            "curl [N/m]",
-            "circle [uJ]",
-            "least eigenvalue [mN m/rad]",
+            col.X,
+            col.Y,
+            col.DRAG_OF_JOINT_PD,
+            col.DRAG_OF_MISMATCH,
+            col.CURL,
+            col.CIRCLE_ENERGY,
+            col.LEAST_EIGENVALUE,
         )
     }
     for bend in np.linspace(_MARGIN_RAD, np.pi - _MARGIN_RAD, given.points):
@@ -182,15 +183,15 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     at = Table(
         "poses", "At single poses", *_poses(chain, circuit, constants, normal, stiffness, given, poses)
     )
-    diagonals = np.array([v for v in columns["joint PD, F_t/F_n"] if v is not None])
-    uneven_drag = np.array(columns["mismatch, F_t/F_n"], float)
+    diagonals = np.array([v for v in columns[col.DRAG_OF_JOINT_PD] if v is not None])
+    uneven_drag = np.array(columns[col.DRAG_OF_MISMATCH], float)
     coupled = max(abs(value) for value in at.columns["coupled, F_t/F_n"])
     text = (
         f"joint PD: median {np.median(np.abs(diagonals)):.2g}, to one side in "
         f"{100 * np.mean(diagonals > 0):.0f} % of the poses; coupled {coupled:.1g}"
     )
     percent = 100.0 * given.mismatch
-    curls = np.array(columns["curl [N/m]"], float)
+    curls = np.array(columns[col.CURL], float)
     noise = (
         f"force along the wall over its normal {100 * np.median(uneven_drag):.2g} % median, "
         f"{100 * np.percentile(uneven_drag, 95):.2g} % at the 95th percentile; "
@@ -223,9 +224,9 @@ def _poses(
             inverse.T @ rendered(circuit, constants, gains(chain.jacobian(q), normal, stiffness)) @ inverse
         )
         for name, value in {
-            "q1 [rad]": pose[0], "q2 [rad]": pose[1], "coupled, F_t/F_n": force.coupled,
-            "coupled at the wall, F_t/F_n": force.coupled_at_wall, "joint PD, F_t/F_n": force.diagonal,
-            "mismatch, F_t/F_n": uneven.drag, "curl [N/m]": uneven.curl_n_per_m,
+            col.Q1: pose[0], col.Q2: pose[1], "coupled, F_t/F_n": force.coupled,
+            "coupled at the wall, F_t/F_n": force.coupled_at_wall, col.DRAG_OF_JOINT_PD: force.diagonal,
+            col.DRAG_OF_MISMATCH: uneven.drag, col.CURL: uneven.curl_n_per_m,
             "energy round the circle [uJ]": 1e6 * uneven.circle_j,
             "least eigenvalue of sym(Ksp) [mN m/rad]": 1e3 * uneven.least_n_m_per_rad,
             "board: normal stiffness [N/m]": float(normal @ board @ normal),

@@ -24,6 +24,7 @@ from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.quantities import Stiffness
 from cosim.storage.checkpoint import Points
 from cosim.storage.staging import scratch_folder
+from cosim.studies import table_columns as col
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 from cosim.types import Array
 from mech import Chain
@@ -159,7 +160,7 @@ def _sweep(spec: StudyFile, chain: Chain, normal: Array, points: Points) -> Tabl
         return None
     points.expect(4 * len(given.preloads_n))
     q, commanded = np.array(given.pose_rad), given.stiffness_n_per_m * np.outer(normal, normal)
-    columns: dict[str, list[Any]] = {"preload [N]": list(given.preloads_n)}
+    columns: dict[str, list[Any]] = {col.PRELOAD: list(given.preloads_n)}
     for preload in given.preloads_n:
         for compensated in (False, True):
             which = "compensated" if compensated else "plain"
@@ -192,8 +193,8 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     commanded = given.stiffness_n_per_m * np.eye(2)
     force = -given.preload_n * normal  # the hand presses into the wall
     columns: dict[str, list[float]] = {
-        "x [m]": [], "y [m]": [], "shift along the normal [%]": [], "shift, worst direction [%]": [],
-        "compensated, worst direction [%]": [],
+        col.X: [], col.Y: [], "shift along the normal [%]": [], col.SHIFT_WORST_DIRECTION: [],
+        col.COMPENSATED_WORST_DIRECTION: [],
     }  # fmt: skip
     worst_check = 0.0
     for bend in np.linspace(_MARGIN_RAD, np.pi - _MARGIN_RAD, given.points):
@@ -216,8 +217,8 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
             chain, q, commanded, force, compensated=False
         )
         worst_check = max(worst_check, float(np.abs(difference).max() / given.stiffness_n_per_m))
-    worst = np.array(columns["shift, worst direction [%]"])
-    left = float(np.max(columns["compensated, worst direction [%]"]))
+    worst = np.array(columns[col.SHIFT_WORST_DIRECTION])
+    left = float(np.max(columns[col.COMPENSATED_WORST_DIRECTION]))
     noticed = 100.0 * float(np.mean(worst > 100.0 * NOTICED))
     maps = (
         f"median {np.median(worst):.3g} %, 95th percentile {np.percentile(worst, 95):.3g} % of "

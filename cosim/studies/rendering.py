@@ -18,6 +18,7 @@ from cosim.plan import resolve
 from cosim.scene.parameters import Field, Parameters, Unit, Variation
 from cosim.scene.quantities import Damping, Frequency, Stiffness
 from cosim.storage.checkpoint import Points
+from cosim.studies import table_columns as col
 from cosim.studies.grid import geometric, percent
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 from cosim.types import Array
@@ -69,7 +70,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     """Compute the spectra of every case, and where they leave what a hand notices."""
     given: RenderingParameters = spec.parameters
     hz = geometric(given.low_hz, given.high_hz, given.points)
-    spectra: dict[str, list[float]] = {"f [Hz]": hz.tolist()}
+    spectra: dict[str, list[float]] = {col.FREQUENCY_F: hz.tolist()}
     ends: dict[str, list[Any]] = {}
     certified: dict[str, list[Any]] = {}
     numbers: dict[str, dict[str, float]] = {}
@@ -102,10 +103,10 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
             bool(numbers[first][name] < given.largest_error),
         )
         for word, name in (
-            ("stiffness of the spring alone", "K/k of the spring"),
-            ("damping of the damper alone", "B/c of the damper"),
-            ("stiffness of spring and damper together", "K/k of both"),
-            ("damping of spring and damper together", "B/c of both"),
+            ("stiffness of the spring alone", col.STIFFNESS_SHARE),
+            ("damping of the damper alone", col.DAMPING_SHARE),
+            ("stiffness of spring and damper together", col.STIFFNESS_SHARE_OF_BOTH),
+            ("damping of spring and damper together", col.DAMPING_SHARE_OF_BOTH),
         )
     ]  # fmt: skip
     noticed = (given.stiffness_noticed, given.damping_noticed, given.force_noticed)
@@ -120,8 +121,8 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
               f"{asked} Noticed differences: {sources}"),
         Table("noticed", "What a hand notices", {
             "quantity": ["stiffness", "damping", "force"],
-            "at best [%]": [percent(shares[0]) for shares in noticed],
-            "as a rule [%]": [percent(shares[1]) for shares in noticed],
+            col.AT_BEST: [percent(shares[0]) for shares in noticed],
+            col.AS_A_RULE: [percent(shares[1]) for shares in noticed],
             "source": [given.stiffness_source, given.damping_source, given.force_source],
         }),
         Table("certificate", "Certified: the circuit against its gains at low frequency", certified,

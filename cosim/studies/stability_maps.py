@@ -26,6 +26,7 @@ from cosim.scene.mechanism import encoder_step, mechanism, operator
 from cosim.scene.parameters import Field, Parameters, Unit, Variation
 from cosim.scene.quantities import Damping, Frequency, Period, Stiffness
 from cosim.storage.checkpoint import Points
+from cosim.studies import table_columns as col
 from cosim.studies.drop_test import Falls, Job, Rest
 from cosim.studies.grid import geometric, milli
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
@@ -137,13 +138,13 @@ def column(asked: Column) -> dict[str, Any]:
 
 #: Heading of a limit -> key of it.
 LIMITS = {
-    "exact border [N/m]": "exact_n_per_m",
-    "passive (Colgate, Schenkel) [N/m]": "passive_n_per_m",
-    "Gil, Hulin [N/m]": "gil_hulin_n_per_m",
-    "Abbott, Okamura [N/m]": "abbott_okamura_n_per_m",
-    "Diolaiti, beta = 1/2 [N/m]": "beta_n_per_m",
-    "Diolaiti, sigma = 1/2 [N/m]": "sigma_n_per_m",
-    "Diolaiti, large cycle [N/m]": "cycle_n_per_m",
+    col.EXACT_BORDER: "exact_n_per_m",
+    col.PASSIVE: "passive_n_per_m",
+    col.GIL_HULIN: "gil_hulin_n_per_m",
+    col.ABBOTT_OKAMURA: "abbott_okamura_n_per_m",
+    col.DIOLAITI_BETA_1_2: "beta_n_per_m",
+    col.DIOLAITI_SIGMA_1_2: "sigma_n_per_m",
+    col.DIOLAITI_LARGE_CYCLE: "cycle_n_per_m",
 }
 
 
@@ -179,7 +180,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     columns = dict(zip(where, points.map(column, asked), strict=True))
     period = 1e3 * spec.scene().computer.period_s
     tables = [
-        *_plane("K-T", "period [ms]", "kt", "Stiffness over the sampling period", columns, given),
+        *_plane("K-T", col.PERIOD, "kt", "Stiffness over the sampling period", columns, given),
         *_plane(
             "K-B", "virtual damping [N s/m]", "kb", f"Stiffness over damping at {period:g} ms", columns, given
         ),
@@ -202,8 +203,8 @@ def _plane(
     simulated: dict[str, list[Any]] = {
         "panel": [p for (p, _), row in mine.items() for _ in row["share"]],
         across: [x for (_, x), row in mine.items() for _ in row["share"]],
-        "stiffness [N/m]": [k for row in mine.values() for k in row["stiffness_n_per_m"]],
-        "share at rest": [share for row in mine.values() for share in row["share"]],
+        col.STIFFNESS: [k for row in mine.values() for k in row["stiffness_n_per_m"]],
+        col.SHARE_AT_REST: [share for row in mine.values() for share in row["share"]],
     }
     note = (
         f"A dropped mass, {given.phases} phases of the samples against the impact; rest is below "
@@ -225,18 +226,18 @@ def _widths(spec: StudyFile) -> tuple[Table, Table]:
     decades = math.log10(given.highest_hz / given.lowest_hz)
     hz = geometric(given.lowest_hz, given.highest_hz, max(2, math.ceil(100 * decades) + 1))
     curves: dict[str, list[Any]] = {
-        name: [] for name in ("wall", "frequency [Hz]", "free air [N s/m]", "wall [N s/m]", "width [dB]")
+        name: [] for name in ("wall", col.FREQUENCY, col.FREE_AIR, col.WALL_IMPEDANCE, col.WIDTH)
     }
     walls: dict[str, list[Any]] = {
         name: []
         for name in (
             "wall",
             "circuit",
-            "period [ms]",
+            col.PERIOD,
             "discrete [N/m]",
             "analog [N/m]",
             "analog [N s/m]",
-            "displayed [N/m]",
+            col.DISPLAYED,
         )
     }
     for width in given.widths:

@@ -64,7 +64,8 @@ class Table:
     Attributes
     ----------
     name, title : file name without ending, and heading
-    columns : heading with unit -> values (numbers, words or None), all of one length
+    columns : heading with unit -> values (numbers, words or None), all of one length; what a picture looks
+        up goes by a `cosim.studies.table_columns.Column`
     note : what a reader must know of it
     """
 

@@ -23,6 +23,7 @@ from cosim.scene.mechanism import mechanism
 from cosim.scene.parameters import Field, Parameters, Unit, Variation
 from cosim.storage.checkpoint import Points
 from cosim.storage.staging import scratch_folder
+from cosim.studies import table_columns as col
 from cosim.studies.case_effects import in_words
 from cosim.studies.grid import steps
 from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
@@ -37,7 +38,7 @@ SINK, _SINK_OFF = 0.571, 0.05
 #: |F_t/F_n| from which a method counts as one that drags along the wall.
 _DRAGS = 0.1
 #: Signals kept for the pictures, by what the picture calls them.
-_SHOWN = ("time [s]", "normal force [N]", "tangential force [N]", "depth [mm]", "along the wall [mm]")
+_SHOWN = (col.TIME, col.NORMAL_FORCE, col.TANGENTIAL_FORCE, col.DEPTH, col.ALONG_THE_WALL)
 
 
 class Traced(Variation):
@@ -145,17 +146,17 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         "runs", "Runs side by side",
         {
             "run": names,
-            "circuit ideal, of": [one.ideal_of for one in given.runs],
-            "more effects, of": [one.all_of for one in given.runs],
+            col.IDEAL_OF: [one.ideal_of for one in given.runs],
+            col.ALL_OF: [one.all_of for one in given.runs],
             "circuit": [traces[name]["model"] for name in names],
-            "depth [mm]": [1e3 * traces[name]["measures"]["steady_penetration"] for name in names],
-            "normal force [N]": [traces[name]["measures"]["steady_normal_force"] for name in names],
+            col.DEPTH: [1e3 * traces[name]["measures"]["steady_penetration"] for name in names],
+            col.NORMAL_FORCE: [traces[name]["measures"]["steady_normal_force"] for name in names],
             "rendered stiffness [N/m]": [
                 traces[name]["measures"].get("rendered_stiffness") for name in names
             ],
             "F_t/F_n": [traces[name]["measures"].get(measures[2]) for name in names],
             "ripple of the force [N]": [traces[name]["measures"].get(measures[3]) for name in names],
-            "time [s]": [traces[name]["seconds"] for name in names],
+            col.TIME: [traces[name]["seconds"] for name in names],
             "effects in force": [", ".join(traces[name]["effects"]) for name in names],
         },
         "Depth and forces: means over the last fifth of the run.",
@@ -169,10 +170,10 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         "quasi_static", "Force of J^-T tau against the force at the hand",
         {
             "run": [name for name in names for _ in traces[name]["quasi_static"]["error_n"]],
-            "acceleration [m/s^2]": [
+            col.ACCELERATION: [
                 v for name in names for v in traces[name]["quasi_static"]["acceleration_m_per_s2"]
             ],
-            "error [N]": [v for name in names for v in traces[name]["quasi_static"]["error_n"]],
+            col.ERROR_FORCE: [v for name in names for v in traces[name]["quasi_static"]["error_n"]],
             "inertia of the arm [N]": [
                 v for name in names for v in traces[name]["quasi_static"]["inertia_n"]
             ],

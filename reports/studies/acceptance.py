@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.colors import BoundaryNorm
 
+from cosim.studies import table_columns as col
 from cosim.studies.study import StudyResult
 from reports.style import JOINTS, LIMIT, Drawn, figure, legend
 
@@ -25,7 +26,7 @@ def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
 def _gains(result: StudyResult) -> Drawn:
     table = result.table("gains").columns
     rows = list(
-        zip(*(table[name] for name in ("level", "q1 [rad]", "q2 [rad]", "gain", "error [%]")), strict=True)
+        zip(*(table[name] for name in ("level", col.Q1, col.Q2, "gain", col.ERROR_PERCENT)), strict=True)
     )
     poses = list(dict.fromkeys((row[1], row[2]) for row in rows))
     drawing, axes = figure(3.6, columns=len(poses), sharey=True)
@@ -51,13 +52,13 @@ def _gains(result: StudyResult) -> Drawn:
 
 def _force(result: StudyResult) -> Drawn:
     table = result.table("workspace").columns
-    side = int(np.sqrt(len(table["x [m]"])))  # a grid: bend of the elbow by turn of the base
-    x, y = (np.reshape(table[name], (side, side)) for name in ("x [m]", "y [m]"))
+    side = int(np.sqrt(len(table[col.X])))  # a grid: bend of the elbow by turn of the base
+    x, y = (np.reshape(table[name], (side, side)) for name in (col.X, col.Y))
     drawing, axes = figure(4.3, columns=2, sharey=True)
     norm = BoundaryNorm(_LEVELS, 256, extend="both")
     for place, column, title in (
-        (axes[0, 0], "J of the pose, error [%]", "Gains with J(q), as the paper"),
-        (axes[0, 1], "J half way, error [%]", "Gains with J half way to the wall"),
+        (axes[0, 0], col.ERROR_OF_THE_POSE, "Gains with J(q), as the paper"),
+        (axes[0, 1], col.ERROR_HALF_WAY, "Gains with J half way to the wall"),
     ):
         error = np.ma.masked_invalid(np.reshape(np.array(table[column], float), (side, side)))
         marks = place.pcolormesh(x, y, error[:-1, :-1], norm=norm, cmap="RdBu_r", rasterized=True)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from matplotlib.axes import Axes
 
+from cosim.studies import table_columns as col
 from cosim.studies.study import StudyResult
 from reports.style import JOINTS, Drawn, figure
 
@@ -24,7 +25,7 @@ def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
     left.set_title("What is measured wrongly")
     colours = [_GROUPS.get(group, JOINTS[5]) for group in forces["group"]]
     names = [f"{g}: {s}" for g, s in zip(forces["group"], forces["source"], strict=True)]
-    _bars(right, names, forces["force [N rms]"], colours, "N")
+    _bars(right, names, forces[col.FORCE_RMS], colours, "N")
     right.set_xlabel("force along the normal [N rms]")
     right.set_title("What makes the force noisy")
     caption = f"{result.table('errors').note} {result.table('forces').note}"

@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.axes import Axes
 
+from cosim.studies import table_columns as col
 from cosim.studies.study import StudyResult, Table
 from reports.style import FAINT, JOINTS, LIMIT, Drawn, figure, legend
 
@@ -47,8 +48,8 @@ def _limits(table: Table) -> Drawn:
 def _delay(table: Table) -> Drawn:
     drawing, axes = figure(3.8)
     place: Axes = axes[0, 0]
-    lags, ends = table.columns["sum(tau) [us]"], table.columns["stable spring up to [N/m]"]
-    viscosities = table.columns["viscosity b [N s/m]"]
+    lags, ends = table.columns[col.SUM_OF_TIME_CONSTANTS], table.columns[col.STABLE_SPRING_UP_TO]
+    viscosities = table.columns[col.VISCOSITY]
     points = [
         row for row in zip(table.columns["board"], lags, viscosities, ends, strict=True) if row[3] is not None
     ]

@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.colors import BoundaryNorm
 
+from cosim.studies import table_columns as col
 from cosim.studies.study import StudyResult
 from reports.style import JOINTS, Drawn, figure, legend
 
@@ -14,13 +15,13 @@ _LEVELS = (0, 1, 2, 5, 10, 20, 50, 100)
 def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
     """Return the maps of the shift without and with the compensating term."""
     table = result.table("workspace").columns
-    side = int(np.sqrt(len(table["x [m]"])))  # a grid: bend of the elbow by turn of the base
-    x, y = (np.reshape(table[name], (side, side)) for name in ("x [m]", "y [m]"))
+    side = int(np.sqrt(len(table[col.X])))  # a grid: bend of the elbow by turn of the base
+    x, y = (np.reshape(table[name], (side, side)) for name in (col.X, col.Y))
     drawing, axes = figure(4.3, columns=2, sharey=True)
     norm = BoundaryNorm(_LEVELS, 256, extend="max")
     for place, column, title in (
-        (axes[0, 0], "shift, worst direction [%]", "As the paper commands it"),
-        (axes[0, 1], "compensated, worst direction [%]", "With the term of footnote 2"),
+        (axes[0, 0], col.SHIFT_WORST_DIRECTION, "As the paper commands it"),
+        (axes[0, 1], col.COMPENSATED_WORST_DIRECTION, "With the term of footnote 2"),
     ):
         shift = np.reshape(table[column], (side, side))
         marks = place.pcolormesh(x, y, shift, norm=norm, cmap="cividis", shading="gouraud", rasterized=True)
@@ -44,7 +45,7 @@ def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
 
 def _preloads(result: StudyResult) -> Drawn:
     table = result.table("preloads").columns
-    preload = table["preload [N]"]
+    preload = table[col.PRELOAD]
     drawing, grid = figure(3.6)
     axes = grid[0, 0]
     for number, (which, label) in enumerate((("plain", "as the paper commands it"),

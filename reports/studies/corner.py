@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from cosim.studies import table_columns as col
 from cosim.studies.study import StudyResult
 from reports.style import CONTACT, FAINT, INK, JOINTS, LIMIT, Drawn, figure
 
@@ -9,7 +10,7 @@ __all__ = ["draw"]
 
 _CURVES = (
     ("white [N rms]", "white", "-"),
-    ("white, contact held [N rms]", "white, contact held", (0, (5, 2))),
+    (col.HELD_NOISE, "white, contact held", (0, (5, 2))),
     ("peak_to_peak [N rms]", "peak to peak", "-"),
     ("position [N rms]", "position, moving", "-"),
     ("static [N rms]", "static", "-"),
@@ -19,9 +20,9 @@ _CURVES = (
 def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
     """Return noise over corner, stiffness over corner, and one against the other."""
     table = result.table("corner").columns
-    corner = np.array(table["corner [Hz]"], float)
-    own = result.table("board").columns["corner [Hz]"][0]
-    stiff = np.array(table["passive stiffness [N/m]"], float)
+    corner = np.array(table[col.CORNER], float)
+    own = result.table("board").columns[col.CORNER][0]
+    stiff = np.array(table[col.PASSIVE_STIFFNESS], float)
     drawing, axes = figure(4.0, columns=3)
     for number, (name, label, dash) in enumerate(_CURVES):
         noise = np.array(table[name], float)
@@ -31,7 +32,7 @@ def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
         axes[0, 0].plot(corner, noise, color=colour, linestyle=dash, label=label)
         axes[0, 2].plot(stiff, noise, color=colour, linestyle=dash, label=label)
     axes[0, 1].plot(corner, stiff, color=INK, label="passive")
-    axes[0, 1].plot(corner, np.array(table["exact border [N/m]"], float), color=LIMIT, label="exact border")
+    axes[0, 1].plot(corner, np.array(table[col.EXACT_BORDER], float), color=LIMIT, label="exact border")
     for place in (axes[0, 0], axes[0, 1]):
         place.set_xscale("log")
         place.axvline(own, color=FAINT, linestyle=":", linewidth=1.0)

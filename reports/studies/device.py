@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
+from cosim.studies import table_columns as col
 from cosim.studies.study import StudyResult, Table
 from reports.style import FAINT, JOINTS, Drawn, figure
 
@@ -20,7 +21,7 @@ def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
 def _presets(table: Table) -> Drawn:
     names = table.columns["device"]
     keys = [key for key in table.columns if key != "device"]
-    keys = [key for key in keys if table.columns[key][0] is not None and key != "force, continuous [N]"]
+    keys = [key for key in keys if table.columns[key][0] is not None and key != col.CONTINUOUS_FORCE]
     drawing, axes = figure(2.6, 1, len(keys), sharey=True)
     places = np.arange(len(names))[::-1]
     for place, key in zip(axes[0], keys, strict=True):
@@ -44,7 +45,7 @@ def _presets(table: Table) -> Drawn:
 
 def _reach(table: Table) -> Drawn:
     drawing, axes = figure(3.6, 1, 2, sharex=True)
-    x = np.array(table.columns["reach [m]"])
+    x = np.array(table.columns[col.REACH])
     left, right = axes[0]
     for number, (key, dashes) in enumerate(
         (
@@ -58,8 +59,8 @@ def _reach(table: Table) -> Drawn:
     left.set_yticks([1, 2, 5, 10, 20, 50])
     left.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     left.yaxis.set_minor_formatter(NullFormatter())
-    right.set_ylim(0.0, 1.1 * max(table.columns["full-scale stiffness, any direction [N/m]"]))
-    right.plot(x, table.columns["full-scale stiffness, any direction [N/m]"], color=JOINTS[0])
+    right.set_ylim(0.0, 1.1 * max(table.columns[col.FULL_SCALE_STIFFNESS]))
+    right.plot(x, table.columns[col.FULL_SCALE_STIFFNESS], color=JOINTS[0])
     right.set_ylabel("analog stiffness at full scale [N/m]")
     for place in axes[0]:
         place.set_xlabel("distance of the tip from the base [m]")

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import NullFormatter, ScalarFormatter
 
+from cosim.studies import table_columns as col
 from cosim.studies.study import StudyResult, Table
 from reports.style import FAINT, INK, JOINTS, Drawn, figure, legend
 
@@ -28,7 +29,7 @@ def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
 
 def _curves(table: Table, column: str) -> dict[str, tuple[list[float], list[float]]]:
     curves: dict[str, tuple[list[float], list[float]]] = defaultdict(lambda: ([], []))
-    rows = zip(table.columns["curve"], table.columns["period [ms]"], table.columns[column], strict=True)
+    rows = zip(table.columns["curve"], table.columns[col.PERIOD], table.columns[column], strict=True)
     for name, period, value in rows:
         if value is not None:
             curves[name][0].append(period)
@@ -83,7 +84,7 @@ def _limits(table: Table, passive: Table) -> Drawn:
 def _shares(limits: Table, table: Table) -> Drawn:
     exact = dict(
         zip(
-            zip(limits.columns["curve"], limits.columns["period [ms]"], strict=True),
+            zip(limits.columns["curve"], limits.columns[col.PERIOD], strict=True),
             limits.columns[list(limits.columns)[2]],
             strict=True,
         )

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from cosim.studies import table_columns as col
 from cosim.studies.study import StudyResult
 from reports.style import FAINT, INK, JOINTS, LIMIT, WALL, Drawn, figure
 
@@ -19,20 +20,20 @@ def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
     """Return k against k sum(tau), with b as a band and crossings marked."""
     blocks, limits = result.table("blocks").columns, result.table("limits").columns
     spread = result.table("viscosity").columns
-    b = dict(zip(spread["of b over poses"], spread["b [N s/m]"], strict=True))
+    b = dict(zip(spread[col.SHARE_OF_VISCOSITY], spread[col.VISCOSITY_B], strict=True))
     drawing, grid = figure(5.4)
     axes = grid[0, 0]
     k = np.geomspace(*_K, 2)
     cases = list(limits["case"])
-    here = limits["b at the wall's pose [N s/m]"][0]
+    here = limits[col.VISCOSITY_AT_THE_WALL][0]
     axes.axhspan(b["5 %"], b["95 %"], color=WALL, alpha=0.55, linewidth=0, zorder=0,
                  label="device's viscosity b, 5 to 95 % of the poses")  # fmt: skip
     axes.axhline(here, color=FAINT, linewidth=1.0, label=f"b at the wall's pose, {here:.3g} N s/m")
     rows = [
         (name, 1e-6 * late, cross)
         for case, name, late, cross in zip(
-            blocks["case"], blocks["block"], blocks["delay [us]"],
-            blocks["practical limit k = b/tau [N/m]"], strict=True,
+            blocks["case"], blocks["block"], blocks[col.DELAY],
+            blocks[col.LIMIT_BY_TAU], strict=True,
         )
         if case == cases[0] and cross is not None
     ]  # fmt: skip
@@ -43,10 +44,10 @@ def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
         axes.plot(cross, here, "o", color=colour, markersize=4)
     marked: list[float] = []
     for number, case in enumerate(cases):
-        total = 1e-6 * limits["sum of delays [us]"][number]
-        limit = limits["practical limit b/sum [N/m]"][number]
+        total = 1e-6 * limits[col.SUM_OF_DELAYS][number]
+        limit = limits[col.LIMIT_BY_SUM][number]
         dash = "-" if number == 0 else _DASHES[(number - 1) % len(_DASHES)]
-        level = limits["b at the wall's pose [N s/m]"][number]
+        level = limits[col.VISCOSITY_AT_THE_WALL][number]
         axes.plot(k, k * total, color=INK, linewidth=4.0 if number == 0 else 1.3, linestyle=dash,
                   alpha=0.35 if number == 0 else 1.0, zorder=1.5,
                   label=f"all blocks, {case}, {_time(total)}: {_stiffness(limit)}")  # fmt: skip

@@ -9,6 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from scipy.interpolate import RegularGridInterpolator
 
+from cosim.studies import table_columns as col
 from cosim.studies.study import StudyResult
 from cosim.types import Array
 from reports.style import INK, LIMIT, Drawn, figure
@@ -25,7 +26,7 @@ _KINDS: tuple[tuple[str, str, Any], ...] = (
     ("white", "#A3438A", ":"),
 )
 _FINE = 161
-_CRITERIA = ("error / limit", "eta / limit")
+_CRITERIA = (col.ERROR_OVER_LIMIT, col.ETA_OVER_LIMIT)
 
 
 def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
@@ -42,14 +43,16 @@ def _over_gains(result: StudyResult) -> Drawn:
     drawing, axes = figure(4.6, columns=len(opamps), sharey=True)
     limits = result.table("viscosities").columns
     at = result.table("at").columns
-    here = result.table("board").columns["stiffness [N/m]"][0]
+    here = result.table("board").columns[col.STIFFNESS][0]
     for place, opamp in zip(axes[0], opamps, strict=True):
-        _map(place, _chosen(table, {"op-amp": opamp}), "k [N/m]", "c [N s/m]")
+        _map(place, _chosen(table, {"op-amp": opamp}), col.STIFFNESS_K, col.DAMPING_C)
         for b, k in zip(*limits.values(), strict=True):
             place.axvline(k, color=LIMIT, linewidth=0.9, linestyle=(0, (2, 2)))
             place.annotate(f"b = {b:.3g}", (k, 0.98), xycoords=("data", "axes fraction"), rotation=90,
                            fontsize=7.5, color=LIMIT, ha="left", va="top")  # fmt: skip
-        readings = sorted({c for name, c in zip(at["op-amp"], at["c [N s/m]"], strict=True) if name == opamp})
+        readings = sorted(
+            {c for name, c in zip(at["op-amp"], at[col.DAMPING_C], strict=True) if name == opamp}
+        )
         low, high = place.get_ylim()
         seen = [c for c in readings if low <= c <= high]
         place.plot([here] * len(seen), seen, "o", color=INK, markersize=4, clip_on=False)
@@ -68,14 +71,14 @@ def _over_gains(result: StudyResult) -> Drawn:
 def _over_parts(result: StudyResult) -> Drawn:
     table = result.table("parts").columns
     opamps = list(dict.fromkeys(table["op-amp"]))
-    dampings = list(dict.fromkeys(table["c [N s/m]"]))
+    dampings = list(dict.fromkeys(table[col.DAMPING_C]))
     drawing, axes = figure(1.2 + 2.3 * len(dampings), len(dampings), len(opamps), sharex=True, sharey=True)
-    x, y = "corner [Hz]", "driver's gain-bandwidth [Hz]"
+    x, y = col.CORNER, col.DRIVER_BANDWIDTH
     board = result.table("board").columns
     for i, damping in enumerate(dampings):
         for j, opamp in enumerate(opamps):
             place = axes[i, j]
-            _map(place, _chosen(table, {"op-amp": opamp, "c [N s/m]": damping}), x, y)
+            _map(place, _chosen(table, {"op-amp": opamp, col.DAMPING_C: damping}), x, y)
             if board[y][0] is not None:
                 place.plot(board[x], board[y], "o", color=INK, markersize=4, clip_on=False)
             place.set_title(f"{opamp}, c = {damping:g} N s/m")
@@ -85,7 +88,7 @@ def _over_parts(result: StudyResult) -> Drawn:
     _legend(drawing, False)
     return Drawn(
         drawing,
-        f"At {board['stiffness [N/m]'][0]:g} N/m, over the driver's gain-bandwidth and the corner of the "
+        f"At {board[col.STIFFNESS][0]:g} N/m, over the driver's gain-bandwidth and the corner of the "
         "differentiator. Dot: the board as it is.",
     )
 

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
+from cosim.studies import table_columns as col
 from cosim.studies.study import StudyResult, Table
 from reports.style import FAINT, INK, JOINTS, WALL, Drawn, figure
 
@@ -16,13 +17,13 @@ __all__ = ["draw"]
 
 #: Heading of a limit -> its line: colour, dashes, width. Where rules fall together all stay to be seen.
 _LINES: Mapping[str, tuple[str, Any, float]] = {
-    "exact border [N/m]": (INK, "-", 2.0),
-    "passive (Colgate, Schenkel) [N/m]": (JOINTS[0], "-", 1.4),
-    "Gil, Hulin [N/m]": (JOINTS[1], (0, (6, 3)), 1.4),
-    "Abbott, Okamura [N/m]": (JOINTS[2], (0, (1.5, 2.5)), 2.2),
-    "Diolaiti, beta = 1/2 [N/m]": (JOINTS[3], (3, (6, 6)), 1.4),
-    "Diolaiti, sigma = 1/2 [N/m]": (JOINTS[4], "-.", 1.4),
-    "Diolaiti, large cycle [N/m]": (JOINTS[4], ":", 1.8),
+    col.EXACT_BORDER: (INK, "-", 2.0),
+    col.PASSIVE: (JOINTS[0], "-", 1.4),
+    col.GIL_HULIN: (JOINTS[1], (0, (6, 3)), 1.4),
+    col.ABBOTT_OKAMURA: (JOINTS[2], (0, (1.5, 2.5)), 2.2),
+    col.DIOLAITI_BETA_1_2: (JOINTS[3], (3, (6, 6)), 1.4),
+    col.DIOLAITI_SIGMA_1_2: (JOINTS[4], "-.", 1.4),
+    col.DIOLAITI_LARGE_CYCLE: (JOINTS[4], ":", 1.8),
 }
 _GREEK = {"beta": "\N{GREEK SMALL LETTER BETA}", "sigma": "\N{GREEK SMALL LETTER SIGMA}"}
 
@@ -46,8 +47,8 @@ def _plane(result: StudyResult, name: str, *, logarithmic: bool) -> Drawn:
     for place in axes.flat[len(panels) :]:
         place.set_visible(False)
     across = list(limits.columns)[1]
-    exact = [k for k in limits.columns["exact border [N/m]"] if k]
-    tried = points.columns["stiffness [N/m]"]
+    exact = [k for k in limits.columns[col.EXACT_BORDER] if k]
+    tried = points.columns[col.STIFFNESS]
     lowest, highest = min([*exact, *tried]), max([*exact, *tried])
     bottom, top = (0.7 * lowest, 1.4 * highest) if logarithmic else (0.0, 1.08 * highest)
     for place, panel in zip(axes.flat, panels, strict=False):
@@ -110,7 +111,7 @@ def _limits(place: Axes, table: Table, panel: str, across: str, top: float) -> N
 
 
 def _points(place: Axes, table: Table, panel: str, across: str) -> None:
-    x, y, share = (_of(table, panel, key) for key in (across, "stiffness [N/m]", "share at rest"))
+    x, y, share = (_of(table, panel, key) for key in (across, col.STIFFNESS, col.SHARE_AT_REST))
     kinds = (
         ("rests", share >= 1.0, INK), ("rests at some phases", (share > 0.0) & (share < 1.0), FAINT),
         ("does not rest", share == 0.0, "white"),
@@ -126,7 +127,7 @@ def _widths(table: Table, walls: Table) -> Drawn:
     upper, lower = axes[:, 0]
     names = walls.columns["wall"]
     kinds = list(dict.fromkeys(name.split(",")[0] for name in names))
-    keys = ("frequency [Hz]", "free air [N s/m]", "wall [N s/m]", "width [dB]")
+    keys = (col.FREQUENCY, col.FREE_AIR, col.WALL_IMPEDANCE, col.WIDTH)
     for number, name in enumerate(names):
         at = [i for i, wall in enumerate(table.columns["wall"]) if wall == name]
         hz, free, wall, width = (np.array(_taken(table.columns[key], at)) for key in keys)
@@ -135,14 +136,14 @@ def _widths(table: Table, walls: Table) -> Drawn:
         dashes = "--" if walls.columns["circuit"][number] == "ideal" else "-"
         if number == 0:
             for place in (upper, lower):
-                half = 0.5e3 / walls.columns["period [ms]"][0]
+                half = 0.5e3 / walls.columns[col.PERIOD][0]
                 place.axvline(half, color=FAINT, linewidth=0.8, linestyle=":")
             upper.annotate("half the sampling rate", (half, 0.98), xycoords=("data", "axes fraction"),
                            xytext=(-3, 0), textcoords="offset points", rotation=90, ha="right", va="top",
                            fontsize=8, color=FAINT)  # fmt: skip
             upper.loglog(hz, free, color=INK, linewidth=1.8, label="free air")
             upper.fill_between(hz, free, wall, where=list(wall > free), color=WALL, alpha=0.45, linewidth=0)
-        text = f"{name}: {walls.columns['displayed [N/m]'][number]:.0f} N/m"
+        text = f"{name}: {walls.columns[col.DISPLAYED][number]:.0f} N/m"
         upper.loglog(hz, wall, dashes, color=colour, label=text)
         lower.semilogx(hz, width, dashes, color=colour)
     upper.set_ylabel("|Z| at the tip [N s/m]")

@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.ticker import NullFormatter, ScalarFormatter
 
+from cosim.studies import table_columns as col
 from cosim.studies.study import StudyResult, Table
 from reports.style import FAINT, INK, JOINTS, Drawn, figure
 
@@ -41,13 +42,13 @@ def _rest(table: Table) -> Drawn:
     drawn: Any = None
     for place, way in zip(axes[0], ways, strict=True):
         rows = _rows(table, way)
-        periods, springs = np.unique(rows["period [ms]"]), np.unique(rows["analog stiffness [N/m]"])
+        periods, springs = np.unique(rows[col.PERIOD]), np.unique(rows[col.ANALOG_STIFFNESS])
         share = np.full((len(springs), len(periods)), np.nan)
         at = (
-            np.searchsorted(springs, rows["analog stiffness [N/m]"]),
-            np.searchsorted(periods, rows["period [ms]"]),
+            np.searchsorted(springs, rows[col.ANALOG_STIFFNESS]),
+            np.searchsorted(periods, rows[col.PERIOD]),
         )
-        share[at] = 100.0 * rows["phases that rest"]
+        share[at] = 100.0 * rows[col.PHASES_THAT_REST]
         drawn = place.pcolormesh(
             _edges(periods), _edges(springs), share, cmap=_REST, vmin=0, vmax=100, rasterized=True
         )
@@ -81,33 +82,35 @@ def _logarithmic(place: Axes, periods: np.ndarray[Any, Any]) -> None:
 
 
 def _onset(table: Table) -> Drawn:
-    stiffness = min(set(table.columns["analog stiffness [N/m]"]), key=lambda k: abs(k - 100.0))
+    stiffness = min(set(table.columns[col.ANALOG_STIFFNESS]), key=lambda k: abs(k - 100.0))
     drawing, axes = figure(4.8, columns=2)
     for number, way in enumerate(_ways(table)):
         rows = _rows(table, way)
-        keep = rows["analog stiffness [N/m]"] == stiffness
-        period = rows["period [ms]"][keep]
+        keep = rows[col.ANALOG_STIFFNESS] == stiffness
+        period = rows[col.PERIOD][keep]
         colour, mark = JOINTS[number % len(JOINTS)], _MARKS[number % len(_MARKS)]
         axes[0, 0].plot(
-            period, rows["jump at the onset, mean [N]"][keep], mark + ":", color=colour,
+            period, rows[col.ONSET_JUMP][keep], mark + ":", color=colour,
             markerfacecolor="none", markersize=4.5, linewidth=0.9,
         )  # fmt: skip
         axes[0, 0].plot(
-            period, rows["largest jump of the contact, mean [N]"][keep], mark + "-", color=colour,
+            period, rows[col.LARGEST_JUMP][keep], mark + "-", color=colour,
             markersize=4.5, linewidth=0.9, label=way,
         )  # fmt: skip
         axes[0, 1].plot(
-            period, rows["energy of the whole contact, mean [mJ]"][keep], mark + "-", color=colour,
+            period, rows[col.CONTACT_ENERGY][keep], mark + "-", color=colour,
             markersize=4.5, linewidth=0.9, label=way,
         )  # fmt: skip
         if number == 0:
-            axes[0, 0].plot(period, rows["k v T [N]"][keep], "--", color=INK, linewidth=0.9, label="k v T")
+            axes[0, 0].plot(
+                period, rows[col.JUMP_CLOSED_FORM][keep], "--", color=INK, linewidth=0.9, label="k v T"
+            )
             axes[0, 1].plot(
-                period, rows["its closed form [mJ]"][keep], "--", color=INK, linewidth=0.9,
+                period, rows[col.ONSET_CLOSED_FORM][keep], "--", color=INK, linewidth=0.9,
                 label="onset, closed form of the mean",
             )  # fmt: skip
             axes[0, 1].plot(
-                period, rows["k (v T)^2 / 2 [mJ]"][keep], ":", color=FAINT, label="k (v T)² / 2: at worst"
+                period, rows[col.ENERGY_CLOSED_FORM][keep], ":", color=FAINT, label="k (v T)² / 2: at worst"
             )
     for place, name in zip(axes[0], ("jump of force [N]", "energy added by the samples [mJ]"), strict=True):
         place.set_xscale("log")

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from cosim.studies import table_columns as col
 from cosim.studies.study import StudyResult
 from reports.style import INK, JOINTS, LIMIT, Drawn, figure
 
@@ -16,7 +17,7 @@ def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
     names = list(dict.fromkeys(curves["wall"]))
     for number, name in enumerate(names):
         own = np.array([which == name for which in curves["wall"]])
-        x, y = (np.array(curves[key])[own] for key in ("frequency over pi/T", "needed over closed form"))
+        x, y = (np.array(curves[key])[own] for key in (col.FREQUENCY_OVER_PI_T, col.NEEDED_OVER_CLOSED_FORM))
         left.plot(x, y, color=JOINTS[number % len(JOINTS)], label=name)
     left.axhline(1.0, color=INK, linewidth=1.0, linestyle=":")
     left.set_title("Viscosity that a wall needs, (16)")
@@ -24,10 +25,10 @@ def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
     left.set_ylabel("needed over k_p T/2 + |k_d|")
     left.legend(loc="upper left", bbox_to_anchor=(0.0, -0.16), ncols=2, fontsize=8.0)
     over, energies = result.table("taken").columns, result.table("energies").columns
-    bounds = zip(energies["run"], energies["-k x(0)^2/2 [mJ]"], strict=True)
+    bounds = zip(energies["run"], energies[col.SPRING_ENERGY], strict=True)
     for number, (name, bound) in enumerate((name, bound) for name, bound in bounds if bound):
         own = np.array([which == name for which in over["run"]])
-        x, y = (np.array(over[key])[own] for key in ("time [s]", "taken up [mJ]"))
+        x, y = (np.array(over[key])[own] for key in (col.TIME, col.TAKEN_UP))
         right.plot(x, y, color=JOINTS[number % len(JOINTS)], label=name)
         label = "-k x(0)^2/2" if number == 0 else None
         right.axhline(bound, color=LIMIT, linewidth=1.0, linestyle="--", label=label)

@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, SymLogNorm
 
+from cosim.studies import table_columns as col
 from cosim.studies.study import StudyResult
 from reports.style import Drawn, figure
 
@@ -21,14 +22,16 @@ def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
     _map(
         axes[0, 0],
         columns,
-        "joint PD, F_t/F_n",
+        col.DRAG_OF_JOINT_PD,
         "Joint PD: drag, F_t/F_n",
         norm,
         "RdBu_r",
         (-3, -0.3, 0, 0.3, 3),
     )
     norm = LogNorm(1e-3, 1e-1)
-    _map(axes[0, 1], columns, "mismatch, F_t/F_n", "Unequal multipliers: F_t/F_n, rms", norm, "cividis", None)
+    _map(
+        axes[0, 1], columns, col.DRAG_OF_MISMATCH, "Unequal multipliers: F_t/F_n, rms", norm, "cividis", None
+    )
     axes[0, 0].set_ylabel("y [m]")
     drag = Drawn(
         drawing,
@@ -36,13 +39,11 @@ def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
         "side or the other, by the pose. Right: with cross terms but unequal multipliers (rms).",
     )
     drawing, axes = figure(4.2, columns=2, sharey=True)
-    _map(
-        axes[0, 0], columns, "curl [N/m]", "Curl of the force [N/m], rms", LogNorm(0.1, 10.0), "cividis", None
-    )
+    _map(axes[0, 0], columns, col.CURL, "Curl of the force [N/m], rms", LogNorm(0.1, 10.0), "cividis", None)
     _map(
         axes[0, 1],
         columns,
-        "circle [uJ]",
+        col.CIRCLE_ENERGY,
         "Energy round the circle [µJ], rms",
         LogNorm(30.0, 3e3),
         "cividis",
@@ -51,7 +52,7 @@ def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
     axes[0, 0].set_ylabel("y [m]")
     curl = Drawn(drawing, "Unequal multipliers make Ksp unsymmetric: a hand that goes round is fed energy.")
     drawing, axes = figure(4.6)
-    _map(axes[0, 0], columns, "least eigenvalue [mN m/rad]", "Least eigenvalue of sym(Ksp) [mN m/rad]",
+    _map(axes[0, 0], columns, col.LEAST_EIGENVALUE, "Least eigenvalue of sym(Ksp) [mN m/rad]",
          SymLogNorm(0.1, vmin=-30.0, vmax=30.0), "RdBu", (-10, -1, -0.1, 0, 0.1, 1, 10))  # fmt: skip
     axes[0, 0].set_ylabel("y [m]")
     least = Drawn(
@@ -69,10 +70,8 @@ def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
 def _map(
     place: Axes, columns: Any, name: str, title: str, norm: Any, colours: str, ticks: Sequence[float] | None
 ) -> None:
-    side = int(np.sqrt(len(columns["x [m]"])))  # a grid: bend of the elbow by turn of the base
-    x, y, value = (
-        np.reshape(np.array(columns[key], float), (side, side)) for key in ("x [m]", "y [m]", name)
-    )
+    side = int(np.sqrt(len(columns[col.X])))  # a grid: bend of the elbow by turn of the base
+    x, y, value = (np.reshape(np.array(columns[key], float), (side, side)) for key in (col.X, col.Y, name))
     drawn = place.pcolormesh(
         x, y, np.ma.masked_invalid(value[:-1, :-1]), norm=norm, cmap=colours, rasterized=True
     )

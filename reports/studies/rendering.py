@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.axes import Axes
 
+from cosim.studies import table_columns as col
 from cosim.studies.study import StudyResult
 from reports.style import CONTACT, JOINTS, WALL, Drawn, figure
 
@@ -10,19 +11,19 @@ __all__ = ["draw"]
 
 _DASHES = ("-", (0, (6, 2)), (0, (3, 2)), (0, (1, 1.2)), (0, (6, 2, 1, 2)))
 _PLACES = (
-    ("K/k of the spring", "Spring alone: K/k", 0, 0),
-    ("B/c of the damper", "Damper alone: B/c", 1, 0),
-    ("K/k of both", "Spring and damper: K/k", 0, 1),
-    ("B/c of both", "Spring and damper: B/c", 1, 1),
+    (col.STIFFNESS_SHARE, "Spring alone: K/k", 0, 0),
+    (col.DAMPING_SHARE, "Damper alone: B/c", 1, 0),
+    (col.STIFFNESS_SHARE_OF_BOTH, "Spring and damper: K/k", 0, 1),
+    (col.DAMPING_SHARE_OF_BOTH, "Spring and damper: B/c", 1, 1),
 )
 
 
 def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
     """Return the picture of the four ratios over frequency."""
     spectra, reach = result.table("spectra").columns, result.table("reach").columns
-    hz = np.array(spectra["f [Hz]"])
+    hz = np.array(spectra[col.FREQUENCY_F])
     known = result.table("noticed").columns
-    shares = zip(known["at best [%]"], known["as a rule [%]"], strict=True)
+    shares = zip(known[col.AT_BEST], known[col.AS_A_RULE], strict=True)
     noticed = dict(zip(known["quantity"], shares, strict=True))
     cases = list(dict.fromkeys(reach["case"]))
     motion = next(name for name in reach if name.startswith("worst error")).split()[-3]

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from cosim.studies import table_columns as col
 from cosim.studies.study import StudyResult
 from reports.style import JOINTS, Drawn, figure
 
@@ -19,7 +20,7 @@ def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
     drawing, axes = figure(4.4, columns=len(gains), sharey=True)
     for place, name in zip(axes[0], gains, strict=True):
         rows = [n for n, value in enumerate(table["gains"]) if value == name]
-        period = [table["T [ms]"][n] for n in rows]
+        period = [table[col.SAMPLING_PERIOD][n] for n in rows]
         for number, case in enumerate(cases):
             moved = np.array([table[case][n] for n in rows], float)
             place.plot(period, moved, color=JOINTS[number % len(JOINTS)], marker=_MARKS[number % len(_MARKS)],

@@ -4,22 +4,23 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
+from cosim.studies import table_columns as col
 from cosim.studies.study import StudyResult, Table
 from cosim.types import Array
 from reports.style import FAINT, JOINTS, Drawn, figure, legend
 
 __all__ = ["draw"]
 
-_NORMAL, _TANGENT, _DEPTH = "normal force [N]", "tangential force [N]", "depth [mm]"
+_NORMAL, _TANGENT, _DEPTH = col.NORMAL_FORCE, col.TANGENTIAL_FORCE, col.DEPTH
 
 
 def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
     """Return the runs over time, the difference to an ideal circuit, and the quasi-static force's error."""
     runs = _by_run(result.table("signals"))
     about = result.table("runs").columns
-    pairs = [(a, b) for a, b in zip(about["run"], about["circuit ideal, of"], strict=True) if b]
+    pairs = [(a, b) for a, b in zip(about["run"], about[col.IDEAL_OF], strict=True) if b]
     apart = {name for pair in pairs[1:] for name in pair} | {ideal for ideal, _ in pairs}
-    beside = {a: b for a, b in zip(about["run"], about["more effects, of"], strict=True) if b}
+    beside = {a: b for a, b in zip(about["run"], about[col.ALL_OF], strict=True) if b}
     shown = {name: run for name, run in runs.items() if name not in apart and name not in beside}
     pictures = [("runs", "Normal and tangential force, depth", _runs(shown))]
     if beside:
@@ -45,7 +46,7 @@ def _runs(runs: Mapping[str, Mapping[str, Array]]) -> Drawn:
     drawing, axes = figure(6.6, 3, 1, sharex=True)
     for number, (name, run) in enumerate(runs.items()):
         for place, key in zip(axes[:, 0], (_NORMAL, _TANGENT, _DEPTH), strict=True):
-            place.plot(run["time [s]"], run[key], color=JOINTS[number], label=name)
+            place.plot(run[col.TIME], run[key], color=JOINTS[number], label=name)
     for place, key in zip(axes[:, 0], (_NORMAL, _TANGENT, _DEPTH), strict=True):
         place.set_ylabel(key)
         place.axhline(0.0, color=FAINT, linewidth=0.7)
@@ -59,11 +60,11 @@ def _runs(runs: Mapping[str, Mapping[str, Array]]) -> Drawn:
 
 def _difference(name: str, full: Mapping[str, Array], ideal: Mapping[str, Array]) -> Drawn:
     drawing, axes = figure(4.4, 2, 1, sharex=True)
-    time = full["time [s]"]
+    time = full[col.TIME]
     for number, key in enumerate((_NORMAL, _TANGENT)):
         axes[0, 0].plot(time, 1e3 * (ideal[key] - full[key]), color=JOINTS[number], label=key.split(" ")[0])
     axes[0, 0].set_ylabel("change of the force [mN]")
-    for number, key in enumerate((_DEPTH, "along the wall [mm]")):
+    for number, key in enumerate((_DEPTH, col.ALONG_THE_WALL)):
         axes[1, 0].plot(time, 1e3 * (ideal[key] - full[key]), color=JOINTS[number], label=key.split(" [")[0])
     axes[1, 0].set_ylabel("change of the place [µm]")
     axes[1, 0].set_xlabel("time [s]")
@@ -81,8 +82,8 @@ def _quasi(table: Table, shown: Collection[str]) -> Drawn:
             continue
         mine = names == name
         axes[0, 0].plot(
-            np.asarray(table.columns["acceleration [m/s^2]"], float)[mine],
-            np.asarray(table.columns["error [N]"], float)[mine],
+            np.asarray(table.columns[col.ACCELERATION], float)[mine],
+            np.asarray(table.columns[col.ERROR_FORCE], float)[mine],
             ".", color=JOINTS[number], markersize=2.5, label=name,
         )  # fmt: skip
     axes[0, 0].set_xlabel("acceleration of the tip along the normal [m/s²]")
