@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from legible import faults
 from support import COMMAND_TRUE, K_FS, SCENES, SPRING_TRUE, V_NM
 
 from cosim.analysis.extracted import circuit_of
@@ -248,4 +249,6 @@ ratio = 1.2
         assert "linear theory knows no limit" in verdict.found
     from reports.studies import drop as pictures
 
-    assert [name for name, _, _ in pictures.draw(result)] == ["limits", "shares"]
+    drawn = pictures.draw(result)
+    assert [name for name, _, _ in drawn] == ["limits", "shares"]
+    assert not [fault for _, _, each in drawn for fault in faults(each.figure)]

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from held_scenes import RADIUS, at_wall
+from legible import faults
 from linear_runs import CONSTANTS, ideal, lagging
 from support import COMMAND_TRUE, EMF_TRUE, KT, SCENES, SPRING_TRUE, V_NM, merge, scene_of, slider
 
@@ -242,4 +243,6 @@ def test_the_maps_hold_what_theory_says(tmp_path):
     from reports.style import look
 
     with look():
-        assert [part for part, _, _ in draw(result)] == ["kt", "kb", "zwidth"]
+        drawn = draw(result)
+        assert [part for part, _, _ in drawn] == ["kt", "kb", "zwidth"]
+        assert not [fault for _, _, each in drawn for fault in faults(each.figure)]

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from browser import Browser, require
 from contrast import faint_texts, prefer
+from legible import faults
 from synthetic import DRAG, PERIOD_S, SyntheticRun, slope_run
 
 from cosim.comparisons.sweep import Sweep
@@ -24,7 +25,9 @@ from reports.decimate import keep_peaks, merge_spans
 from reports.effects import draw as draw_effects
 from reports.energy_and_cost import energy
 from reports.formatting import ratio, share
+from reports.notebook import figure
 from reports.page import FIGURES, draw_all, glue
+from reports.style import figure as figure_of_axes
 from reports.style import look
 from reports.summary import summary, tiles
 from reports.sweep import draw as draw_sweep
@@ -403,6 +406,27 @@ def test_texts_stand_out(page: Path, scheme: str) -> None:
         seen, faint = faint_texts(browser)
         assert seen > 100
         assert faint == {}
+
+
+def test_figures_can_be_read(run: SyntheticRun) -> None:
+    """No label on another, no axis without a name, nothing cut off: of every figure, and of the effects."""
+    drawn = [figure(run, name) for name, *_ in FIGURES if name != "nodes"]
+    with look():
+        for each in drawn:
+            assert faults(each) == []
+
+
+def test_what_cannot_be_read_is_seen() -> None:
+    with look():
+        drawing, axes = figure_of_axes(2.0, columns=2)
+        axes[0, 0].set_title("a title that is far too long for its half of the figure, and more")
+        axes[0, 1].set_title("another one")
+        axes[0, 1].set_xlabel("time [s]")
+        axes[0, 1].set_xticks([0.0, 0.001], ["0.000", "0.001"])
+        axes[0, 1].set_xlim(0.0, 0.02)
+        found = " ".join(faults(drawing))
+    assert "lies on 'another one'" in found
+    assert "ticks 0.000 and 0.001 of x overlap" in found
 
 
 def test_every_figure_of_the_page_has_words(page: Path) -> None:

@@ -5,6 +5,7 @@ from matplotlib.axes import Axes
 
 from cosim.studies import table_columns as col
 from cosim.studies.study import StudyResult, Table
+from cosim.units import figures
 from reports.style import FAINT, JOINTS, LIMIT, Drawn, figure, legend
 
 __all__ = ["draw"]
@@ -31,7 +32,7 @@ def _limits(table: Table) -> Drawn:
                 place.text(low * 1.2, row, "none", va="center", color=FAINT)
                 continue
             place.barh(row, value - low, left=low, height=0.55, color=JOINTS[0], alpha=0.75)
-            place.text(value * 1.15, row, f"{value:.3g}", va="center")
+            place.text(value * 1.15, row, figures(value, 3), va="center")
         place.set_xscale("log")
         place.set_xlim(low, max(known) * 8.0)
         place.set_xlabel(f"analog {column}")

@@ -13,7 +13,7 @@ _K = (10.0, 1e8)
 _LEAST = 1e-6
 #: Limits nearer to each other than this, in the logarithm, share a label.
 _APART = 0.5
-_DASHES = ((0, (5, 2)), (0, (1, 1.5)), (0, (6, 2, 1, 2)))
+_DASHES = ((0, (5, 2)), (0, (1, 1.5)), (0, (6, 2, 1, 2)), (0, (3, 1, 1, 1, 1, 1)))
 
 
 def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:

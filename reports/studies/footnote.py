@@ -48,7 +48,7 @@ def _over_gains(result: StudyResult) -> Drawn:
         _map(place, _chosen(table, {"op-amp": opamp}), col.STIFFNESS_K, col.DAMPING_C)
         for b, k in zip(*limits.values(), strict=True):
             place.axvline(k, color=LIMIT, linewidth=0.9, linestyle=(0, (2, 2)))
-            place.annotate(f"b = {b:.3g}", (k, 0.98), xycoords=("data", "axes fraction"), rotation=90,
+            place.annotate(f"b = {b:.3g} N s/m", (k, 0.98), xycoords=("data", "axes fraction"), rotation=90,
                            fontsize=7.5, color=LIMIT, ha="left", va="top")  # fmt: skip
         readings = sorted(
             {c for name, c in zip(at["op-amp"], at[col.DAMPING_C], strict=True) if name == opamp}
@@ -63,8 +63,8 @@ def _over_gains(result: StudyResult) -> Drawn:
     return Drawn(
         drawing,
         "What fails most where footnote 1 does not hold; potentiometers silent at rest. Border lines: with "
-        "potentiometer noise of each kind. Red: where delay eats its share of a device with the viscosity b "
-        "[N s/m]. Dots: the paper's gains in three readings.",
+        "potentiometer noise of each kind. Red: where delay eats its share of a device with the viscosity b. "
+        "Dots: the paper's gains in three readings.",
     )
 
 

@@ -1,5 +1,6 @@
 """An analog wall switched on at samples: rest over period and stiffness, jump and energy of the onset."""
 
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -53,7 +54,7 @@ def _rest(table: Table) -> Drawn:
             _edges(periods), _edges(springs), share, cmap=_REST, vmin=0, vmax=100, rasterized=True
         )
         _logarithmic(place, periods)
-        place.set_title(way)
+        place.set_title("\n".join(wrap(way, 22)))
         place.set_xlabel("sampling period [ms]")
         place.grid(visible=False)
     axes[0, 0].set_ylabel("analog stiffness [N/m]")

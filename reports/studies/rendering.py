@@ -43,7 +43,7 @@ def draw(result: StudyResult) -> list[tuple[str, str, Drawn]]:
         axes[1, j].set_xlabel("frequency [Hz]")
     for i in (0, 1):
         axes[i, 0].set_ylabel("rendered / commanded")
-    axes[0, 0].legend(loc="lower left", fontsize=8.5)
+    drawing.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8.5)
     caption = (
         f"{result.table('spectra').note} Shaded: not noticed at best (dark) and as a rule (pale) by a hand. "
         f"Dotted: the band of human motion, {motion} Hz."
