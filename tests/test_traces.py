@@ -123,7 +123,7 @@ def test_no_parabola_goes_across_a_kink() -> None:
     assert 2.0 * Trace(t, y, smooth(t)).mean() == pytest.approx(exact, abs=2e-5)
 
 
-@pytest.mark.parametrize("gap", [1.0, 2.0, 5.0, 20.0])
+@pytest.mark.parametrize("gap", [1.0, 2.0, 3.0, 5.0, 20.0])
 def test_what_settles_faster_than_rows_follow_has_no_top_behind_it(gap: float) -> None:
     """1 - exp(-t) - 1e-4 t behind a kink, rows `gap` time constants apart: its top is at t = ln 1e4."""
     t = np.concatenate([np.linspace(-5.0, 0.0, 6), gap * np.arange(1, 60)])
@@ -139,3 +139,52 @@ def test_a_dac_that_is_an_ulp_of_time_early_at_the_end_of_a_ramp_holds() -> None
     volts = np.array([0.0, 0.0, end * (1 - 4e-13), end, end])
     assert changes([volts], 5).tolist() == [False, True, False, False]
     assert changes([np.array([1.0 - 2.0**-29, 1.0])], 2).tolist() == [True]  # the least that a DAC can do
+
+
+def test_a_span_within_another_adds_nothing() -> None:
+    both = together([Spans(np.array([0.0, 20.0]), np.array([10.0, 21.0])),
+                     Spans(np.array([1.0, 3.0]), np.array([2.0, 4.0]))])  # fmt: skip
+    assert both.begin.tolist() == [0.0, 20.0]
+    assert both.end.tolist() == [10.0, 21.0]
+
+
+@pytest.mark.parametrize("crossing", [0.5, 1e-4, 0.9995, 1.0])
+def test_a_crossing_of_a_cubic_that_is_nearly_straight_is_exact(crossing: float) -> None:
+    """t + 1e-5 t^3, its slopes known: without its cubic term the crossing at 0.5 is off by 1.25e-6."""
+    t = np.array([0.0, 1.0, 2.0])
+    trace = Trace(t, t + 1e-5 * t**3, smooth(t), slope=1.0 + 3e-5 * t**2)
+    begin = trace.above(crossing + 1e-5 * crossing**3).begin
+    assert begin == pytest.approx([crossing], abs=1e-12)
+
+
+def test_a_part_keeps_what_its_signal_is() -> None:
+    """A part of noise is straight between its rows, and a part with a kink has it where it was."""
+    t, y = np.arange(11.0), np.random.default_rng(2).normal(size=11)
+    noise = Trace(t, y, smooth(t), bent=True)
+    inner = np.trapezoid(y[2:9], t[2:9])
+    halves = [(y[1] + 3 * y[2]) / 8, (3 * y[8] + y[9]) / 8]  # half a step before and behind
+    assert noise.cut(1.5, 8.5).mean() == pytest.approx((inner + sum(halves)) / 7.0, abs=1e-14)
+    t = np.linspace(0.0, 2.0, 9)
+    vee = Trace(t, np.abs(t - 1.0), smooth(t), kinks=t == 1.0)
+    assert vee.cut(0.5, 1.5).mean() == pytest.approx(0.25, abs=1e-15)
+
+
+def test_the_peak_within_spans_is_that_of_their_rows_as_well() -> None:
+    t, y = np.arange(5.0), np.array([0.0, 1.0, 5.0, 2.0, 9.0])
+    trace = Trace(t, y, smooth(t), bent=True)
+    assert trace.peak(Spans(np.array([0.5]), np.array([3.5]))) == 5.5  # straight from 2 to 9 at the end
+    assert trace.peak(Spans(np.array([1.5]), np.array([2.5]))) == 5.0
+
+
+def test_a_step_between_two_kinks_is_straight() -> None:
+    t, y = np.arange(4.0), np.array([0.0, 0.0, 1.0, 1.0])
+    trace = Trace(t, y, smooth(t), kinks=np.array([False, True, True, False]))
+    assert trace.mean() == pytest.approx(0.5, abs=1e-15)
+    assert trace.mean_square() == pytest.approx((1 / 3 + 1.0) / 3.0, abs=1e-15)
+
+
+def test_behind_a_kink_begins_a_parabola_of_its_own() -> None:
+    """t - 1 up to t = 1, then (t - 1)^2: both are exact, though no parabola about the kink is bent."""
+    t = np.arange(5.0)
+    y = np.where(t < 1.0, t - 1.0, (t - 1.0) ** 2)
+    assert Trace(t, y, smooth(t), kinks=t == 1.0).mean() == pytest.approx((9.0 - 0.5) / 4.0, abs=1e-14)
