@@ -67,6 +67,14 @@ def test_shipped_scenes_carry_no_warning(path: Path, model: str) -> None:
         ("masses-far-apart", "link 2 has 100 kg", ["device.chain.masses_kg=[0.05,100.0]"]),
         ("masses-far-apart", "the operator", ["operator.mass_kg=554.0"]),
         ("inertia-beyond-length", "(0.00025 kg m^2)", ["device.chain.inertias_kg_m2=[0.0833,8.33e-5]"]),
+        (
+            "mass-beyond-length",
+            "0.1 m has 100 kg, as a bar of steel 0.4 m",
+            ["device.chain.masses_kg=[100,0.1]"],
+        ),
+        # the side of the wall, and a start 55 mm below: 5.5 N at 100 N/m, rated are 0.035 N m x 8 / 0.133 m
+        ("start-inside-wall", "2 mm inside the wall, leaves it", ["wall.normal=[0,-1]"]),
+        ("start-inside-wall", "55 mm inside the wall, where", ["device.start.tip_m=[0.07,0.1]"]),
         ("value-unused", "tl072_vos", ["device.values.tl072_vos=1"]),
         ("value-unused", "tl072_sr", ["device.values.tl072_sr=1meg"]),
         ("key-unused", "effects.delay is off", ["computer.delay_periods=2"]),
@@ -94,6 +102,19 @@ def test_a_slip_is_told(code: str, doubt: str, overrides: list[str]) -> None:
 def test_a_plain_edit_is_no_slip(override: str) -> None:
     result = codes(press("solver.model=linear", override))
     assert not result & {"value-unused", "resistor-absurd", "constant-missed"}
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["device.start.tip_m=[0.07,0.150]"],  # 0.5 N, and the hand stays
+        ["device.chain.masses_kg=[0.3,0.3]"],
+        ["wall.point_m=[0.07,0.157]"],  # it starts upon the wall
+    ],
+)
+def test_a_start_in_contact_is_no_slip(overrides: list[str]) -> None:
+    result = codes(press("solver.model=linear", *overrides))
+    assert not result & {"start-inside-wall", "mass-beyond-length"}
 
 
 def test_a_shunt_below_an_ohm_may_be_changed() -> None:

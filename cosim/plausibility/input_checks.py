@@ -16,6 +16,9 @@ __all__ = ["of_plan"]
 _TURN_RAD = 2.0 * math.pi
 #: g for kg, the commonest slip, is a factor of 1000; a light hand on a heavy arm is a factor of 100.
 _MASS_RATIO = 1000.0
+#: Mass over length of a link [kg/m]: a steel bar of 13 cm. The upper arm of an industrial robot has some 20.
+_MOST_KG_PER_M = 100.0
+_STEEL_KG_PER_M3 = 7850.0
 
 
 def of_plan(scene: Scene, board: Deck, bare: Callable[[], Deck]) -> list[Caution]:
@@ -83,6 +86,13 @@ def _masses(scene: Scene) -> Iterator[Caution]:
         for k, (mass, length, inertia) in enumerate(
             zip(table.masses_kg, table.lengths_m, table.inertias_kg_m2, strict=True), 1
         ):
+            if mass > _MOST_KG_PER_M * length:
+                thick_m = math.sqrt(4.0 * mass / length / (math.pi * _STEEL_KG_PER_M3))
+                yield Caution(
+                    "mass-beyond-length",
+                    f"link {k} of {length:g} m has {mass:g} kg, as a bar of steel {thick_m:.2g} m thick",
+                    "masses are in kilograms: look at the units of device.chain.masses_kg",
+                )
             # a link whose mass sits at its two ends has m L^2 / 4 about its middle; none has more
             if mass > 0.0 and inertia > mass * length**2:
                 yield Caution(

@@ -19,6 +19,8 @@ __all__ = ["of_run"]
 
 #: An output so far beyond its limit is not limited by its model: one that is stops within a few percent.
 _UNLIMITED = 1.05
+#: A start so deep in the wall is no rounding of a start upon it [m].
+_BEGUN_M = 1e-5
 #: Force at the tip that a finger does not notice [N], as in `cosim check`.
 _REST_N = 0.05
 
@@ -40,6 +42,7 @@ def of_run(
         *_stiffness(scene, signals, measures),
         *_over_limit(scene, constants, measures),
         *_untouched(scene, measures),
+        *_begun_inside(scene, constants, signals),
         *_free_force(scene, constants, signals, samples),
         *_ledger(ledger),
     ]
@@ -159,6 +162,29 @@ def _untouched(scene: Scene, measures: Mapping[str, Mapping[str, Any]]) -> Itera
             "the wall was never touched",
             "look at device.start, at the wall and at the operator's path, or take out [wall]",
         )
+
+
+def _begun_inside(scene: Scene, constants: DesignConstants, signals: Signals) -> Iterator[Caution]:
+    """Yield a start inside the wall: so deep that rated torque is passed, or left for good at once."""
+    if scene.wall is None:
+        return
+    depth = wall_frame(scene, signals)["penetration"]
+    begun = float(depth[0])
+    if begun <= _BEGUN_M:
+        return
+    rated_n = constants.i_rated * constants.torque_per_amp / constants.r_tip
+    left = np.flatnonzero(depth < 0.0)
+    if begun * _asked_stiffness(scene) > rated_n:
+        what = f"where the wall asks for more than the motors' rated {quantity(rated_n, 'N')}"
+    elif left.size and (depth[left[0] :] < 0.0).all():
+        what = "leaves it and never comes back"
+    else:
+        return
+    yield Caution(
+        "start-inside-wall",
+        f"the tip starts {quantity(begun, 'm')} inside the wall, {what}",
+        "look at device.start, at wall.point_m and at the side that wall.normal points to, the free one",
+    )
 
 
 def _free_force(
