@@ -10,6 +10,7 @@ from cosim.units import quantity
 from reports.page import FIGURES, Picture, draw_all, picture
 from reports.style import look
 from reports.summary import summary
+from reports.tables import with_bound
 from reports.view import RunLike, View
 
 if TYPE_CHECKING:
@@ -51,9 +52,7 @@ def figure(run: RunLike, name: str | None = None) -> "Figure":
 def html(run: RunLike) -> str:
     """Return the summary, cautions, the measures with their units and the main picture as HTML."""
     view = View(run)
-    rows = [
-        [name, _number(row["value"], row["unit"]), str(row["text"])] for name, row in run.measures.items()
-    ]
+    rows = [[name, with_bound(row), str(row["text"])] for name, row in run.measures.items()]
     pictures, _ = draw_all(view, first=True)
     title = str(view.scene_at("title", default="Co-simulation"))
     doubts = [str(caution) for caution in run.warnings]

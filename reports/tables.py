@@ -10,7 +10,7 @@ from cosim.units import measured, quantity
 from reports.formatting import cell, plain_name
 from reports.view import RunLike, View, plain
 
-__all__ = ["Table", "Trial", "all_tables", "compare_table", "inputs_table"]
+__all__ = ["Table", "Trial", "all_tables", "compare_table", "inputs_table", "with_bound"]
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def _measures(view: View) -> Table:
     rows = []
     for name, row in view.run.measures.items():
         believed = (_believed(row, reltol),) if fooled else ()
-        rows.append((plain_name(name), _with_unit(row), *believed, str(row.get("text") or "")))
+        rows.append((plain_name(name), with_bound(row), *believed, str(row.get("text") or "")))
     head = ("measure", "value", *(("reltol alone",) if fooled else ()), "what it is")
     if fooled:
         note += (
@@ -74,7 +74,8 @@ def _believed(row: Mapping[str, Any], reltol: float) -> str:
     return f"± {quantity(reltol * abs(float(row['value'])), str(row.get('unit') or ''), 1)}"
 
 
-def _with_unit(row: Mapping[str, Any]) -> str:
+def with_bound(row: Mapping[str, Any]) -> str:
+    """Return a measure as text: value and unit, with the bound of its error where one is known."""
     value, unit, error = row.get("value"), str(row.get("unit") or ""), row.get("error")
     if isinstance(value, float | int) and not isinstance(value, bool):
         return measured(float(value), float(error), unit) if error else quantity(float(value), unit, 4)
@@ -209,7 +210,7 @@ def compare_table(trials: Sequence[Trial]) -> Table:
     rows = []
     for name in names:
         first = reference.measures.get(name)
-        row = [plain_name(name), _with_unit(first) if first is not None else "-"]
+        row = [plain_name(name), with_bound(first) if first is not None else "-"]
         row += [_changed(first, trial.measures.get(name)) for trial in others]
         rows.append(tuple(row))
     head = ("measure", *(trial.label for trial in trials))
@@ -220,7 +221,7 @@ def compare_table(trials: Sequence[Trial]) -> Table:
 def _changed(first: Mapping[str, Any] | None, row: Mapping[str, Any] | None) -> str:
     if row is None:
         return "-"
-    text, value = _with_unit(row), row.get("value")
+    text, value = with_bound(row), row.get("value")
     before = first.get("value") if first is not None else None
     if not isinstance(value, int | float) or not isinstance(before, int | float) or before == 0:
         return text

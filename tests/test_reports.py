@@ -25,7 +25,7 @@ from reports.decimate import keep_peaks, merge_spans
 from reports.effects import draw as draw_effects
 from reports.energy_and_cost import energy
 from reports.formatting import ratio, share
-from reports.notebook import figure
+from reports.notebook import figure, html
 from reports.page import FIGURES, draw_all, glue
 from reports.style import figure as figure_of_axes
 from reports.style import look
@@ -414,6 +414,15 @@ def test_figures_can_be_read(run: SyntheticRun) -> None:
     with look():
         for each in drawn:
             assert faults(each) == []
+
+
+def test_a_notebook_shows_bounds_and_units(run: SyntheticRun) -> None:
+    """As the page does, at most six digits: the bound is rounded up."""
+    row = {"value": 104.474, "unit": "N/m", "error": 0.0008, "text": "steady force over depth"}
+    shown = html(replace(run, measures={"rendered_stiffness": row}))
+    assert "<td>104.474 ± 0.001 N/m</td>" in shown
+    assert re.search(r'<img alt="[^"]{12,}"', shown)
+    assert re.search(r"<figcaption>[^<]{40,}</figcaption>", shown)
 
 
 def test_what_cannot_be_read_is_seen() -> None:
