@@ -190,11 +190,6 @@ class Linkage(ABC):
         kinetic, lift = energy(self._packed[0], held, angles, speeds)
         return float(kinetic), float(lift)
 
-    def joint_stiffness(self, q: ArrayLike, stiffness_n_per_m: ArrayLike) -> Array:
-        """Return J^T K J [N m/rad], shape (n, n), of a tip stiffness K [N/m], shape (2, 2)."""
-        jac = self.jacobian(q)
-        return np.array(jac.T @ np.asarray(stiffness_n_per_m, dtype=float) @ jac)
-
     def geometric_stiffness(self, q: ArrayLike, force_to_tip_n: ArrayLike) -> Array:
         """Return K_g [N m/rad], shape (n, n), with columns (dJ^T/dq_j) F.
 

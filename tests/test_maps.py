@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 import pytest
+import sampled_wall_rules
 from held_scenes import RADIUS, at_wall
 from legible import faults
 from linear_runs import CONSTANTS, ideal, lagging
 from support import COMMAND_TRUE, EMF_TRUE, KT, SCENES, SPRING_TRUE, V_NM, merge, scene_of, slider
 
-from cosim.analysis import closed_form_limits
 from cosim.analysis.held_contact import with_computer
 from cosim.analysis.impedance import displayed, full_scale, impedance, largest
 from cosim.analysis.stability import held, stability
@@ -86,7 +86,7 @@ def test_the_stiffest_walls(tmp_path):
     viscous = {"device": {"slider": {"viscous_n_m_s": 1.6 * RADIUS**2}}, "effects": {"viscous": True}}
     scene, plain = carriage(tmp_path, viscous), ideal(1, emf=False)
     wall = displayed(at_wall(scene, plain), spring=False, damper=False, margin=0.8).scene
-    border = closed_form_limits.held_mass(0.2, 1.6, 0.025)
+    border = sampled_wall_rules.held_mass(0.2, 1.6, 0.025)
     assert wall.computer.discrete_stiffness_n_per_m * COMMAND == pytest.approx(0.8 * border, rel=1e-6)
     assert wall.computer.analog_stiffness_n_per_m == 0.0
     wall = displayed(at_wall(scene, plain), spring=True, damper=False).scene
@@ -135,7 +135,7 @@ def test_numbers_of_a_carriage(tmp_path):
         "full scale", pytest.approx(CONSTANTS.k_fs / RADIUS**2),
     )  # fmt: skip
     assert result.discrete_n_per_m.value * COMMAND == pytest.approx(
-        closed_form_limits.held_mass(0.2, 1.6, 0.025), rel=1e-6
+        sampled_wall_rules.held_mass(0.2, 1.6, 0.025), rel=1e-6
     )
     # the largest damping by the map of a period, written out by hand
     damped = result.discrete_n_s_per_m.value * COMMAND
@@ -224,7 +224,7 @@ def test_the_maps_hold_what_theory_says(tmp_path):
     for row, period in enumerate((0.01, 0.05)):
         # 2e-5: rotor and carriage make 0.2 kg to 4e-6; what the board states and what its resistors make
         assert limits["exact border [N/m]"][row] == pytest.approx(
-            closed_form_limits.held_mass(0.2, b, period), rel=2e-5
+            sampled_wall_rules.held_mass(0.2, b, period), rel=2e-5
         )
         passive = limits["passive (Colgate, Schenkel) [N/m]"][row]
         assert passive == pytest.approx(2 * b / period, rel=1e-4)

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from reference.free_motion import WORKS, free_motion
 from scipy.optimize import brentq
 
 from mech import Chain, Hand, NoOperator, ParameterError, PointMass, Slider, UserOperator
-from mech.motion import WORKS, free_motion
 
 G = (0.0, -9.81)
 

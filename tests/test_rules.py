@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+import sampled_wall_rules
 from held_scenes import RADIUS
 from linear_runs import ideal, propagate, samples
 from support import COMMAND_TRUE, V_NM, scene_of, slider
@@ -24,7 +25,7 @@ COMMAND = COMMAND_TRUE * V_NM
 def test_exact_border_of_a_held_mass(mass, viscosity, known):
     """`known` are given to four digits; beside them the double root of the map itself, by hand."""
     for period, value in zip((3e-3, 5e-3, 10e-3, 25e-3, 50e-3, 100e-3), known, strict=True):
-        result = closed_form_limits.held_mass(mass, viscosity, period)
+        result = sampled_wall_rules.held_mass(mass, viscosity, period)
         assert result == pytest.approx(value, abs=0.051)
         tau = mass / viscosity
         e = math.exp(-period / tau)
@@ -37,10 +38,10 @@ def test_exact_border_of_a_held_mass(mass, viscosity, known):
 def test_passive_stiffness():
     """b = 1.6625: 2 b/T; Colgate and Schenkel's own K = 1000, B = +-1, T = 1 ms needs b = 1.5."""
     for period, value in ((3e-3, 1108), (5e-3, 665), (10e-3, 333), (25e-3, 133), (50e-3, 66.5), (0.1, 33.3)):
-        assert closed_form_limits.colgate_schenkel(1.6625, period) == pytest.approx(value, rel=2e-3)
+        assert sampled_wall_rules.colgate_schenkel(1.6625, period) == pytest.approx(value, rel=2e-3)
     for damping in (1.0, -1.0):
-        assert closed_form_limits.colgate_schenkel(1.5, 1e-3, damping) == pytest.approx(1000.0, rel=1e-12)
-    assert closed_form_limits.colgate_schenkel(0.5, 1e-3, 1.0) == 0.0
+        assert sampled_wall_rules.colgate_schenkel(1.5, 1e-3, damping) == pytest.approx(1000.0, rel=1e-12)
+    assert sampled_wall_rules.colgate_schenkel(0.5, 1e-3, 1.0) == 0.0
 
 
 def test_gil_and_hulin():
@@ -49,7 +50,7 @@ def test_gil_and_hulin():
     assert closed_form_limits.gil_hulin(0.1, 1e-3, 1.0) == pytest.approx(2200.0, rel=1e-12)
     assert closed_form_limits.gil_hulin(0.1, 1e-3, delay=1e-3) == pytest.approx(0.1 / 1.5e-3, rel=1e-12)
     # its condition, b T/m = 1e-3, is what it is off by: b T/(6 m)
-    assert closed_form_limits.held_mass(0.1, 0.1, 1e-3) == pytest.approx(200.03, abs=0.006)
+    assert sampled_wall_rules.held_mass(0.1, 0.1, 1e-3) == pytest.approx(200.03, abs=0.006)
 
 
 def test_abbott_and_okamura():
@@ -62,15 +63,15 @@ def test_abbott_and_okamura():
 
 def test_diolaitis_plane_and_cycle():
     """Borders at 1/2, with delay 1/2 + t_d/T; m = 0.1, b = 0.05, K = 200, T = 1 ms: a cycle of 11.39 mm."""
-    at = closed_form_limits.diolaiti(200.0, 0.1, 1e-3, 0.01, 1e-4)
+    at = sampled_wall_rules.diolaiti(200.0, 0.1, 1e-3, 0.01, 1e-4)
     assert (at.beta, at.sigma) == pytest.approx((0.5, 0.5), rel=1e-12)
     assert (at.beta_border, at.sigma_border) == (0.5, 0.5)
-    assert closed_form_limits.diolaiti(200.0, 0.1, 1e-3, 0.01, 1e-4, delay=5e-4).beta_border == pytest.approx(
+    assert sampled_wall_rules.diolaiti(200.0, 0.1, 1e-3, 0.01, 1e-4, delay=5e-4).beta_border == pytest.approx(
         1.0
     )
     assert closed_form_limits.beta_stiffness(0.1, 1e-3, 5e-4) == pytest.approx(100.0)
     regions = {
-        closed_form_limits.diolaiti(k, 0.1, 1e-3, f, 1e-4).region
+        sampled_wall_rules.diolaiti(k, 0.1, 1e-3, f, 1e-4).region
         for k in (150.0, 250.0)
         for f in (0.005, 0.02)
     }
@@ -89,7 +90,7 @@ def test_diolaitis_plane_and_cycle():
 def test_energy_of_switching_on_late(period, known):
     """10 mm drop, k = 100 N/m: v^2 = 2 g h."""
     speed = math.sqrt(2.0 * 9.81 * 0.01)
-    assert closed_form_limits.switching_energy(100.0, speed, period) == pytest.approx(known, rel=0.025)
+    assert sampled_wall_rules.switching_energy(100.0, speed, period) == pytest.approx(known, rel=0.025)
 
 
 def swing(folder, amplitude, seconds):
@@ -143,7 +144,7 @@ def test_a_quantised_wall_rests_as_far_as_friction_holds_half_a_step(tmp_path, s
         stiffness / share
     )
     assert (
-        closed_form_limits.diolaiti(stiffness, viscosity, period, coulomb, step).region == "rests"
+        sampled_wall_rules.diolaiti(stiffness, viscosity, period, coulomb, step).region == "rests"
     ) is rests
     push = 500.5 * step * stiffness
     scene = scene_of(tmp_path, slider(

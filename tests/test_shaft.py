@@ -13,6 +13,7 @@ import pytest
 from linear_runs import CONSTANTS
 from numpy.typing import NDArray
 from plain_ngspice import ngspice
+from reference.free_motion import free_motion
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from support import (
@@ -43,7 +44,6 @@ from cosim.results import Run
 from cosim.scene import load_scene
 from cosim.scene.mechanism import mechanism
 from mech import Chain, ParameterError, Slider
-from mech.motion import free_motion
 
 Array = NDArray[np.float64]
 MODELS = ["ideal", "linear", "spice"]

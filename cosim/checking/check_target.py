@@ -22,7 +22,6 @@ LEVELS: Mapping[str, Mapping[str, str]] = {
     "full": dict.fromkeys((*_PARTS, "motor", "potentiometer"), "full"),
 }
 """Level of every role by one word; a winding's inductance and a wiper's resistance know no gbw."""
-DRIVERS = ("voltage", "current")
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,8 @@ def load_subject(
     variant
         Values of ``--set``.
     level, driver
-        Key of `LEVELS` and one of `DRIVERS`; instead of the scene's effects, or ``full`` and ``voltage``.
+        Key of `LEVELS`, and ``voltage`` or ``current``; instead of the scene's effects, or of ``full`` and
+        ``voltage``.
     trust
         Whether control blocks and file access may pass.
 

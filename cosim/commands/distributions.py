@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from cosim.tolerance.intervals import Estimate
 
 TABLE = "distributions.csv"
-_SHARES = (0.05, 0.95)
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

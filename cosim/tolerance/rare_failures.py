@@ -19,7 +19,7 @@ from scipy import special, stats
 from cosim.types import Array
 
 __all__ = [
-    "Places", "RareEstimate", "count_failures", "failure_estimate", "importance_points", "nearest_failures",
+    "Places", "RareEstimate", "failure_estimate", "importance_points", "nearest_failures",
 ]  # fmt: skip
 
 #: Standard normals (n, variables) -> margin (n,): a device fails where it is negative.
@@ -209,28 +209,6 @@ def _apart(u: Array, farther: float = _FARTHER) -> Array:
         if all(np.linalg.norm(place - other) > _SAME for other in kept):
             kept.append(place)
     return np.array(kept).reshape(len(kept), u.shape[1])
-
-
-def count_failures(dear: Margin, places: Places, *, samples: int, seed: int) -> RareEstimate:
-    """Return the dear model's failure rate by importance sampling about the cheap model's places.
-
-    Parameters
-    ----------
-    dear
-        The model that counts.
-    places
-        From `nearest_failures`.
-    samples
-        Dear samples.
-    """
-    if not len(places.at):
-        return RareEstimate(
-            0.0, 0.0, 0.0, 0,
-            "no draw of the cheap model fails, not even far outside the tolerances: a failure may be "
-            "impossible within them",
-        )  # fmt: skip
-    u = importance_points(places, samples, seed)
-    return failure_estimate(places, u, dear(u) < 0.0)
 
 
 def _mixture(places: Places) -> tuple[Array, Array]:
