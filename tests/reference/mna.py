@@ -1,8 +1,9 @@
 """Modified nodal analysis of a flat deck, read from its text alone (Ho, Ruehli and Brennan 1975).
 
-Knows R, C, L, V, I, E, G, F, H and B sources, subcircuits and parameters; B sources are linearised at the
-operating point by central differences, which are exact for products of two voltages. Anything else is an
-error. (G + s C) x = b: poles are the finite eigenvalues of the pencil, without a fit or a frequency.
+Knows R, C, L, V, I, E, G, F, H and B sources, diodes (``is`` and ``n`` of their model), subcircuits and
+parameters; B sources are linearised by central differences, which are exact for products of two voltages.
+Anything else is an error. (G + s C) x = b: poles are the finite eigenvalues of the pencil, without a fit or a
+frequency.
 """
 
 import math
@@ -62,6 +63,10 @@ class Scope:
         raise KeyError(name)
 
 
+#: Thermal voltage at 27 degrees, and what ngspice puts across a junction (gmin).
+THERMAL_V, GMIN_S = 1.380649e-23 * 300.15 / 1.602176634e-19, 1e-12
+
+
 @dataclass
 class Subckt:
     pins: list
@@ -89,7 +94,7 @@ class Circuit:
                 rows[-1] += " " + line[1:]
             elif line.strip() and not line.startswith("*"):
                 rows.append(line.strip())
-        self.top, self.subckts, stack, main = Scope(), {}, [], []
+        self.top, self.subckts, self.models, stack, main = Scope(), {}, {}, [], []
         for row in rows:
             words, key = _words(row), row.split()[0].lower()
             if key == ".subckt":
@@ -103,6 +108,9 @@ class Circuit:
                 self.subckts[stack[-1]].body.append(row)
             elif key == ".param":
                 self.top.text |= _pairs(words[1:])
+            elif key == ".model":
+                inside = row.split(None, 2)[2].replace("(", " ").replace(")", " ")
+                self.models[words[1].lower()] = _pairs(_words(inside))
             elif not key.startswith("."):
                 main.append(row)
         self.index, self.elements, self.branches = {}, [], {}
@@ -151,6 +159,9 @@ class Circuit:
         elif kind in "fh":
             control = (f"{path}.{words[3].lower()}" if path else words[3].lower()) + "#"
             entry = (kind, full, (at(1), at(2)), (control, scope.value(words[4])))
+        elif kind == "d":
+            model = self.models[words[3].lower()]
+            entry = (kind, full, (at(1), at(2)), tuple(scope.value(model.get(k, "1")) for k in ("is", "n")))
         elif kind == "b":
             what, text = re.split(r"\s*=\s*", row.split(None, 3)[3], maxsplit=1)
             seen = []
@@ -201,8 +212,8 @@ class Circuit:
             elif kind == "f":
                 for i, si in ((p, 1), (m, -1)):
                     put(g, i, value[0], si * value[1])
-            elif kind == "bi":
-                now, slopes = self._bent(value, x)
+            elif kind in ("bi", "d"):
+                now, slopes = self._bent(value, x) if kind == "bi" else self._junction(value, nodes, x)
                 rest = now
                 for (first, second), slope in slopes:
                     for j, sj in ((first, 1), (second, -1)):
@@ -237,6 +248,14 @@ class Circuit:
                             put(g, name, j, -sj * slope)
                     b[row(name)] += rest
         return g, c, b
+
+    def _junction(self, value, nodes, x):
+        """Current of a diode and its slope."""
+        saturation, ideality = value
+        scale = ideality * THERMAL_V
+        volts = self.volts(x, nodes[0]) - self.volts(x, nodes[1])
+        grown = saturation * math.exp(min(volts / scale, 300.0))
+        return grown - saturation + GMIN_S * volts, [(nodes, grown / scale + GMIN_S)]
 
     def _bent(self, value, x):
         code, seen, scope = value
