@@ -121,7 +121,7 @@ def reference(scene: Scene) -> Setting:
 def second_reference(scene: Scene) -> Setting:
     """Return one that shares no integrator with the first: ngspice's, of another method where both are."""
     if carries(scene, "linear"):
-        return _lockstep(scene, _TIGHT_STEP, "gear", 1e-7)
+        return _lockstep(scene, _TIGHT_STEP, "trap", 1e-7)
     return _lockstep(scene, _SECOND_STEP, "trap", 3e-7)
 
 
