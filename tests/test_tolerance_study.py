@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -290,8 +291,28 @@ def test_the_bill_names_what_to_buy() -> None:
     both = bought(result, {NAME: surface}, specs, {"r1": 0.001, "r0": 0.001})
     assert both.low <= within(0.25 + 0.05) <= both.high
     pair = best_pair(result, {NAME: surface}, specs)
-    assert pair == (("r1", "r0"), both)
+    assert pair is not None
+    assert pair[:2] == (("r1", "r0"), both)
+    assert pair[2]
+    assert f"r1 and r0 bought at 0.1%: the yield becomes {100 * both.value:.4g} %" in " ".join(
+        find(result, specs).notes
+    )
     assert lines[0].loosest == 0.01  # what it is: any looser one costs yield
+
+
+def test_where_no_pair_helps_it_is_said() -> None:
+    """All of the yield is lost by a component that is no resistor: two resistors at 0.1 % change nothing."""
+    tolerances = parts([1e3] * 3, GAUSS)
+    winding = replace(tolerances.components[1], key="xm:motor_r")
+    tolerances = replace(tolerances, components=(tolerances.components[0], winding, tolerances.components[2]))
+
+    def only(values: Array) -> Array:
+        d = values / 1e3 - 1.0
+        return 100.0 + 100.0 * (d @ np.array([1e-3, 2.0, 1e-3]))
+
+    notes = " ".join(find(study(tolerances, only, 400), (Spec(NAME, 99.9, 100.1),)).notes)
+    assert "no two resistors at 0.1% surely raise the yield" in notes
+    assert "bought at" not in notes
 
 
 def test_a_pilot_tells_how_many_samples_an_interval_takes() -> None:

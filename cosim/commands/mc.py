@@ -27,6 +27,11 @@ _ALONE = {
     "--until": ("samples",),
     "--cluster": ("list", "sample", "shard", "merge", "workers"),
 }
+#: What the last columns of the bill mean.
+_COLUMNS = (
+    "loosest: the largest tolerance sold with which that component alone still keeps the yield; better: the "
+    "next better one sold; adds: what it alone adds to the yield"
+)
 #: Lines of the bill that are printed; the file has all.
 _MOST_LINES = 12
 
@@ -249,7 +254,7 @@ def _text(findings: "Findings") -> list[str]:
                     "-" if line.gain is None else _percent(line.gain),
                 ]
             )  # fmt: skip
-        lines += ["", *_aligned(table)]
+        lines += ["", *_aligned(table), *([_COLUMNS] if findings.specs else [])]
         lines += [
             f"R^2 of samples that were not fitted, {n}: {s.explained:.5g}"
             for n, s in findings.surfaces.items()

@@ -258,7 +258,12 @@ def _decision(study: Study, surfaces: Mapping[str, Surface], specs: Sequence[Spe
     pair = best_pair(study, surfaces, specs)
     if pair is None:
         return []
-    (a, b), share = pair
+    (a, b), share, sure = pair
+    if not sure:
+        return [
+            f"no two resistors at 0.1% surely raise the yield: with the best, {a} and {b}, it becomes "
+            f"{100 * share.value:.4g} % through the fitted surfaces; look at what else has a large share"
+        ]
     return [
         f"{a} and {b} bought at 0.1%: the yield becomes {100 * share.value:.4g} % ({100 * share.low:.4g} to "
         f"{100 * share.high:.4g}), through the fitted surfaces"
