@@ -59,6 +59,8 @@ def test_values_of_a_resistor_by_their_distributions(
     assert list(second["yields"]) == ["least_stiffness >= 0 N m/rad"]
     with (out / "distributions.csv").open() as stream:
         assert [row["design"] for row in csv.DictReader(stream)] == [first["label"], second["label"]]
+    picture = next(Path(name) for name in result["pictures"] if name.endswith("stiffness.png"))
+    assert picture.read_bytes()[:4] == b"\x89PNG"
     # once more: nothing is measured again
     times = [path.stat().st_mtime_ns for path in files]
     assert json.loads(call(capsys, *words)) == result

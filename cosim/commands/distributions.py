@@ -30,7 +30,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def by_distributions(
     args: argparse.Namespace, scene: "SceneLike", designs: Sequence[tuple[str, tuple[str, ...]]], out: Path
 ) -> tuple[dict[str, Any], str]:
-    """Measure designs and return the result as JSON and as text; writes a table."""
+    """Measure designs and return the result as JSON and as text; writes a table and pictures."""
     from cosim.commands.progress import progress
     from cosim.storage.owned_files import manifest_of, refuse_foreign, write_files
     from cosim.tolerance.common_draws import sides
@@ -42,14 +42,19 @@ def by_distributions(
             scene, designs, list(dict.fromkeys(args.measure)), parse_specs(args.spec), args.mc, out,
             trust=args.trust, on_progress=show,
         )  # fmt: skip
-    write_files(out, {TABLE: _csv(results).encode()}, manifest_of("distributions"))
+    from reports.designs import design_pictures
+
+    drawn = design_pictures(results, parse_specs(args.spec))
+    write_files(out, {TABLE: _csv(results).encode(), **drawn}, manifest_of("distributions"))
     result = {
         "devices": args.mc,
         "model": results[0].study.model,
         "sides": [_as_dict(side) for side in results],
         "table": str(out / TABLE),
+        "pictures": [str(out / name) for name in drawn],
     }
-    return result, "\n".join([*_text(results), f"wrote {out / TABLE}"])
+    names = ", ".join(name for name in drawn if name.endswith(".png"))
+    return result, "\n".join([*_text(results), f"wrote {out / TABLE}, {names}"])
 
 
 def _as_dict(side: "Side") -> dict[str, Any]:
