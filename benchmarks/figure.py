@@ -38,6 +38,16 @@ TARGETS: dict[str, tuple[float, str, str]] = {
         "wall: model of a draw of all R, C of board2 / one `ngspice -b` as above",
     ),
     "batch_vs_single": (1 / 20, "", "wall: a `linear` drop sample of a batch / one `cosim run` of it"),
+    "two_level_vs_plain_press": (
+        1 / 30,
+        "",
+        "seconds: spice corrected by linear / plain, same interval",
+    ),
+    "two_level_vs_plain_drop": (1 / 30, "", "the same, a mass dropped"),
+    "two_level_vs_plain_slope": (1 / 30, "", "the same, a hand along a slope"),
+    "yield_vs_plain": (1 / 30, "", "seconds: yield by strata to +-0.04 % at 1 % failing / plain spice"),
+    "engine_overhead": (0.10, "", "wall that the engine adds to spice samples, over theirs"),
+    "two_cores": (1 / 1.8, "", "wall: samples on two workers / on one"),
     "extraction_cached_ms": (50.0, "ms", "wall: extraction of an unchanged board2"),
 }
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import choice, extraction, models, stiff, sweeps, tolerance
+from benchmarks import choice, extraction, models, monte_carlo, stiff, sweeps, tolerance
 from benchmarks.chains import chain_plan
 from benchmarks.figure import Figure, figure, interleaved
 from benchmarks.rig import CURRENTS, ROOT, SLOPE, Outcome, error, instants, slope
@@ -240,4 +240,10 @@ SUITE: dict[tuple[str, ...], Callable[[int], list[Figure]]] = {
     ("extraction_cached_ms",): extraction.cached,
     ("mc_extraction_vs_ac",): tolerance.draws_against_ac,
     ("batch_vs_single",): tolerance.batch_against_single,
+    ("two_level_vs_plain_press",): monte_carlo.two_levels("press"),
+    ("two_level_vs_plain_drop",): monte_carlo.two_levels("drop"),
+    ("two_level_vs_plain_slope",): monte_carlo.two_levels("slope"),
+    ("yield_vs_plain",): monte_carlo.yields,
+    ("engine_overhead",): monte_carlo.engine_overhead,
+    ("two_cores",): monte_carlo.two_cores,
 }

@@ -39,6 +39,12 @@ STATED = {
     "extraction_cached_ms": 50.0,
     "mc_extraction_vs_ac": 0.3,
     "batch_vs_single": 1 / 20,
+    "two_level_vs_plain_press": 1 / 30,
+    "two_level_vs_plain_drop": 1 / 30,
+    "two_level_vs_plain_slope": 1 / 30,
+    "yield_vs_plain": 1 / 30,
+    "engine_overhead": 0.10,
+    "two_cores": 1 / 1.8,
 }
 
 

@@ -4,9 +4,9 @@ import os
 import socket
 import subprocess
 import sys
-import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from engine_jobs import job
 
@@ -22,45 +22,111 @@ def free_port() -> int:
         return int(listener.getsockname()[1])
 
 
+class Cluster:
+    """A scheduler and workers as processes of their own; all end with the block."""
+
+    def __init__(self, workers: int) -> None:
+        self.address = f"tcp://127.0.0.1:{free_port()}"
+        path = os.pathsep.join([str(Path(__file__).parent), *(p for p in sys.path if p)])
+        self._env = {**os.environ, "PYTHONPATH": path, "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1"}
+        self._processes: list[subprocess.Popen[bytes]] = []
+        quiet = ("--no-dashboard", "--no-jupyter")
+        self.scheduler = self._started("distributed.cli.dask_scheduler", "--host", self.address, *quiet)
+        self.workers = [self.worker() for _ in range(workers)]
+
+    def _started(self, *words: str) -> subprocess.Popen[bytes]:
+        self._processes.append(
+            subprocess.Popen(
+                [sys.executable, "-m", *words], env=self._env, stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+        )  # fmt: skip
+        return self._processes[-1]
+
+    def worker(self) -> subprocess.Popen[bytes]:
+        words = ("--nthreads", "1", "--no-nanny", "--no-dashboard")
+        return self._started("distributed.cli.dask_worker", self.address, *words)
+
+    def __enter__(self) -> "Cluster":
+        from importlib import import_module
+
+        with import_module("distributed").Client(self.address, timeout=120) as client:
+            client.wait_for_workers(len(self.workers), timeout=120)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in reversed(self._processes):
+            process.kill()
+            process.wait()
+
+
+def samples(folder: Path) -> bytes:
+    return (folder / "mc" / "samples.parquet").read_bytes()
+
+
 @pytest.mark.slow
 def test_the_same_bytes_on_a_cluster_and_one_worker_killed(tmp_path: Path) -> None:
     pytest.importorskip("distributed", reason="needs the extra: pip install 'cosim[cluster]'")
-    address = f"tcp://127.0.0.1:{free_port()}"
-    path = os.pathsep.join([str(Path(__file__).parent), *(p for p in sys.path if p)])
-    env = {**os.environ, "PYTHONPATH": path, "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1"}
+    run(job(tmp_path / "truth", N), tmp_path / "truth" / "mc", workers=1)
+    with Cluster(2) as cluster:
+        run(job(tmp_path / "far", N), tmp_path / "far" / "mc", chunk=7, cluster=cluster.address)
+        assert samples(tmp_path / "far") == samples(tmp_path / "truth")
+        cluster.workers[0].kill()
+        cluster.workers[0].wait()
+        run(job(tmp_path / "less", N), tmp_path / "less" / "mc", chunk=7, cluster=cluster.address)
+        assert samples(tmp_path / "less") == samples(tmp_path / "truth")
 
-    def started(*words: str) -> subprocess.Popen[bytes]:
-        return subprocess.Popen(
-            [sys.executable, "-m", *words], env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+
+@pytest.mark.slow
+def test_the_only_worker_killed_at_nine_tenths_leaves_what_it_finished(tmp_path: Path) -> None:
+    """Another one measures the rest; at most the chunks in flight are measured twice."""
+    pytest.importorskip("distributed", reason="needs the extra: pip install 'cosim[cluster]'")
+    run(job(tmp_path / "truth", N), tmp_path / "truth" / "mc", workers=1)
+    folder, chunk = tmp_path / "far", 7
+    with Cluster(1) as cluster:
+        killed: list[int] = []
+
+        def watch(done: int, of: int, _: str) -> None:
+            if done >= 0.9 * of and not killed:
+                killed.append(done)
+                cluster.workers[0].kill()
+                cluster.workers[0].wait()
+                cluster.worker()
+
+        run(
+            job(folder, N, slow_s=0.01),
+            folder / "mc",
+            chunk=chunk,
+            cluster=cluster.address,
+            on_progress=watch,
         )
+    assert samples(folder) == samples(tmp_path / "truth")
+    counts = np.zeros(N, int)
+    for line in (folder / "log").read_text().splitlines():
+        first, count = map(int, line.split())
+        counts[first : first + count] += 1
+    assert counts.min() == 1
+    assert (counts > 1).sum() <= 2 * chunk
 
-    scheduler = ["distributed.cli.dask_scheduler", "--host", address, "--no-dashboard", "--no-jupyter"]
-    worker = ["distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
-    processes = [started(*scheduler)]
-    try:
-        processes += [started(*worker), started(*worker)]
-        truth = run(job(tmp_path / "truth", N), tmp_path / "truth" / "mc", workers=1)
-        deadline = time.monotonic() + 90.0
-        while True:
-            try:
-                result = run(job(tmp_path / "far", N), tmp_path / "far" / "mc", chunk=7, cluster=address)
-                break
-            except InputError:  # they are not up yet
-                assert time.monotonic() < deadline
-                time.sleep(0.5)
-        assert (result.folder / "samples.parquet").read_bytes() == (
-            truth.folder / "samples.parquet"
-        ).read_bytes()
-        processes[1].kill()
-        processes[1].wait()
-        less = run(job(tmp_path / "less", N), tmp_path / "less" / "mc", chunk=7, cluster=address)
-        assert (less.folder / "samples.parquet").read_bytes() == (
-            truth.folder / "samples.parquet"
-        ).read_bytes()
-    finally:
-        for process in reversed(processes):
-            process.kill()
-            process.wait()
+
+def resident_mb(pid: int) -> float:
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+@pytest.mark.slow
+def test_the_scheduler_keeps_nothing_of_ten_thousand_chunks(tmp_path: Path) -> None:
+    pytest.importorskip("distributed", reason="needs the extra: pip install 'cosim[cluster]'")
+    with Cluster(2) as cluster:
+        seen: list[float] = []
+
+        def watch(done: int, of: int, _: str) -> None:
+            if done % 500 == 0:
+                seen.append(resident_mb(cluster.scheduler.pid))
+
+        run(job(tmp_path, 10_000), tmp_path / "mc", chunk=1, cluster=cluster.address, on_progress=watch)
+    print([round(mb, 1) for mb in seen])
+    assert seen[-1] - seen[0] <= 50.0
 
 
 def test_a_cluster_that_is_not_there_is_told(tmp_path: Path) -> None:

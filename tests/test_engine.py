@@ -35,7 +35,7 @@ def times_measured(folder):
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize(("workers", "chunk"), [(1, 1), (2, 7), (3, None)])
+@pytest.mark.parametrize(("workers", "chunk"), [(2, 7), (1, 1), (8, None), (8, 1)])
 def test_workers_and_chunks_leave_the_same_bytes(tmp_path, workers, chunk):
     truth, samples = undisturbed(tmp_path / "truth", failing=(3, 100))
     other = run(job(tmp_path / "other", N, failing=(3, 100)), tmp_path / "other" / "mc",

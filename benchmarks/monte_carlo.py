@@ -1,0 +1,169 @@
+"""Monte Carlo: what two models save of plain samples, what the engine costs, and what a second core gives."""
+
+from __future__ import annotations
+
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.figure import Figure, figure
+from benchmarks.rig import ROOT
+from cosim.tolerance.engine import Job, run
+from cosim.tolerance.model_levels import Levels
+from cosim.tolerance.preparation import Asked, Prepared, prepare
+from cosim.tolerance.scene_study import monte_carlo
+from cosim.tolerance.spec import Spec
+from cosim.tolerance.unit_cube import sampling
+from cosim.types import Array
+
+#: Scene -> what is set so that a run is short, and its measure.
+_SCENES = {
+    "press": (("duration_s=1.0",), "rendered_stiffness"),
+    "drop": (("duration_s=0.3",), "max_penetration"),
+    "slope": (("duration_s=0.3",), "peak_force"),
+}
+#: Dear samples of a study of two models, and of one of its yield.
+_DEAR, _DEAR_OF_A_YIELD = 48, 64
+#: Half the interval of a yield that plain samples are held against, and the failure rate.
+_HALF, _RATE = 0.0004, 0.01
+_CHUNKS, _SAMPLES_OF_ENGINE = 5, 60
+
+
+def _prepared(scene: str, n: int, specs: Sequence[Spec] = ()) -> Prepared:
+    overrides, measure = _SCENES[scene]
+    return prepare(
+        Asked(
+            ROOT / "scenes" / f"{scene}.toml",
+            ("solver.model=spice", *overrides),
+            (measure,),
+            tuple(specs),
+            n,
+            seed=1,
+            two_level=True,
+        )
+    )
+
+
+def _levels(prepared: Prepared) -> Levels:
+    """Return what two models say."""
+    levels = monte_carlo(prepared).levels
+    assert levels is not None
+    return levels
+
+
+def two_levels(scene: str) -> Callable[[int], list[Figure]]:
+    """Return the benchmark of a scene: seconds to an interval, over those of plain samples to the same one.
+
+    What plain samples need for the same intervals follows from the standard deviation, of a Gaussian; the
+    worse of mean and standard deviation counts. Seconds are those of a sample of each model, timed within the
+    study, times all samples that it took.
+    """
+
+    def measured(repetitions: int) -> list[Figure]:
+        prepared = _prepared(scene, _DEAR)
+        levels = _levels(prepared)
+        measure = _SCENES[scene][1]
+        each = levels.moments[measure]
+        dear, cheap = levels.seconds
+        # the study's own devices are on both models
+        spent = _DEAR * (dear + cheap) + each.cheap * cheap
+        half = 0.5 * (each.mean_high - each.mean_low), 0.5 * (each.spread_high - each.spread_low)
+        plain = [(1.96 * each.spread / half[0]) ** 2, 0.5 * (1.96 * each.spread / half[1]) ** 2]
+        ratios = [spent / (max(n, 1.0) * dear) for n in plain]
+        details = {
+            "measure": measure,
+            "correlation": each.pilot.correlation,
+            "of_squares": each.pilot.of_squares,
+            "cost_ratio": each.pilot.cost_ratio,
+            "of_the_mean": ratios[0],
+            "of_the_standard_deviation": ratios[1],
+            "samples": (each.dear, each.cheap),
+            "target_holds_for": "rho >= 0.995, of the squares too, and a cost ratio <= 1/100",
+        }
+        return [figure(f"two_level_vs_plain_{scene}", [max(ratios)], details=details)]
+
+    return measured
+
+
+def yields(repetitions: int) -> list[Figure]:
+    """Seconds to a yield within +-0.04 % at a failure rate of 1 %, over those of plain samples.
+
+    The limit is where 1 % of the devices fail on the cheap model, by 2,048 of them. The width that a study of
+    its size reaches is told; seconds are scaled to the one asked for as those of the exact bounds, 1/width.
+    """
+    scene, measure = "drop", _SCENES["drop"][1]
+    first = _prepared(scene, 8)
+    draws = sampling("sobol", 2048, len(first.tolerances.variables), 7)
+    table = first.batch((measure,), "linear").measures(first.tolerances.values(draws.uniforms(0, draws.n)))
+    limit = float(np.nanquantile(table[:, 0], 1.0 - _RATE))
+    prepared = _prepared(scene, _DEAR_OF_A_YIELD, (Spec(measure, high=limit),))
+    levels = _levels(prepared)
+    (share,) = levels.yields.values()
+    dear, cheap = levels.seconds
+    dears = _DEAR_OF_A_YIELD + levels.extra
+    cheaps = max(each.cheap for each in levels.moments.values())
+    spent = dears * (dear + cheap) + cheaps * cheap
+    half = share.failing.half
+    plain = _RATE * (1.0 - _RATE) * (1.96 / _HALF) ** 2
+    ratio = spent * max(half / _HALF, 1.0) / (plain * dear)
+    details = {
+        "half_width": half,
+        "failing": share.failing.value,
+        "samples": (dears, cheaps),
+        "cost_ratio": cheap / dear,
+        "plain_samples": plain,
+        "at_the_width_reached": spent / (_RATE * (1.0 - _RATE) * (1.96 / half) ** 2 * dear),
+    }
+    return [figure("yield_vs_plain", [ratio], details=details)]
+
+
+def _bare(prepared: Prepared, points: Array) -> float:
+    begun = time.perf_counter()
+    batch = prepared.batch(prepared.names, prepared.plan.model)
+    table = batch.measures(prepared.tolerances.values(points))
+    if not np.isfinite(table).all():
+        raise RuntimeError(f"samples failed: {batch.failures}")
+    return time.perf_counter() - begun
+
+
+def _job(prepared: Prepared, n: int) -> tuple[Job, Array]:
+    how = sampling("plain", n, len(prepared.tolerances.variables), prepared.seed)
+    return prepared.job(how, n), how.uniforms(0, n)
+
+
+def engine_overhead(repetitions: int) -> list[Figure]:
+    """Share that the engine adds to `spice` samples: chunks, files and the pool, one worker."""
+    prepared = _prepared("drop", _SAMPLES_OF_ENGINE)
+    job, points = _job(prepared, _SAMPLES_OF_ENGINE)
+    shares = []
+    for _ in range(max(min(repetitions, 3), 1)):
+        bare = _bare(prepared, points)
+        with tempfile.TemporaryDirectory(prefix="cosim-bench-") as name:
+            begun = time.perf_counter()
+            run(job, Path(name) / "mc", workers=1, chunk=_CHUNKS)
+            shares.append((time.perf_counter() - begun) / bare - 1.0)
+    return [figure("engine_overhead", [max(share, 0.0) for share in shares],
+                   details={"samples": _SAMPLES_OF_ENGINE, "chunk": _CHUNKS})]  # fmt: skip
+
+
+def two_cores(repetitions: int) -> list[Figure]:
+    """Wall time of one worker's samples over two workers', as the share of two that is missing.
+
+    A figure is met when it is not above its target: it is 1/speed-up.
+    """
+    prepared = _prepared("drop", 4 * _SAMPLES_OF_ENGINE)
+    job, _ = _job(prepared, 4 * _SAMPLES_OF_ENGINE)
+    walls: list[list[float]] = [[], []]
+    for _ in range(max(min(repetitions, 3), 1)):
+        for workers, kept in zip((1, 2), walls, strict=True):
+            with tempfile.TemporaryDirectory(prefix="cosim-bench-") as name:
+                begun = time.perf_counter()
+                run(job, Path(name) / "mc", workers=workers, chunk=_CHUNKS)
+                kept.append(time.perf_counter() - begun)
+    ratios = [b / a for a, b in zip(*walls, strict=True)]
+    details = {"speed_up": 1.0 / statistics.median(ratios), "one_s": walls[0], "two_s": walls[1]}
+    return [figure("two_cores", ratios, details=details)]
