@@ -62,6 +62,13 @@ def test_a_study_its_files_and_one_of_its_devices_again(
     ("words", "reason"),
     [
         (["-n", "0"], "no number of samples"),
+        (
+            ["-n", "40", "--measure", "k_max", "--until", "k_max +- 5 N/m", "--two-level"],
+            "-n: has no meaning",
+        ),
+        (["--measure", "k_max", "--until", "k_max +- 5 N/m", "--two-level"], "only their samples tell"),
+        (["--spec", "k_max in 9..3"], "empty range"),
+        (["--cluster", "tcp://127.0.0.1:9", "--measure", "k_max"], "--cluster"),
         (["--measure", "curll"], "nearest is curl"),
         (["--spec", "curll > 3"], "nearest is curl"),
         (["--spec", "curl in 3..3"], "empty range"),

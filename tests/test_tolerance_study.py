@@ -343,6 +343,30 @@ def test_a_lot_that_pulls_both_ways() -> None:
     assert answer.low <= np.min(result.column(NAME))
 
 
+@pytest.mark.parametrize("kind", ["uniform", "gauss"])
+@pytest.mark.parametrize("seed", range(8))
+def test_no_sample_inside_the_box_is_beyond_the_corner(kind: str, seed: int) -> None:
+    """Of formulas that bend, turn and pull two ways; samples outside of the box are counted, not covered."""
+    rng = np.random.default_rng(seed)
+    weights, bends = rng.standard_normal(6), 0.5 * rng.standard_normal((6, 6))
+    tolerances = parts([1e3] * 5, Shape(kind, -0.02, 0.02), lot=Shape(kind, -0.05, 0.05))  # type: ignore[arg-type]
+
+    def bent(values: Array) -> Array:
+        d = (values / 1e3 - 1.0) / 0.02
+        x = np.column_stack([d, np.sin(d.sum(axis=1))])
+        return x @ weights + np.einsum("ni,ij,nj->n", x, bends, x)
+
+    result = study(tolerances, bent, 4000, seed=seed)
+    told = corner(result, NAME, Formula(bent))
+    column = result.column(NAME)
+    deviations = [tolerances.shape(j).inverse(result.uniforms()[:, j]) for j in range(6)]
+    inside = np.all([np.abs(d) <= tolerances.shape(j).box[1] for j, d in enumerate(deviations)], axis=0)
+    assert told.outside == np.sum(~inside)
+    assert (told.outside > 0) == (kind == "gauss")
+    assert told.low <= column[inside].min()
+    assert column[inside].max() <= told.high
+
+
 def test_an_extreme_within_the_box_and_one_that_takes_two_together() -> None:
     def hill(x: Array) -> Array:
         return -((x[:, 0] - 0.3) ** 2) - (x[:, 1] + 0.2) ** 2 + x[:, 2]
