@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from cosim.circuits.design_constants import Stated
 from cosim.effects import EFFECTS
-from cosim.scene import Level, PotNoise, PythonOperator, Scene
+from cosim.scene import Level, Scene
+from cosim.scene.mechanism import is_linear_between_events
 
 #: Points of a sample beyond the longest steps: what the restart behind its jump and its ramp takes; in
 #: `spice` at ngspice's relative tolerance `_RTOL`, and with its fourth root at others.
@@ -74,9 +75,9 @@ def predict(scene: Scene, constants: Stated, model: str) -> dict[str, float]:
         micro *= SLEW_STEPS
     if scene.operator.type == "python":
         micro += OPERATOR_US[model]
-    apart = EXACT_S[model] if _is_exact(scene) else 0.0
+    apart = EXACT_S[model] if is_linear_between_events(scene) else 0.0
     if any(each.fresh_intervals and each.is_in_force(scene) for each in EFFECTS):
-        apart += samples * (EXACT_INTERVAL_S if _is_exact(scene) else INTERVAL_S)[model]
+        apart += samples * (EXACT_INTERVAL_S if is_linear_between_events(scene) else INTERVAL_S)[model]
     if scene.computer.law is not None:
         apart += samples * LAW_S
     return {
@@ -92,12 +93,3 @@ def _of_tick(scene: Scene) -> float:
     """Return the points that follow a tick of component noise in `spice`."""
     offset = scene.effects.opamp_offset or scene.effects.opamp is Level.FULL
     return (COMPONENT_POINTS_OFFSET if offset else COMPONENT_POINTS) * scene.joints
-
-
-def _is_exact(scene: Scene) -> bool:
-    """Whether our own loop goes from event to event by matrix exponentials (`exact_slider.py`)."""
-    effects = scene.effects
-    bent = effects.pot_linearity or effects.pot_calibration
-    bent = bent or effects.pot_noise in (PotNoise.STATIC, PotNoise.POSITION)
-    others = effects.coulomb or effects.end_stops or effects.component_noise or effects.shaft
-    return scene.is_slider and not (bent or others or isinstance(scene.operator, PythonOperator))

@@ -13,7 +13,7 @@ from cosim.scene import Scene, choices, device_tables, schema
 from cosim.scene.numbers import with_number
 from mech import Chain, Hand, NoOperator, Operator, ParameterError, PointMass, Slider, load_user
 
-__all__ = ["encoder_step", "known_mechanism", "mechanism", "operator", "start"]
+__all__ = ["encoder_step", "is_linear_between_events", "known_mechanism", "mechanism", "operator", "start"]
 
 
 def mechanism(scene: Scene, gear: float) -> Chain | Slider:
@@ -67,6 +67,26 @@ def known_mechanism(scene: Scene, gear: float) -> Chain | Slider:
     for key, value in scene.designed:
         scene = with_number(scene, key, value)
     return mechanism(scene, gear)
+
+
+def is_linear_between_events(scene: Scene) -> bool:
+    """Whether linkage, operator and potentiometers are linear from one event of a scene to the next.
+
+    A slider without friction, stops and shaft, moved by nobody's own class, its potentiometer's error no
+    function of the angle. The models `ideal` and `linear` then step from event to event exactly.
+    """
+    effects, slider, pot = scene.effects, scene.device.slider, scene.device.potentiometer
+    if slider is None or not scene.is_slider:
+        return False
+    bent = (
+        effects.pot_noise in (choices.PotNoise.STATIC, choices.PotNoise.POSITION)
+        or (effects.pot_linearity and pot.linearity_rad > 0.0)
+        or (effects.pot_calibration and (pot.gain_error != 0.0 or pot.zero_rad != 0.0))
+    )
+    friction = effects.coulomb and slider.coulomb_n_m > 0.0
+    stops = effects.end_stops and bool(slider.stops_rad)
+    own = isinstance(scene.operator, schema.PythonOperator)
+    return not (bent or friction or stops or own or effects.shaft or effects.component_noise)
 
 
 def _shafts(scene: Scene, table: device_tables.Chain | device_tables.Slider) -> dict[str, Any]:

@@ -25,7 +25,6 @@ from cosim.loop.state import STATE, Fault
 from cosim.types import Array, Record
 from mech.compiled import inner_inlined
 from mech.kernels import dynamics, operator_force
-from mech.records import OperatorKind
 
 #: Inputs: outer torque [N m], u, cmd [V], noise of the potentiometer [rad] and its rate [rad/s].
 _INPUTS = 5
@@ -77,19 +76,15 @@ def _padded(rows: int) -> int:
 
 
 def exact(
-    state: np.void, circuit: LinearCircuit, knots: Array, failures: list[Exception]
+    state: np.void, circuit: LinearCircuit, knots: Array, failures: list[Exception], *, linear: bool
 ) -> tuple[Exact, Callable[[], None]]:
     """Return the memory of the exact path and the callback that must live as long as it is used.
 
     `knots` are the times inside the run at which the operator's force has a kink. What goes wrong in the
-    callback ends the run and is left in `failures`.
+    callback ends the run and is left in `failures`. `linear`: see `is_linear_between_events`.
     """
-    p, op = state["p"], state["op"]
+    op = state["op"]
     size = 2 + circuit.order
-    linear = (
-        p["slider"] == 1 and not any(p[name] for name in ("coulomb_on", "stops_on", "shaft_on"))
-        and not state["position_noise"] and op["kind"] != OperatorKind.USER and not state["component"]
-    )  # fmt: skip
     path = op["path"][: op["paths"]]
     held = op["stiffness"] > 0 or op["damping"] > 0
     moving = [(a[0], b[0]) for a, b in pairwise(path) if held and (a[1:] != b[1:]).any()]

@@ -35,6 +35,7 @@ from cosim.loop.userlaw import UserLaw, load_law
 from cosim.ngspice.simulator import Simulator
 from cosim.results import RAW
 from cosim.scene import PythonOperator, Scene
+from cosim.scene.mechanism import is_linear_between_events
 from cosim.types import Report
 
 #: First step behind a jump of the DACs, as a share of the period, when rows are recorded; or as a share of
@@ -154,7 +155,8 @@ def prepare(
             first *= scene.solver.max_step_s / _USUAL_STEP_S
             state["fresh"] = max(float(state["fresh"]), scene.computer.period_s)
     failures: list[Exception] = []
-    leaps, callback = exact(state, shifted_circuit, memory.knots, failures)
+    linear = is_linear_between_events(scene)
+    leaps, callback = exact(state, shifted_circuit, memory.knots, failures, linear=linear)
     tables = stepper.Tables(memory.state, maps, desk, leaps)
     return Propagation(memory, circuit, maps, desk, leaps, callback, failures, first, tables)
 
