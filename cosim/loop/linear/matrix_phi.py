@@ -8,6 +8,8 @@ in a fast one the integrals follow from the exponential without cancellation.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.linalg import expm, matrix_balance, schur, solve_sylvester
 
@@ -18,6 +20,36 @@ from cosim.types import Array
 _WELL = 1e4
 #: Moduli further apart than this are taken apart; up to this modulus a part counts as slow.
 _GAP, _SLOW = 30.0, 30.0
+#: Matrices that are kept taken apart.
+_KEPT = 16
+
+
+class Modes:
+    """A real matrix [N, N], taken apart once for its phi functions at many times."""
+
+    def __init__(self, a: Array) -> None:
+        self._balanced, (scale, _) = matrix_balance(a, permute=False, separate=True)
+        self._scale = scale[:, None] / scale
+        self._modes, self._vectors = np.linalg.eig(self._balanced)
+        self._well = np.linalg.cond(self._vectors) < _WELL
+        self._inverse = np.linalg.inv(self._vectors) if self._well else None
+
+    def phi_functions(self, h: float, count: int) -> list[Array]:
+        """Return F_0 .. F_count of the matrix times `h` [s], as `phi_functions` does."""
+        if self._well:
+            values = np.zeros((len(self._modes), TOP + 1), complex)
+            for mode, row in zip((self._modes * h).tolist(), values, strict=True):
+                single(complex(mode), row)
+            functions = [np.real((self._vectors * values[:, r]) @ self._inverse) for r in range(count + 1)]
+        else:
+            functions = _functions(self._balanced * h, count)
+        return [self._scale * f for f in functions]
+
+
+@lru_cache(maxsize=_KEPT)
+def _modes(a: bytes, n: int) -> Modes:
+    """Return a matrix, given by its bytes, taken apart; a run asks for few matrices, each at many times."""
+    return Modes(np.frombuffer(a).reshape(n, n))
 
 
 def phi_functions(a: Array, h: float, count: int) -> list[Array]:
@@ -40,17 +72,7 @@ def phi_functions(a: Array, h: float, count: int) -> list[Array]:
     """
     if not len(a):
         return [np.zeros((0, 0)) for _ in range(count + 1)]
-    balanced, (scale, _) = matrix_balance(np.asarray(a, float) * h, permute=False, separate=True)
-    modes, v = np.linalg.eig(balanced)
-    if np.linalg.cond(v) < _WELL:
-        w = np.linalg.inv(v)
-        values = np.zeros((len(a), TOP + 1), complex)
-        for mode, row in zip(modes, values, strict=True):
-            single(complex(mode), row)
-        found = [np.real((v * values[:, r]) @ w) for r in range(count + 1)]
-    else:
-        found = _functions(np.asarray(balanced), count)
-    return [scale[:, None] * f / scale for f in found]
+    return _modes(np.asarray(a, float).tobytes(), len(a)).phi_functions(h, count)
 
 
 def _functions(z: Array, count: int) -> list[Array]:
