@@ -1,9 +1,10 @@
-"""What makes a figure hard to read: labels that lie on one another, axes without a name, words cut off."""
+"""What makes a figure hard to read: labels on one another, nameless axes, words cut off, raw formulas."""
 
 from itertools import combinations, pairwise
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
 #: Boxes of ticks may touch; this much of overlap [pixel] is seen. Texts side by side need a gap.
@@ -22,6 +23,9 @@ def faults(figure: Figure) -> list[str]:
     for text, box in texts:
         if min(box.x0, box.y0) < -_SEEN or box.x1 > width + _SEEN or box.y1 > height + _SEEN:
             found.append(f"{text!r} is cut off")
+    for each in figure.findobj(Text):
+        if _shown(each) and "$" in each.get_text() and not each.get_parse_math():
+            found.append(f"a formula is drawn as it is written: {each.get_text()}")
     return found
 
 

@@ -48,11 +48,12 @@ def _limits(table: Table, passive: Table) -> Drawn:
         colour, mark = JOINTS[number % len(JOINTS)], _MARKS[number % len(_MARKS)]
         place.plot(*exact[name], color=colour, linewidth=1.0)
         place.plot(*first[name], mark, color=colour, markersize=4.5, label=name)
+    place.plot([], [], color=FAINT, linewidth=1.0, label="lines: exact limit, contact held")
     periods, values = first[main[0]] if main else ([], [])
     if len(periods) > 2:
         power, factor = np.polyfit(np.log(periods), np.log(values), 1)
         place.plot(periods, np.exp(factor) * np.array(periods) ** power, "--", color=FAINT, linewidth=1.0,
-                   label=f"fit of {main[0]}: $T^{{{power:.2f}}}$")  # fmt: skip
+                   label=f"fit of {main[0]}: T^{power:.2f}")  # fmt: skip
     line = [(t, k) for t, k in zip(*passive.columns.values(), strict=True) if k is not None]
     if line:
         place.plot(*zip(*line, strict=True), ":", color=INK, linewidth=1.2, label=f"passive: {main[0]}")
