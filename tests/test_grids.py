@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from small_studies import FALL, PERIODS, first, small
 
+from cosim.caution import collected
 from cosim.studies.grid import decimal, even, geometric, milli, steps
 from cosim.studies.study import StudyResult
 
@@ -55,7 +56,24 @@ STUDIES: list[tuple[str, dict[str, Any]]] = [
     ],
 )
 def test_what_was_asked_for_stands_in_the_tables_as_it_was_asked(name: str, changes: dict[str, Any]) -> None:
-    assert ragged(small(name, **changes)) == set()
+    with collected(forward=False) as cautions:
+        assert ragged(small(name, **changes)) == set()
+    assert [str(each) for each in cautions] == []  # no study that is shipped warns of what it does
+
+
+@pytest.mark.few(1)
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("8_device", {}),
+        *(pytest.param(name, {}, id=name, marks=pytest.mark.slow)
+          for name in ("0_1_acceptance", "4_fig18_poses", "5_1_eta", "5_6_budget", "7_footnote2")),
+    ],
+)  # fmt: skip
+def test_no_other_study_warns_either(name: str, changes: dict[str, Any]) -> None:
+    with collected(forward=False) as cautions:
+        small(name, **changes)
+    assert [str(each) for each in cautions] == []
 
 
 def test_grids_are_what_they_say_to_twelve_digits() -> None:
