@@ -49,12 +49,12 @@ def asked(path: Path, tolerance: float, child: Child | None) -> dict[str, Any]:
         plan = resolve(load_scene(path))
         for k in range(REPETITIONS):
             begun = time.perf_counter()
-            found = run_within(plan, folder / f"run{k}", wanted, child=child, formats=())
+            result = run_within(plan, folder / f"run{k}", wanted, child=child, formats=())
             in_all = time.perf_counter() - begun
-            wall_s.append(float(found.stats["wall_s"]))
+            wall_s.append(float(result.stats["wall_s"]))
     missed = {c.text.partition(" ")[0] for c in heard if c.code == "tolerance-missed"}
-    return {"measures": found.measures, "wall_s": min(wall_s), "in_all_s": in_all,
-            "missed": missed, "model": found.plan["model"]}  # fmt: skip
+    return {"measures": result.measures, "wall_s": min(wall_s), "in_all_s": in_all,
+            "missed": missed, "model": result.plan["model"]}  # fmt: skip
 
 
 def main(names: list[str]) -> int:
@@ -79,8 +79,9 @@ def main(names: list[str]) -> int:
                     f"{min(best.wall_s) * 1e3:.3g} ms ({best.setting.label}), "
                     f"{got['wall_s'] / min(best.wall_s):.2g} times"
                 )  # fmt: skip
-                told = f", told: {', '.join(got['missed'])}" if got["missed"] else ""
-                print(f"{name} {tolerance:g}: {got['model']}, worst error {max(errors.values()):.1e}{told}; "
+                missed = f", told: {', '.join(got['missed'])}" if got["missed"] else ""
+                worst = max(errors.values())
+                print(f"{name} {tolerance:g}: {got['model']}, worst error {worst:.1e}{missed}; "
                       f"{got['wall_s'] * 1e3:.3g} ms, {got['in_all_s']:.2g} s in all; cheapest {words}",
                       flush=True)  # fmt: skip
     print(f"{silent} beyond the tolerance in silence")

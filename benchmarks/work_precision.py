@@ -88,10 +88,10 @@ def race(payload: dict[str, Any], report: Any) -> list[dict[str, Any]]:
     assert constants is not None
     circuit = model(plan, "linear", 0.0)
     table = signals(packed(plan, constants, circuit, OUR_TOLERANCES[-1]))
-    whole = system(prepare(plan.scene, constants, circuit, record=False), table)
-    truth = whole.outputs(whole.exact())
+    system_of_scene = system(prepare(plan.scene, constants, circuit, record=False), table)
+    truth = system_of_scene.outputs(system_of_scene.exact())
     size = np.abs(truth).max(axis=0)
-    instants = whole.period_s * np.arange(1, len(whole.a) + 1)
+    instants = system_of_scene.period_s * np.arange(1, len(system_of_scene.a) + 1)
 
     def ours(tol: float) -> float:
         got = signals(packed(plan, constants, circuit, tol))
@@ -108,9 +108,9 @@ def race(payload: dict[str, Any], report: Any) -> list[dict[str, Any]]:
             walls = []
             for _ in range(REPETITIONS):
                 begun = time.perf_counter()
-                found = solver(whole, rtol)
+                points = solver(system_of_scene, rtol)
                 walls.append(time.perf_counter() - begun)
-            error = float((np.abs(whole.outputs(found) - truth).max(axis=0) / size).max())
+            error = float((np.abs(system_of_scene.outputs(points) - truth).max(axis=0) / size).max())
             made.append({"who": name, "tolerance": rtol, "error": error, "wall_s": statistics.median(walls)})
             report({"time_s": rtol})
             if error <= LINEAR[-1]:

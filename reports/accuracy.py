@@ -44,7 +44,7 @@ _MOST_NEGLECTED = 5
 _ROUNDING = 1e-15
 
 
-def write_accuracy(found: Accuracy, folder: Path) -> Path:
+def write_accuracy(study: Accuracy, folder: Path) -> Path:
     """Write page, picture, ``accuracy.csv`` and ``accuracy.json`` into the folder; return the page.
 
     Raises
@@ -53,75 +53,79 @@ def write_accuracy(found: Accuracy, folder: Path) -> Path:
         The folder cannot be written, or holds something else under these names.
     """
     with look():
-        shown = picture("accuracy", "Error over time", draw(found))
+        shown = picture("accuracy", "Error over time", draw(study))
     section = Section(
-        "accuracy", f"{found.scene.title}: what accuracy costs", [], tuple(words(found)), [shown],
-        [_front(found), _reltol(found), _failures(found)], "",
+        "accuracy", f"{study.scene.title}: what accuracy costs", [], tuple(words(study)), [shown],
+        [_front(study), _reltol(study), _failures(study)], "",
     )  # fmt: skip
     html = render(
-        "study.html.j2", title=f"What accuracy costs: {found.scene.title}", command="", summary=[],
+        "study.html.j2", title=f"What accuracy costs: {study.scene.title}", command="", summary=[],
         sections=[section], claims=[], warnings=[],
     )  # fmt: skip
-    text = json.dumps(found.as_dict(), indent=1, allow_nan=False) + "\n"
-    return write_page(folder, html, [shown], dict(zip(FILES[1:], (_csv(found), text), strict=True)), MANIFEST)
+    text = json.dumps(study.as_dict(), indent=1, allow_nan=False) + "\n"
+    return write_page(folder, html, [shown], dict(zip(FILES[1:], (_csv(study), text), strict=True)), MANIFEST)
 
 
-def words(found: Accuracy) -> list[str]:
+def words(study: Accuracy) -> list[str]:
     """Return what was found in sentences, the recommendation first."""
-    share = f"{found.tolerance:g}"
-    own = [row for row in found.rows if row.setting.model != "peer" and row.errors]
-    if found.cheapest is None:
-        best = min((row.worst(found.quantities) for row in own), default=math.inf)
-        floor = max((found.floor.get(name, 0.0) for name in found.quantities), default=0.0)
-        why = f"the references themselves disagree by {floor:.1e}" if floor > found.tolerance else (
+    share = f"{study.tolerance:g}"
+    own = [row for row in study.rows if row.setting.model != "peer" and row.errors]
+    if study.cheapest is None:
+        best = min((row.worst(study.quantities) for row in own), default=math.inf)
+        floor = max((study.floor.get(name, 0.0) for name in study.quantities), default=0.0)
+        why = f"the references themselves disagree by {floor:.1e}" if floor > study.tolerance else (
             f"the best reaches {best:.1e}"
         )  # fmt: skip
-        said = [f"No setting is known to be within {share}: {why}."]
+        sentences = [f"No setting is known to be within {share}: {why}."]
     else:
-        cost = quantity(found.cheapest.seconds, "s")
-        lines = "; ".join(found.cheapest.setting.lines())
-        worst = found.cheapest.worst(found.quantities)
-        said = [f"Cheapest within {share}: {found.cheapest.setting.label}, {cost}, worst error {worst:.1e}; "
-                f"put into the scene: {lines}"]  # fmt: skip
-    said.append(
-        f"Errors are shares of the largest value, against {found.references[0]}; the floor is what "
-        f"{', '.join(found.references[1:])} differ from it by, and nothing is claimed below it."
+        cost = quantity(study.cheapest.seconds, "s")
+        lines = "; ".join(study.cheapest.setting.lines())
+        worst = study.cheapest.worst(study.quantities)
+        label = study.cheapest.setting.label
+        sentences = [
+            f"Cheapest within {share}: {label}, {cost}, worst error {worst:.1e}; put into the scene: {lines}"
+        ]
+    sentences.append(
+        f"Errors are shares of the largest value, against {study.references[0]}; the floor is what "
+        f"{', '.join(study.references[1:])} differ from it by, and nothing is claimed below it."
     )
-    for model, gone in found.left_out.items():
-        error = max((found.model_error[model].get(n, math.inf) for n in found.quantities), default=math.inf)
+    for model, gone in study.left_out.items():
+        error = max((study.model_error[model].get(n, math.inf) for n in study.quantities), default=math.inf)
         named = ", ".join(gone) or "nothing"
         if math.isfinite(error):
-            said.append(f"The model {model} leaves out {named}; no setting of it gets below {error:.1e}.")
-    if found.scene.effects.encoder:
-        said.append(
+            sentences.append(
+                f"The model {model} leaves out {named}; no setting of it gets below {error:.1e}."
+            )
+    if study.scene.effects.encoder:
+        sentences.append(
             "The encoder counts in steps: a count that comes a sample early or late is an error of its own, "
             "the same for all settings that have it. One deck in plain ngspice is given the codes and has "
             "no such error."
         )
-    large = [f"{name} {size:.1e}" for name, size in found.neglected.items() if size > found.tolerance]
+    large = [f"{name} {size:.1e}" for name, size in study.neglected.items() if size > study.tolerance]
     if large:
-        said.append(
+        sentences.append(
             "The scene itself leaves out, as shares of the peak force, a priori and from above: "
             f"{', '.join(large[:_MOST_NEGLECTED])}. Where it has no reason to (cosim plan), digits below "
             "that say nothing about the device."
         )
-    return said
+    return sentences
 
 
-def draw(found: Accuracy) -> Drawn:
+def draw(study: Accuracy) -> Drawn:
     """Return the figure: a row of panels a quantity, over wall time and processor time."""
-    names = found.quantities
+    names = study.quantities
     drawing, grid = figure(1.2 + 2.5 * len(names), len(names), 2, sharex="col", sharey="row")
     for row, name in enumerate(names):
         for column, clock in enumerate(("wall_s", "cpu_s")):
-            _panel(grid[row, column], found, name, clock)
+            _panel(grid[row, column], study, name, clock)
         grid[row, 0].set_ylabel(f"relative error of\n{name.replace('_', ' ')}")
     grid[-1, 0].set_xlabel("wall time of the simulation [s]")
     grid[-1, 1].set_xlabel("its processor time [s]")
-    handles = _key(found)
+    handles = _key(study)
     drawing.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False)
-    drawing.suptitle(f"{found.scene.title}: what each digit costs")
-    count = max((len(row.wall_s) for row in found.rows), default=0)
+    drawing.suptitle(f"{study.scene.title}: what each digit costs")
+    count = max((len(row.wall_s) for row in study.rows), default=0)
     caption = (
         f"Error of each quantity over the time of the simulation alone, medians of {count} runs with their "
         "spread. The line is the Pareto front of this program's own settings; grey below is the floor, where "
@@ -129,16 +133,16 @@ def draw(found: Accuracy) -> Drawn:
         "that the scene itself leaves out, from above. Crosses: one deck in plain ngspice, which is given "
         "the recorded voltages of the DACs and closes no loop."
     )
-    failed = sum(bool(row.failed) for row in found.rows)
+    failed = sum(bool(row.failed) for row in study.rows)
     if failed:
         caption += f" {failed} settings failed; they are named below."
     return Drawn(drawing, caption)
 
 
-def _panel(axes: Axes, found: Accuracy, name: str, clock: str) -> None:
-    floor = max(found.floor.get(name, 0.0), _ROUNDING)
+def _panel(axes: Axes, study: Accuracy, name: str, clock: str) -> None:
+    floor = max(study.floor.get(name, 0.0), _ROUNDING)
     shown: list[tuple[float, float]] = []
-    for row in found.rows:
+    for row in study.rows:
         if name not in row.errors:
             continue
         times = getattr(row, clock)
@@ -165,31 +169,31 @@ def _panel(axes: Axes, found: Accuracy, name: str, clock: str) -> None:
     low, high = axes.get_ylim()
     low = min(low, floor / 3.0)
     axes.axhspan(low * 1e-3, floor, color="#E6E6E6", zorder=0)
-    for model, errors in found.model_error.items():
+    for model, errors in study.model_error.items():
         if name in errors:
             axes.axhline(errors[name], color=_COLORS[model], linestyle="--", linewidth=0.9, zorder=1)
-    gone = _drawn_neglect(found)
+    gone = _drawn_neglect(study)
     if gone is not None and name in ("force", "peak_force"):
         axes.axhline(gone[1], color=LIMIT, linestyle=":", linewidth=1.0, zorder=1)
         high = max(high, 2.0 * gone[1])
-    axes.axhline(found.tolerance, color=FAINT, linewidth=0.7, zorder=1)
+    axes.axhline(study.tolerance, color=FAINT, linewidth=0.7, zorder=1)
     axes.set_ylim(low, high)
-    if found.cheapest is not None and name in found.cheapest.errors:
-        at = statistics.median(getattr(found.cheapest, clock)), max(found.cheapest.errors[name], _ROUNDING)
+    if study.cheapest is not None and name in study.cheapest.errors:
+        at = statistics.median(getattr(study.cheapest, clock)), max(study.cheapest.errors[name], _ROUNDING)
         axes.plot(*at, "o", markersize=11, markerfacecolor="none", color=LIMIT, zorder=6, label="_cheapest")
 
 
-def _drawn_neglect(found: Accuracy) -> tuple[str, float] | None:
+def _drawn_neglect(study: Accuracy) -> tuple[str, float] | None:
     """Return the largest effect that the scene leaves out; what would outweigh all forces is a choice."""
-    return next(((name, size) for name, size in found.neglected.items() if size < 1.0), None)
+    return next(((name, size) for name, size in study.neglected.items() if size < 1.0), None)
 
 
-def _key(found: Accuracy) -> list[object]:
+def _key(study: Accuracy) -> list[object]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    models = dict.fromkeys(row.setting.model for row in found.rows if row.errors)
-    series = dict.fromkeys(row.setting.series for row in found.rows if row.errors)
+    models = dict.fromkeys(row.setting.model for row in study.rows if row.errors)
+    series = dict.fromkeys(row.setting.series for row in study.rows if row.errors)
     handles: list[object] = [
         Line2D([], [], color=_COLORS[model], marker="o", linestyle="",
                label="peers" if model == "peer" else model)
@@ -200,13 +204,13 @@ def _key(found: Accuracy) -> list[object]:
         for name in series
     ]
     handles.append(Line2D([], [], color=INK, linewidth=0.8, label="Pareto front"))
-    handles.append(Line2D([], [], color=FAINT, linewidth=0.7, label=f"tolerance {found.tolerance:g}"))
-    if found.cheapest is not None:
+    handles.append(Line2D([], [], color=FAINT, linewidth=0.7, label=f"tolerance {study.tolerance:g}"))
+    if study.cheapest is not None:
         handles.append(Line2D([], [], color=LIMIT, marker="o", markersize=9, markerfacecolor="none",
                               linestyle="", label="recommended"))  # fmt: skip
-    if any(found.model_error.values()):
+    if any(study.model_error.values()):
         handles.append(Line2D([], [], color=INK, linestyle="--", label="effects a model leaves out"))
-    gone = _drawn_neglect(found)
+    gone = _drawn_neglect(study)
     if gone is not None:
         label = f"scene leaves out {gone[0]}"
         handles.append(Line2D([], [], color=LIMIT, linestyle=":", label=label))
@@ -214,14 +218,14 @@ def _key(found: Accuracy) -> list[object]:
     return handles
 
 
-def _front(found: Accuracy) -> TextTable:
-    rows = sorted((row for row in found.rows if row.front), key=lambda row: row.seconds)
-    head = ["setting", "wall", "set-up", "points", "rejected", *found.quantities]
+def _front(study: Accuracy) -> TextTable:
+    rows = sorted((row for row in study.rows if row.front), key=lambda row: row.seconds)
+    head = ["setting", "wall", "set-up", "points", "rejected", *study.quantities]
     cells = [
         [
             row.setting.label, quantity(row.seconds, "s"), quantity(statistics.median(row.setup_s), "s"),
             str(row.points), str(row.rejected),
-            *(f"{row.errors[n]:.1e}" if n in row.errors else "-" for n in found.quantities),
+            *(f"{row.errors[n]:.1e}" if n in row.errors else "-" for n in study.quantities),
         ]
         for row in rows
     ]  # fmt: skip
@@ -229,13 +233,13 @@ def _front(found: Accuracy) -> TextTable:
     return TextTable("The Pareto front", head, cells, numbers, "All settings are in the file.", FILES[1])
 
 
-def _reltol(found: Accuracy) -> TextTable:
+def _reltol(study: Accuracy) -> TextTable:
     """Return what ngspice's own tolerance would make one believe, against the errors that were made."""
     rows = []
-    for row in found.rows:
+    for row in study.rows:
         asked = believed(row.setting.label)
         if asked is not None and row.errors:
-            worst = row.worst(found.quantities)
+            worst = row.worst(study.quantities)
             rows.append([row.setting.label, f"{asked:g}", f"{worst:.1e}", f"{worst / asked:.3g}"])
     note = (
         "reltol bounds what Newton's iterations and each step's own formula leave, not what a run makes of "
@@ -258,30 +262,30 @@ def believed(label: str) -> float | None:
     return float(value.partition(",")[0]) if stated else None
 
 
-def _failures(found: Accuracy) -> TextTable:
-    rows = [[row.setting.label, row.failed] for row in found.rows if row.failed]
+def _failures(study: Accuracy) -> TextTable:
+    rows = [[row.setting.label, row.failed] for row in study.rows if row.failed]
     return TextTable("Settings that failed", ["setting", "why"], rows, set(), "" if rows else "None.")
 
 
-def _header(found: Accuracy) -> list[str]:
-    names = list(dict.fromkeys(name for row in found.rows for name in row.errors))
-    return [*found.quantities, *(name for name in names if name not in found.quantities)]
+def _header(study: Accuracy) -> list[str]:
+    names = list(dict.fromkeys(name for row in study.rows for name in row.errors))
+    return [*study.quantities, *(name for name in names if name not in study.quantities)]
 
 
-def _csv(found: Accuracy) -> str:
+def _csv(study: Accuracy) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    names = _header(found)
+    names = _header(study)
     clocks = ("wall", "cpu", "setup")
     spread = [f"{clock}_{which} [s]" for clock in clocks for which in ("median", "min", "max")]
     writer.writerow(["setting", "model", "series", "overrides", "failed", "front", *spread, "points",
                      "rejected", "states", *(f"error of {name}" for name in names)])  # fmt: skip
-    for row in found.rows:
+    for row in study.rows:
         times: list[object] = []
         for clock in (row.wall_s, row.cpu_s, row.setup_s):
             times += [statistics.median(clock), min(clock), max(clock)] if clock else [None] * 3
         writer.writerow([row.setting.label, row.setting.model, row.setting.series,
                          " ".join(row.setting.overrides), row.failed, int(row.front), *times, row.points,
                          row.rejected, row.states, *(row.errors.get(name) for name in names)])  # fmt: skip
-    writer.writerow(["floor", "", "", "", "", "", *[None] * 9, "", "", "", *map(found.floor.get, names)])
+    writer.writerow(["floor", "", "", "", "", "", *[None] * 9, "", "", "", *map(study.floor.get, names)])
     return stream.getvalue()

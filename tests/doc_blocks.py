@@ -216,7 +216,7 @@ def check_number(text, printed):
     """Check a number that prose quotes: ``NAME 104.5 ±0.2``, the first in the line that begins with NAME."""
     name, value, tolerance = re.fullmatch(r"(.+?) (\S+) ±(\S+)", text).groups()
     lines = [line.strip() for line in printed.splitlines() if line.strip().startswith(name)]
-    numbers = [float(found[0]) for line in lines if (found := _NUMBER.findall(line[len(name) :]))]
+    numbers = [float(digits[0]) for line in lines if (digits := _NUMBER.findall(line[len(name) :]))]
     assert any(math.isclose(each, float(value), rel_tol=0, abs_tol=float(tolerance)) for each in numbers), (
         f"{text}: printed is {lines}"
     )

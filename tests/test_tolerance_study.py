@@ -223,17 +223,17 @@ def ishigami(values: Array) -> Array:
 def ishigami_shares() -> Array:
     """First-order indices in closed form (Ishigami and Homma, 1990), a = 7, b = 0.1."""
     a, b, pi = 7.0, 0.1, math.pi
-    whole = a**2 / 8 + b * pi**4 / 5 + b**2 * pi**8 / 18 + 0.5
-    return np.array([0.5 * (1 + b * pi**4 / 5) ** 2, a**2 / 8, 0.0]) / whole
+    variance = a**2 / 8 + b * pi**4 / 5 + b**2 * pi**8 / 18 + 0.5
+    return np.array([0.5 * (1 + b * pi**4 / 5) ** 2, a**2 / 8, 0.0]) / variance
 
 
 def test_without_the_extra_rough_shares_are_said_to_be_rough(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cosim.tolerance.sensitivity.available", lambda: False)
-    found = find(study(parts([1e3] * 3, UNIFORM), ishigami, 256), ())
-    surface = found.surfaces[NAME]
+    findings = find(study(parts([1e3] * 3, UNIFORM), ishigami, 256), ())
+    surface = findings.surfaces[NAME]
     assert surface.chaos is None
     assert surface.explained < 0.99
-    assert any("less than 0.99" in note for note in found.notes)
+    assert any("less than 0.99" in note for note in findings.notes)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -262,8 +262,8 @@ def test_sparse_chaos_of_gaussians_and_a_lot() -> None:
                 return np.zeros((1, 1))
             return (z[:, :1] ** 3 + z[:, 1:2] * z[:, 2:]).copy()
 
-    found = Study(tolerances, how, "ideal", (NAME,), np.zeros(1), Direct().measures(np.zeros((256, 2))))
-    surface = fit_surface(found, NAME)
+    made = Study(tolerances, how, "ideal", (NAME,), np.zeros(1), Direct().measures(np.zeros((256, 2))))
+    surface = fit_surface(made, NAME)
     assert surface is not None
     assert surface.explained >= 0.99
     assert [each.value for each in surface.shares()] == pytest.approx([15 / 16, 0.0, 0.0], abs=0.01)
@@ -357,14 +357,14 @@ def test_no_sample_inside_the_box_is_beyond_the_corner(kind: str, seed: int) -> 
         return x @ weights + np.einsum("ni,ij,nj->n", x, bends, x)
 
     result = study(tolerances, bent, 4000, seed=seed)
-    told = corner(result, NAME, Formula(bent))
+    worst = corner(result, NAME, Formula(bent))
     column = result.column(NAME)
     deviations = [tolerances.shape(j).inverse(result.uniforms()[:, j]) for j in range(6)]
     inside = np.all([np.abs(d) <= tolerances.shape(j).box[1] for j, d in enumerate(deviations)], axis=0)
-    assert told.outside == np.sum(~inside)
-    assert (told.outside > 0) == (kind == "gauss")
-    assert told.low <= column[inside].min()
-    assert column[inside].max() <= told.high
+    assert worst.outside == np.sum(~inside)
+    assert (worst.outside > 0) == (kind == "gauss")
+    assert worst.low <= column[inside].min()
+    assert column[inside].max() <= worst.high
 
 
 def test_an_extreme_within_the_box_and_one_that_takes_two_together() -> None:

@@ -32,10 +32,10 @@ class Said(io.TextIOBase):
 
     def write(self, text: str) -> int:
         """Take text as a file does."""
-        *whole, self._begun = (self._begun + text).split("\n")
+        *complete, self._begun = (self._begun + text).split("\n")
         room = _MOST_LINES - len(self._kept)
-        self._kept += [line[:_MOST_CHARACTERS] for line in whole[:room]]
-        self._more += max(len(whole) - room, 0)
+        self._kept += [line[:_MOST_CHARACTERS] for line in complete[:room]]
+        self._more += max(len(complete) - room, 0)
         self._begun = self._begun[:_MOST_CHARACTERS]
         return len(text)
 
@@ -52,14 +52,14 @@ class Said(io.TextIOBase):
             yield
 
 
-def load_class(where: str, scene: Path | None, *, key: str, what: str, method: str, said: Said) -> Any:
+def load_class(where: str, scene: Path | None, *, key: str, what: str, method: str, printed: Said) -> Any:
     """Make one object of the class `file.py:Class`, the file relative to the scene.
 
     Parameters
     ----------
     key, what, method
         Where the scene names it, what it is in words, and the method that it must have, as a person calls it.
-    said
+    printed
         Hears what the file prints.
 
     Raises
@@ -78,7 +78,7 @@ def load_class(where: str, scene: Path | None, *, key: str, what: str, method: s
     if not os.path.isfile(path):
         raise refuse(f"there is no file {path}")
     try:
-        with said.listening():
+        with printed.listening():
             module = load_file(path)
             kind = getattr(module, name, None)
             if not isinstance(kind, type):
@@ -95,7 +95,7 @@ def load_class(where: str, scene: Path | None, *, key: str, what: str, method: s
 
 
 def in_users_words(
-    where: str, error: BaseException, time_s: float | None = None, said: Said | None = None
+    where: str, error: BaseException, time_s: float | None = None, output: Said | None = None
 ) -> SimulationError:
     """Return the error of a run that a user's class ended: its own words, and the line of its file."""
     if isinstance(error, SimulationError):
@@ -107,7 +107,7 @@ def in_users_words(
         if frame.filename == where.rpartition(":")[0]
     ]
     place = f"{lines[-1][0]}:{lines[-1][1]}" if lines else where
-    printed = f"; it printed last: {said.lines[-1]}" if said is not None and said.lines else ""
+    printed = f"; it printed last: {output.lines[-1]}" if output is not None and output.lines else ""
     return SimulationError(f"{place}: {_words(error)}{printed}", time_s=time_s)
 
 

@@ -83,7 +83,7 @@ class Command:
     torque_n_m: ArrayLike = field(default=0.0)
 
 
-def load_law(where: str, scene: Path | None, said: Said | None = None) -> Any:
+def load_law(where: str, scene: Path | None, printed: Said | None = None) -> Any:
     """Make one object of the class `file.py:Class`, the file relative to the scene.
 
     Raises
@@ -97,7 +97,7 @@ def load_law(where: str, scene: Path | None, said: Said | None = None) -> Any:
         key="computer.law",
         what="a control law",
         method="control(sample)",
-        said=Said() if said is None else said,
+        printed=Said() if printed is None else printed,
     )
 
 
@@ -122,10 +122,10 @@ class UserLaw:
         where: str,
         scene: Scene,
         board: DesignConstants,
-        said: Said,
+        printed: Said,
     ) -> None:
         self.law, self.state, self.failed, self.where = law, state, failed, where
-        self.scene, self.board, self.said = scene, board, said
+        self.scene, self.board, self.said = scene, board, printed
         self.callback = ctypes.CFUNCTYPE(None)(self._sample)
         self.address = ctypes.cast(self.callback, ctypes.c_void_p).value
 

@@ -61,19 +61,24 @@ def measured(payload: dict[str, Any], report: Callable[[dict[str, Any]], None]) 
     """
     scene: Scene = payload["scene"]
     run = Recorded(scene, payload["constants"], read_raw(Path(payload["raw"])), payload["samples"])
-    said, rows = Said(), {}
+    printed, rows = Said(), {}
     names: Iterable[str] = payload["names"]
     for where in names:
         made = load_class(
-            where, scene.file, key="measures.names", what="an own measure", method="measure(run)", said=said
+            where,
+            scene.file,
+            key="measures.names",
+            what="an own measure",
+            method="measure(run)",
+            printed=printed,
         )
         try:
-            with said.listening():
+            with printed.listening():
                 value = float(made.measure(run))
         except BaseException as error:
-            raise in_users_words(where, error, said=said) from error
+            raise in_users_words(where, error, output=printed) from error
         if not math.isfinite(value):
             raise SimulationError(f"{where}: the measure is not finite: {value}")
         unit, text = str(getattr(made, "unit", "")), str(getattr(made, "text", "") or "own measure")
         rows[where.rpartition(":")[2]] = {"value": value, "unit": unit, "text": text}
-    return {"rows": rows, "said": said.lines}
+    return {"rows": rows, "said": printed.lines}

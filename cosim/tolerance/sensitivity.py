@@ -78,10 +78,10 @@ class Surface:
 
     def __call__(self, z: Array) -> Array:
         """Return the measure for standardised deviations (n, variables)."""
-        found = self.mean + z @ self.linear
+        predicted = self.mean + z @ self.linear
         if self.terms:
-            found = found + _products(z, self.terms) @ self.second
-        return np.asarray(found)
+            predicted = predicted + _products(z, self.terms) @ self.second
+        return np.asarray(predicted)
 
     def shares(self) -> list[Estimate]:
         """Return each variable's share of the variance by itself (first order).
@@ -102,13 +102,13 @@ class Surface:
             else:
                 both += c**2
         variance = float(own.sum()) + both + self.noise
-        found = []
+        out = []
         for value, slope, error in zip(own, self.linear, self.errors, strict=True):
             half = _Z * 2.0 * abs(slope) * error + (_Z * error) ** 2
             share = value / variance if variance else 0.0
             width = half / variance if variance else 0.0
-            found.append(Estimate(share, max(share - width, 0.0), min(share + width, 1.0), "regression"))
-        return found
+            out.append(Estimate(share, max(share - width, 0.0), min(share + width, 1.0), "regression"))
+        return out
 
 
 def deviations(tolerances: Tolerances, uniforms: Array) -> Array:
@@ -139,8 +139,8 @@ def fit_surface(study: Study, name: str) -> Surface | None:
     if chaos is not None and not chaos.held_out > held:
         chaos = None
     moments = [study.tolerances.shape(j).standard_moments() for j in range(p)]
-    found = _fitted(name, study.tolerances.variables, z, y, tuple(terms), held, total, np.array(moments))
-    return replace(found, chaos=chaos)
+    surface = _fitted(name, study.tolerances.variables, z, y, tuple(terms), held, total, np.array(moments))
+    return replace(surface, chaos=chaos)
 
 
 def _grown(z: Array, y: Array, held: float) -> tuple[list[tuple[int, int]], float]:
@@ -172,14 +172,14 @@ def _fitted(
     total: float, moments: Array,
 ) -> Surface:  # fmt: skip
     design = _columns(z, terms)
-    found, *_ = np.linalg.lstsq(design, y, rcond=None)
+    coefficients, *_ = np.linalg.lstsq(design, y, rcond=None)
     freedom = max(len(y) - design.shape[1], 1)
-    noise = float(np.sum((y - design @ found) ** 2)) / freedom
+    noise = float(np.sum((y - design @ coefficients) ** 2)) / freedom
     errors = np.sqrt(np.maximum(noise * np.diag(np.linalg.pinv(design.T @ design)), 0.0))
     p = z.shape[1]
     return Surface(
-        name, names, float(found[0]), np.asarray(found[1 : p + 1], float), terms,
-        np.asarray(found[p + 1 :], float), errors[1 : p + 1], held, total, len(y), noise,
+        name, names, float(coefficients[0]), np.asarray(coefficients[1 : p + 1], float), terms,
+        np.asarray(coefficients[p + 1 :], float), errors[1 : p + 1], held, total, len(y), noise,
         moments[:, 0], moments[:, 1],
     )  # fmt: skip
 
@@ -191,8 +191,8 @@ def _held_out(z: Array, y: Array, terms: list[tuple[int, int]] | tuple[()] = ())
     left = np.empty_like(y)
     for k in range(_FOLDS):
         there = fold == k
-        found, *_ = np.linalg.lstsq(design[~there], y[~there], rcond=None)
-        left[there] = y[there] - design[there] @ found
+        coefficients, *_ = np.linalg.lstsq(design[~there], y[~there], rcond=None)
+        left[there] = y[there] - design[there] @ coefficients
     variance = float(np.var(y))
     return 1.0 - float(np.mean(left**2)) / variance if variance > 0.0 else math.nan
 

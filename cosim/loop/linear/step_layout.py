@@ -261,14 +261,14 @@ def plan(
     if noise is not None:
         in_series[np.arange(m), noise] = 1.0
     channels = [c for c in sorted({*driven, *np.flatnonzero(circuit.y_offset)}) if circuit.gain[c] != 0]
-    found = _Blocks(circuit, one, two, f)
-    found.add_states(channels, bent=bent)
-    found.add_channels(channels, in_series, bent=bent)
+    parts = _Blocks(circuit, one, two, f)
+    parts.add_states(channels, bent=bent)
+    parts.add_channels(channels, in_series, bent=bent)
     if commands:
-        found.add_pins(f.cmd, DAC, m, 0)
+        parts.add_pins(f.cmd, DAC, m, 0)
     if speeds:
-        found.add_pins(f.vel, SPEED, m + n, SPEED - 1)
-    blocks = [b for b in found.all if b.rows]
+        parts.add_pins(f.vel, SPEED, m + n, SPEED - 1)
+    blocks = [b for b in parts.all if b.rows]
     size = [len(b.rows) * len(b.columns) for b in blocks]
     return Plan(
         n=n, before=f.before, after=f.after, features=f.count, results=4 * n + f.after + f.before,

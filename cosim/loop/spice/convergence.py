@@ -176,5 +176,5 @@ def plain_start(
     simulator.attach(source=lambda name, t: 0.0)
     simulator.command("op")
     nodes = [name for name in simulator.vector_names() if "#" not in name]
-    found = {name: float(np.real(simulator.vector(name)[0])) for name in nodes}
-    return [f".nodeset v({name})={value!r}" for name, value in found.items()]
+    by_node = {name: float(np.real(simulator.vector(name)[0])) for name in nodes}
+    return [f".nodeset v({name})={value!r}" for name, value in by_node.items()]

@@ -102,8 +102,10 @@ def _simulate(request: RunRequest, report: Report, aid: Aid) -> RunAnswer:
     simulator.load(text, lines=board.lines, name=str(board.path))
     if component is not None:
         component = _called(component, simulator)
-    said = Said()
-    memory = _packed(said, scene, constants, circuit, recorded, nodes[len(recorded) :], component=component)
+    printed = Said()
+    memory = _packed(
+        printed, scene, constants, circuit, recorded, nodes[len(recorded) :], component=component
+    )
     if not aid.patient:
         tolerance = scene.solver.coupling_tolerance_rad
         bound_work(memory, request.predicted_points, scene.duration_s, tolerance)
@@ -118,7 +120,7 @@ def _simulate(request: RunRequest, report: Report, aid: Aid) -> RunAnswer:
         memory, simulator, request.folder, report, deck=str(board.path), person=person, nodes=nodes
     )
     recorder.running = False
-    law = _own_law(scene, constants, state, recorder, said)  # kept alive: compiled code calls it
+    law = _own_law(scene, constants, state, recorder, printed)  # kept alive: compiled code calls it
     if law is not None:
         state["law_address"] = law.address
 
@@ -156,7 +158,7 @@ def _simulate(request: RunRequest, report: Report, aid: Aid) -> RunAnswer:
         sample_columns=sample_columns(circuit.joints),
         stats=statistics(memory, wall, cpu),
         ngspice=str(simulator.version),
-        printed=said.lines,
+        printed=printed.lines,
         component_noise=component.about if component is not None else None,
         swings=swings,
         **_at_nodes(simulator, circuit, nodes, state),
@@ -202,13 +204,15 @@ def _called(component: ComponentGrid, simulator: Simulator) -> ComponentGrid:
 
 
 def _own_law(
-    scene: Scene, constants: DesignConstants, state: np.void, recorder: Recorder, said: Said
+    scene: Scene, constants: DesignConstants, state: np.void, recorder: Recorder, printed: Said
 ) -> UserLaw | None:
     """Return the control law of the user's own, if the scene names one."""
     where = scene.computer.law
     if where is None:
         return None
-    return UserLaw(load_law(where, scene.file, said), state, recorder.fail, where, scene, constants, said)
+    return UserLaw(
+        load_law(where, scene.file, printed), state, recorder.fail, where, scene, constants, printed
+    )
 
 
 def _output_limits(simulator: Simulator, board: Deck, measured: Mapping[str, Swing]) -> dict[str, float]:
@@ -238,11 +242,11 @@ def _signals(
     return ledger
 
 
-def _packed(said: Said, *scene: Any, **more: Any) -> Memory:
-    """Return what `pack` makes; what a user's operator prints, then and later, goes to `said`."""
-    with said.listening():
+def _packed(printed: Said, *scene: Any, **more: Any) -> Memory:
+    """Return what `pack` makes; what a user's operator prints, then and later, goes to `printed`."""
+    with printed.listening():
         memory = pack(*scene, **more)
-    memory.operator.listen(said.listening)
+    memory.operator.listen(printed.listening)
     return memory
 
 
