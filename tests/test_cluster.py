@@ -109,6 +109,27 @@ def test_the_only_worker_killed_at_nine_tenths_leaves_what_it_finished(tmp_path:
     assert (counts > 1).sum() <= 2 * chunk
 
 
+@pytest.mark.slow
+def test_a_scheduler_that_dies_is_told_and_what_was_measured_is_kept(tmp_path: Path) -> None:
+    pytest.importorskip("distributed", reason="needs the extra: pip install 'cosim[cluster]'")
+    run(job(tmp_path / "truth", N), tmp_path / "truth" / "mc", workers=1)
+    folder = tmp_path / "far"
+    with Cluster(1) as cluster:
+
+        def watch(done: int, of: int, _: str) -> None:
+            if done >= of // 2 and cluster.scheduler.poll() is None:
+                cluster.scheduler.kill()
+                cluster.scheduler.wait()
+
+        slow = job(folder, N, slow_s=0.01)
+        with pytest.raises(InputError, match="the same command goes on"):
+            run(slow, folder / "mc", chunk=7, cluster=cluster.address, on_progress=watch)
+    run(job(folder, N), folder / "mc", workers=1)
+    assert samples(folder) == samples(tmp_path / "truth")
+    lines = (folder / "log").read_text().splitlines()
+    assert sum(int(line.split()[1]) for line in lines) < 1.2 * N  # the first half was not measured again
+
+
 def resident_mb(pid: int) -> float:
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError
 from importlib import import_module
 from typing import Any
 
@@ -22,6 +23,8 @@ Maker = Callable[[], Callable[[Chunk], Any]]
 _EACH, _MOST = 2, 200
 #: A scheduler that does not answer for so long [s] is not there.
 _PATIENCE_S = 10
+#: So long [s] a study without workers waits for the next one: a batch system starts it again.
+_NEXT_S = 60
 
 #: What measures, in a worker's process, by the study: made once.
 _made: dict[str, Callable[[Chunk], Any]] = {}
@@ -36,6 +39,25 @@ def _measure(make: Maker, study: str, chunk: Chunk) -> Any:
         return _made[study](chunk)
     except CosimError as error:
         return error
+
+
+def _sent(client: Any, make: Maker, address: str) -> Any:
+    """Send what makes the work to all workers, waiting for one where there is none.
+
+    Raises
+    ------
+    InputError
+        Where no worker comes, or the scheduler is gone.
+    """
+    try:
+        client.wait_for_workers(1, timeout=_NEXT_S)
+        return client.scatter(make, broadcast=True)
+    except (OSError, TimeoutError, CancelledError) as error:
+        fail(
+            f"scheduler or workers are gone ({type(error).__name__}); what was measured is kept: the same "
+            "command goes on",
+            key="--cluster", value=address,
+        )  # fmt: skip
 
 
 def clustered(make: Maker, study: str, chunks: Iterator[Chunk], address: str) -> Iterator[tuple[Chunk, Any]]:
@@ -69,7 +91,7 @@ def clustered(make: Maker, study: str, chunks: Iterator[Chunk], address: str) ->
         workers = len(client.scheduler_info(n_workers=-1)["workers"])
         if not workers:
             fail("the scheduler has no workers", key="--cluster", value=address)
-        kept = client.scatter(make, broadcast=True)
+        kept = _sent(client, make, address)
         waiting, flying = deque[Chunk](), dict[Any, Chunk]()
         while True:
             while len(flying) < min(_EACH * workers, _MOST):
@@ -79,9 +101,16 @@ def clustered(make: Maker, study: str, chunks: Iterator[Chunk], address: str) ->
                 flying[client.submit(_measure, kept, study, chunk, pure=False)] = chunk
             if not flying:
                 return
-            done = distributed.wait(list(flying), return_when="FIRST_COMPLETED").done
-            for future in done:
-                chunk, died = flying.pop(future), future.exception()
+            try:
+                done = distributed.wait(list(flying), return_when="FIRST_COMPLETED").done
+                ended = [(future, future.exception()) for future in done]
+            except CancelledError:  # what was sent is gone with the last worker that had it, or the scheduler
+                waiting.extend(flying.values())
+                flying.clear()
+                kept = _sent(client, make, address)
+                continue
+            for future, died in ended:
+                chunk = flying.pop(future)
                 if died is None:
                     answer = future.result()
                     future.release()
