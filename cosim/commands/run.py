@@ -49,8 +49,10 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
+    ours = args.model in ("linear", "ideal")  # a circuit that is not kept yet opens the library itself
+    early = "cosim.loop.early_linear" if ours else "cosim.loop.early_imports"
     with start_early(
-        "cosim.loop.early_imports", reads=[Path(args.scene).parent]
+        early, reads=[Path(args.scene).parent], library=not ours
     ) as child:  # it imports while the scene is read
         from cosim.api.simulation import run
         from cosim.commands.chosen_effects import plan_of

@@ -34,8 +34,9 @@ from cosim.storage.staging import disk_errors, make_scratch
 
 __all__ = ["Child", "call", "on_demand", "start_early"]
 
-PREIMPORT = ("numpy", "PySpice.Spice.NgSpice.Shared", "numba")
-"""What an early child imports while the parent still prepares."""
+PREIMPORT = ("numpy", "numba")
+LIBRARY = "PySpice.Spice.NgSpice.Shared"
+"""What an early child imports while the parent still prepares, and where it will need ngspice."""
 
 OUTBOX = Path("..") / "out"
 """Where a function in the child leaves files for its caller, from its working folder; see `call`."""
@@ -114,9 +115,9 @@ def call(
         )
 
 
-def start_early(*modules: str, reads: Sequence[Path] = ()) -> "Child":
+def start_early(*modules: str, reads: Sequence[Path] = (), library: bool = True) -> "Child":
     """Start a child now that imports `PREIMPORT` and `modules` while the parent does something else."""
-    child = Child((*PREIMPORT, *modules), reads)
+    child = Child((*PREIMPORT, *([LIBRARY] if library else []), *modules), reads)
     child.start()
     defer()  # the parent, too, has much to load
     return child
@@ -125,7 +126,7 @@ def start_early(*modules: str, reads: Sequence[Path] = ()) -> "Child":
 def on_demand() -> "Child":
     """Return a child that starts with its first call, for work whose answers may all be kept already."""
     defer()
-    return Child(PREIMPORT)
+    return Child((*PREIMPORT, LIBRARY))
 
 
 class Child:

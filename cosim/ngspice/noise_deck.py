@@ -9,8 +9,6 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 
-from scipy.constants import Boltzmann
-
 from cosim.ngspice.deck import Deck
 from cosim.ngspice.lines import Line, join, tokens
 from cosim.ngspice.netlist import Block, parse
@@ -99,6 +97,8 @@ def _source(part: Part, line: Line) -> list[Line]:
     Its resistor has the circuit's temperature, since ``temp=`` means something else in every version; who
     measures its noise scales it back (`Element.from_data_sheet`).
     """
+    from scipy.constants import Boltzmann  # 30 ms that a run has no need of
+
     four_kt = 4.0 * Boltzmann * (ROOM_C + 273.15)
     texts = (
         f"{SOURCE} {_NODE} 0 {{{part.density}*{part.density}/{four_kt!r}}}",

@@ -76,7 +76,7 @@ def extracted(session: Session, asked: cache.Asked, paths: Paths | None = None) 
         circuit = _ideal(session, asked, file)
     else:
         circuit = _linear(session, asked, file, session.measure(SWEEP) if paths is None else paths)
-    notes = {"aid": session.aid} if session.aid else {}
+    notes = {"ngspice": str(session.simulator.version)} | ({"aid": session.aid} if session.aid else {})
     return replace(circuit, certificate=circuit.certificate | notes)
 
 

@@ -19,7 +19,6 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from scipy.constants import Boltzmann, elementary_charge
 
 from cosim.circuits.cache import VERSION, load_arrays, store_arrays
 from cosim.circuits.extraction.noise_analysis import left_out
@@ -298,6 +297,8 @@ def _kelvin(celsius: float) -> float:
 
 def _at_operating_point(session: Session, maker: Element) -> float:
     """Return an element's thermal or shot noise A/sqrt(Hz), by the formulas of ngspice's own models."""
+    from scipy.constants import Boltzmann, elementary_charge  # 30 ms that a run has no need of
+
     element, letter = maker.name, maker.name[0]
     if letter == "r":
         kelvin = _kelvin(ROOM_C if maker.from_data_sheet else session.reading(element, "temp"))

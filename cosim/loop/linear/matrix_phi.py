@@ -11,7 +11,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg import expm, matrix_balance, schur, solve_sylvester
+import scipy  # loads its parts when they are used
 
 from cosim.loop.linear.divided_differences import TOP, single
 from cosim.types import Array
@@ -28,7 +28,7 @@ class Modes:
     """A real matrix [N, N], taken apart once for its phi functions at many times."""
 
     def __init__(self, a: Array) -> None:
-        self._balanced, (scale, _) = matrix_balance(a, permute=False, separate=True)
+        self._balanced, (scale, _) = scipy.linalg.matrix_balance(a, permute=False, separate=True)
         self._scale = scale[:, None] / scale
         self._modes, self._vectors = np.linalg.eig(self._balanced)
         self._well = np.linalg.cond(self._vectors) < _WELL
@@ -88,9 +88,9 @@ def _functions(z: Array, count: int) -> list[Array]:
         chain[:n, :n] = z
         for r in range(count):
             chain[n * r : n * (r + 1), n * (r + 1) : n * (r + 2)] = np.eye(n)
-        whole = expm(chain)
+        whole = scipy.linalg.expm(chain)
         return [whole[:n, n * r : n * (r + 1)] for r in range(count + 1)]
-    out = [expm(z)]
+    out = [scipy.linalg.expm(z)]
     factorial = 1.0
     for r in range(count):
         factorial *= max(r, 1)
@@ -100,8 +100,8 @@ def _functions(z: Array, count: int) -> list[Array]:
 
 def _apart(z: Array, cut: float, count: int) -> list[Array]:
     """Split into the modes above and below the modulus `cut`."""
-    t, q, fast = schur(z, output="real", sort=lambda re, im: np.hypot(re, im) > cut)
-    x = solve_sylvester(t[:fast, :fast], -t[fast:, fast:], -t[:fast, fast:])
+    t, q, fast = scipy.linalg.schur(z, output="real", sort=lambda re, im: np.hypot(re, im) > cut)
+    x = scipy.linalg.solve_sylvester(t[:fast, :fast], -t[fast:, fast:], -t[:fast, fast:])
     left, right = q.copy(), q.T.copy()
     left[:, fast:] += q[:, :fast] @ x
     right[:fast] -= x @ q.T[fast:]

@@ -32,7 +32,6 @@ from cosim.loop.signals import Layout, write_signals
 from cosim.loop.state import Fault
 from cosim.loop.userclass import Said
 from cosim.loop.userlaw import UserLaw, load_law
-from cosim.ngspice.simulator import Simulator
 from cosim.results import RAW
 from cosim.scene import PythonOperator, Scene
 from cosim.scene.mechanism import is_linear_between_events
@@ -249,8 +248,18 @@ def simulate(request: RunRequest, report: Report) -> RunAnswer:
         ledger=ledger,
         sample_columns=sample_columns(circuit.joints),
         stats=statistics(packed.memory, wall, cpu),
-        ngspice=str(Simulator().version),
+        ngspice=_version(circuit),
         printed=said.lines,
         component_noise=component.about if component is not None else None,
         circuit=circuit,
     )
+
+
+def _version(circuit: LinearCircuit) -> str:
+    """Return the version of ngspice that measured the circuit: today's, where an older cache has none."""
+    known = circuit.certificate.get("ngspice")
+    if known is not None:
+        return str(known)
+    from cosim.ngspice.simulator import Simulator  # opening the library takes 0.1 s
+
+    return str(Simulator().version)

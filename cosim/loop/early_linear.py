@@ -1,0 +1,3 @@
+"""Imported by a child that will run on `linear` or `ideal` only, and needs no library of ngspice for it."""
+
+import cosim.loop.linear.run_linear  # noqa: F401  for what its import loads
