@@ -16,6 +16,7 @@ from cosim.ngspice.deck import Deck, Feature, PartSwap, load_deck
 from cosim.ngspice.dialect import Dialect
 from cosim.ngspice.expression import evaluate
 from cosim.ngspice.lines import Line, number, read_lines
+from cosim.ngspice.syntax import malformed
 from cosim.ngspice.values import as_meant
 from cosim.plan import resolve
 from cosim.scene import load_scene
@@ -461,6 +462,30 @@ def test_a_value_is_one_row(character: str, form: str) -> None:
 def test_values_that_are_none(value: str) -> None:
     with pytest.raises(InputError, match="r_sum_fb"):
         shipped(r_sum_fb=value)
+
+
+@pytest.mark.parametrize(
+    ("line", "whole"),
+    [
+        ("R1 a b 10 k", "10k"),
+        ("c1 a b 1.5 nF tol=1", "1.5nF"),
+        ("L1 a b 2 mH", "2mH"),
+        (".param a=169 k b=2", "169k"),
+        (".param b = 2 a = 5 MEG", "5MEG"),
+        ("R1 a b 10 kOhm", "10kOhm"),
+        ("R1 a b 10 Ω", None),
+        ("R1 a b 10k rmod", None),
+        ("R1 a b 10k k", None),
+        (".param a=1 + 2", None),
+        ("V1 k m 10", None),
+        ("D1 a k d", None),
+        ("R1 u k 10", None),
+    ],
+)
+def test_a_scale_behind_a_blank_is_told(line: str, whole: str | None) -> None:
+    problem = malformed(Line(line))
+    assert (problem is not None) == (whole is not None)
+    assert problem is None or f"write {whole}" in problem.message
 
 
 @pytest.mark.parametrize("zero", ["0", "{0}", "{1k-1000}", "{r_sum_cmd-20k}", "0meg", "{-0}"])

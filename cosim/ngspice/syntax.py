@@ -1,9 +1,10 @@
 """Slips of the pen that ngspice passes over, reports without a line, or dies of."""
 
 import re
+from itertools import pairwise
 
 from cosim.errors import Problem
-from cosim.ngspice.lines import Line, strange_character, tokens
+from cosim.ngspice.lines import Line, number, strange_character, tokens
 
 __all__ = ["balanced", "malformed"]
 
@@ -13,6 +14,8 @@ _STRING = re.compile(r"=\s*\"")
 _TEXT = re.compile(r"\btext:", re.IGNORECASE)
 _PWL = re.compile(r"\bpwl\s*\(([^()]*)\)", re.IGNORECASE)
 _NAME = re.compile(r"[a-z_]\w*", re.IGNORECASE)
+_APART = re.compile(r"(?:t|g|meg|k|mil|m|u|µ|μ|n|p|f)(?:ohms?|Ω|f|h|hz|v|a|s)?", re.IGNORECASE)
+"""A scale, and a unit, that stand behind a blank: ngspice looks for a model or a parameter of that name."""
 _BRACKETS = re.compile(r"[{}()\[\]]")
 
 
@@ -31,6 +34,7 @@ def malformed(line: Line) -> Problem | None:
         or _unbalanced(line.text)
         or _statement(line.keyword, words)
         or _strings(line)
+        or _scale_apart(line.keyword, words)
     )
     if not reason and _GLUED.search(line.text):
         reason = "something stands directly behind '}': ngspice reads it as another value"
@@ -59,6 +63,18 @@ def _statement(keyword: str, words: list[str]) -> str | None:
             return "must be .model name type (parameters), with the type as a plain word"
     if any(len(inside.replace(",", " ").split()) < 2 for inside in _PWL.findall(" ".join(words[3:]))):
         return "pwl() needs at least two numbers"
+    return None
+
+
+def _scale_apart(keyword: str, words: list[str]) -> str | None:
+    """Return which number has its scale behind a blank."""
+    parameters = keyword in (".param", ".params", ".csparam")
+    if not parameters and keyword[:1] not in ("r", "c", "l"):
+        return None
+    for value, behind in pairwise(words[1:] if parameters else words[3:5]):
+        written = value.partition("=")[2] if parameters else value
+        if _APART.fullmatch(behind) and number(written) is not None and written[-1:].isdigit():
+            return f"{written} {behind}: a blank stands before the scale; write {written}{behind}"
     return None
 
 
