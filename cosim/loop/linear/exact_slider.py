@@ -315,11 +315,15 @@ def leap(s: Record, k: Any, b: Any, x: Any, t: float, h: float, ramp: float) -> 
         return True
     for i in range(6):
         b.work[i] = 0.0
+    # Speeds at the nodes add up to the way, but for rounding: which at rest would do work for ever.
+    late = (then[0] - s.q[0]) / h
+    for node in range(3):
+        late -= WEIGHTS[node] * then[size + 2 + 3 * node]
     for node in range(3):
         at = size + 1 + 3 * node
         s.tau[0] = s.torque_per_amp[0] * (then[at + 2] + k.offset[0])
         s.q_trial[0] = then[at]
-        v = s.v_trial[0] = then[at + 1]
+        v = s.v_trial[0] = then[at + 1] + late
         dynamics(s.p, s.op, t + NODES[node] * h, s.q_trial, s.v_trial, s.tau, s.a_trial, s.w)
         part = WEIGHTS[node] * h * v
         b.work[0] += part * s.tau[0]
