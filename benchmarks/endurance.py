@@ -101,8 +101,8 @@ def drop(samples: int) -> tuple[Track, int]:
     scene, board = request.scene, request.board
     circuit = extract({"board": board, "model": "linear", "band_hz": scene.solver.band_hz,
                        "tolerance": scene.solver.reduction_tolerance}, lambda _: None)  # fmt: skip
-    # with rows, or no account is kept of energy; few of them
-    packed = prepare(scene, request.constants, circuit, record=True, dense=False)
+    # with rows, or no account is kept of energy
+    packed = prepare(scene, request.constants, circuit, record=True)
     state, total = packed.memory.state[0], packed.bench.total
     nobody = NoOperator().pack()[0]
     told = sample_columns(scene.joints)
