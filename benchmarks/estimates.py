@@ -6,18 +6,24 @@ tighter than any other, and count only from ten times what this and our own loop
 a lockstep whose twin is our own loop the reference is therefore not its twin.
 
 `--random N --seed S` takes N scenes of `benchmarks.trouble` instead: none that a margin was tuned on.
+`--perturbed N` takes N variants of each case, one resistor moved by up to 1 %. A bound may be large beside
+one error that happens to be small: bounds and errors are compared as root mean squares over the variants,
+for each case, model, setting and measure.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import statistics
 import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from benchmarks import trouble
 from benchmarks.rig import ROOT
@@ -51,6 +57,8 @@ SETTINGS = {
 }
 #: An error counts from so many times the references' disagreement.
 ABOVE_FLOOR = 10.0
+#: A tightness is of so many errors at least, and fails beyond so many times.
+LEAST_PERTURBED, LOOSE = 20, 10.0
 WITHOUT = frozenset({"ledger_closure", "headroom"})
 
 
@@ -63,6 +71,7 @@ class Seen:
     measure: str
     error: float
     bound: float | None
+    setting: int = 0  # of `SETTINGS`
 
 
 def shipped(names: list[str]) -> dict[str, tuple[Path, tuple[str, ...]]]:
@@ -74,6 +83,35 @@ def shipped(names: list[str]) -> dict[str, tuple[Path, tuple[str, ...]]]:
 def random_cases(seed: int, count: int) -> dict[str, tuple[Path, tuple[str, ...]]]:
     """Return scenes of the random search by seed and number."""
     return {f"{seed}/{k}": trouble.drawn(seed, k) for k in range(count)}
+
+
+def perturbed(
+    cases: dict[str, tuple[Path, tuple[str, ...]]], count: int
+) -> dict[str, tuple[Path, tuple[str, ...]]]:
+    """Return variants of each case, its summing resistor within 1 % of its 24.3 kOhm."""
+    rng = np.random.default_rng(11)
+    return {
+        f"{name}/{k}": (
+            path,
+            (*changes, f"device.values.r_sum_spring='{24.3e3 * rng.uniform(0.99, 1.01):.7g}'"),
+        )
+        for name, (path, changes) in cases.items()
+        for k in range(count)
+    }
+
+
+def tightness(every: list[Seen]) -> dict[tuple[str, str, str], float]:
+    """Return rms bound over rms error by (case, model, measure), variants of a case together."""
+    groups: dict[tuple[str, str, str], list[Seen]] = {}
+    for each in every:
+        groups.setdefault(
+            (each.case.rpartition("/")[0], f"{each.model} {each.setting}", each.measure), []
+        ).append(each)
+    return {
+        key: math.sqrt(sum((s.bound or math.inf) ** 2 for s in of) / sum(s.error**2 for s in of))
+        for key, of in groups.items()
+        if len(of) >= LEAST_PERTURBED
+    }
 
 
 def seen(
@@ -96,7 +134,7 @@ def seen(
     for model, settings in SETTINGS.items():
         if not carries(scene, model):
             continue
-        for setting in settings:
+        for number, setting in enumerate(settings):
             begun = time.perf_counter()
             plain = simulated(f"solver.model={model}", *setting)
             middle = time.perf_counter()
@@ -112,7 +150,7 @@ def seen(
                 if error > ABOVE_FLOOR * floor[measure]:
                     size = abs(truth[measure]["value"]) or 1.0
                     bound = None if row["error"] is None else row["error"] / size
-                    yield Seen(name, model, measure, error / size, bound)
+                    yield Seen(name, model, measure, error / size, bound, number)
 
 
 def main(arguments: list[str]) -> int:
@@ -121,8 +159,11 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("names", nargs="*", metavar="CASE", help=", ".join(CASES))
     parser.add_argument("--random", type=int, default=0, metavar="N", help="random scenes instead")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--perturbed", type=int, default=0, metavar="N", help="variants of each case")
     args = parser.parse_args(arguments)
     cases = random_cases(args.seed, args.random) if args.random else shipped(args.names)
+    if args.perturbed:
+        cases = perturbed(cases, args.perturbed)
     every: list[Seen] = []
     ratios: dict[str, list[float]] = {}
     reads = [ROOT / "scenes"]
@@ -150,6 +191,13 @@ def main(arguments: list[str]) -> int:
         if s.bound is None or s.error > s.bound:
             bound = "none" if s.bound is None else f"{s.bound:.2e}"
             print(f"  beyond: {s.case}, {s.model}, {s.measure}: error {s.error:.2e}, bound {bound}")
+    ratios_of = tightness(every) if args.perturbed else {}
+    if ratios_of:
+        loose = {key: ratio for key, ratio in ratios_of.items() if ratio > LOOSE}
+        count = f"{len(ratios_of)} of case, setting and measure, {len(loose)} beyond {LOOSE:g}"
+        print(f"rms bound over rms error: {count}")
+        for key, ratio in loose.items():
+            print(f"  loose: {', '.join(key)}: {ratio:.3g}")
     within = sum(s.bound is not None and s.error <= s.bound for s in every)
     print(f"all: {_words(every)}" if every else "nothing is above the floor")
     return 0 if within >= 0.95 * len(every) else 1

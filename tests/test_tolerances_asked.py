@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,9 @@ from cosim.comparisons.effects_ledger import effects_ledger
 from cosim.comparisons.measure_values import Measured
 from cosim.measures import Tolerance
 from cosim.plan import resolve
+from cosim.runner import run
+from cosim.studies import wall_trace
+from cosim.studies.study import load_study
 
 RADIUS, SPEED = 0.1333, 1.0
 #: A carriage that the computer holds between two walls' springs from the start: ideal parts, no rounding.
@@ -119,3 +123,24 @@ def test_shipped_scenes_are_within_what_was_asked(name: str) -> None:
         for measure, value in right.items():
             error = abs(result["measures"][measure]["value"] - value)
             assert error <= tolerance * abs(value) or measure in result["missed"], (tolerance, measure)
+
+
+def test_a_study_of_runs_is_within_the_tolerance_and_another_says_why_not(monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    assert main(["report", str(SCENES / "paper" / "1_fig13.toml"), "--tol", "1e-3"]) == 2
+    assert 'a study "drop" has no tolerance to choose: it asks' in capsys.readouterr().err
+    spec = load_study(SCENES / "paper" / "3_fig16_18.toml")
+    runs = spec.parameters.runs[:1]
+    loose = replace(spec, parameters=spec.parameters.model_copy(update={"runs": runs}))
+    asked = []
+
+    def within(plan, place, wanted, **more):
+        asked.append((wanted.by_name["rendered_stiffness"].allowed(100.0), more["free"]))
+        return run(plan, place, formats=(), child=more["child"])
+
+    monkeypatch.setattr(wall_trace, "run_within", within)
+    tight = replace(loose, tolerances=("rendered_stiffness=0.5%",))
+    result = wall_trace.traced(tight, runs[0], tight.parameters.every_s, shared_child())
+    assert asked == [(0.5, False)]  # 0.5 % of 100 N/m; the model stays
+    assert result["measures"]["rendered_stiffness"] > 0.0
+    assert tight.digest() != loose.digest()  # a result that was kept without it is not taken for it

@@ -12,6 +12,7 @@ from cosim.commands.command import Command, tolerance_argument
 if TYPE_CHECKING:
     from cosim.ngspice.deck import Deck
     from cosim.results import Run
+    from cosim.studies.study import StudyFile
 
 #: Inputs that the terminal shows.
 _MOST_INPUTS = 12
@@ -33,7 +34,10 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         help="of studies: change a key of their scenes or a name of their netlists; repeatable",
     )
-    tolerance_argument(parser, "of results: say which measures are not known to be this right")
+    tolerance_argument(
+        parser,
+        "of results: say which measures are not known to be so right; of studies: choose the solver for it",
+    )
 
 
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
@@ -123,8 +127,8 @@ def study_files(given: list[Path]) -> list[Path]:
 
 
 def _report_studies(args: argparse.Namespace, files: list[Path]) -> tuple[dict[str, Any], str]:
+    from cosim.accuracy.tolerance_control import parse_tolerances
     from cosim.commands.progress import progress
-    from cosim.errors import fail
     from cosim.storage.owned_files import refuse_foreign
     from cosim.studies.claims import Claims, load_claims
     from cosim.studies.study import load_study, run_study
@@ -132,10 +136,11 @@ def _report_studies(args: argparse.Namespace, files: list[Path]) -> tuple[dict[s
     from reports.page import PAGE_NAME
     from reports.study_page import MANIFEST, write_study_page
 
-    if args.tol:
-        fail("judges results; a study states the errors of its numbers itself", key="--tol", value=args.tol)
+    parse_tolerances(args.tol)  # what is no tolerance is told before any file is read
     changes = overrides(args.set)
     specs = [load_study(file, changes) for file in files]  # all are checked before the first runs
+    if args.tol:
+        specs = _within(specs, args.tol)
     # the claims of a folder are about all of its studies, not about one of them
     folders = [path for path in map(Path, args.results) if os.path.isdir(path)]
     claims = load_claims(folders[0]) if len(folders) == 1 else Claims()
@@ -153,7 +158,7 @@ def _report_studies(args: argparse.Namespace, files: list[Path]) -> tuple[dict[s
                     (spec.file.stem, run_study(spec, out / "studies" / spec.file.stem, on_progress=show))
                 )
     title = claims.title or (specs[0].title if len(specs) == 1 else f"Studies of {files[0].parent.name}")
-    asked = [f"--set {change}" for change in args.set]
+    asked = [f"--set {change}" for change in args.set] + [f"--tol {text!r}" for text in args.tol]
     page = write_study_page(
         results,
         out,
@@ -171,6 +176,24 @@ def _report_studies(args: argparse.Namespace, files: list[Path]) -> tuple[dict[s
     lines.append(f"wrote {page}")
     data = {"page": str(page), "verdicts": [vars(v) for v in verdicts], "not_judged": left}
     return data, "\n".join(lines)
+
+
+def _within(specs: "list[StudyFile]", tolerances: list[str]) -> "list[StudyFile]":
+    """Return the studies with tolerances for those whose runs have measures; the others say why not.
+
+    Raises
+    ------
+    InputError
+        Where there is none.
+    """
+    from cosim.errors import fail
+
+    untold = {spec.study.name: spec.study.untold for spec in specs if spec.study.untold}
+    words = [f'a study "{name}" has no tolerance to choose: {why}' for name, why in untold.items()]
+    if all(spec.study.untold for spec in specs):
+        fail("; ".join(words), file=str(specs[0].file), key="--tol", value=tolerances)
+    warn(*(Caution("no-tolerance", text, "its page states what its numbers rest on") for text in words))
+    return [spec if spec.study.untold else replace(spec, tolerances=tuple(tolerances)) for spec in specs]
 
 
 def result_folders(folder: Path) -> list[Path]:

@@ -383,5 +383,9 @@ def _ideal_gain(spec: StudyFile, family: Family, drops: Found) -> float:
 
 
 STUDY = Study(
-    "drop", "drop test: largest discrete stiffness over the sampling period", DropParameters, analyse
+    "drop",
+    "drop test: largest discrete stiffness over the sampling period",
+    DropParameters,
+    analyse,
+    untold="it asks of each run whether it comes to rest, which is yes or no",
 )

@@ -315,5 +315,9 @@ def _verdicts(rows: _Rows, given: OnsetParameters, flight: Fall) -> Iterator[Ver
 
 
 STUDY = Study(
-    "onset", "analog wall switched on at samples: jump, energy, rest, remedies", OnsetParameters, analyse
+    "onset",
+    "analog wall switched on at samples: jump, energy, rest, remedies",
+    OnsetParameters,
+    analyse,
+    untold="it asks of each run whether it comes to rest, which is yes or no",
 )

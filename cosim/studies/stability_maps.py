@@ -315,4 +315,10 @@ def verdicts(columns: Found, given: MapParameters) -> list[Verdict]:
     return out
 
 
-STUDY = Study("maps", "stability maps: K-T and K-B planes, Z-width", MapParameters, analyse)
+STUDY = Study(
+    "maps",
+    "stability maps: K-T and K-B planes, Z-width",
+    MapParameters,
+    analyse,
+    untold="its borders are theory's, and its runs are asked whether they come to rest",
+)

@@ -138,13 +138,15 @@ class StudyResult:
 class Study:
     """An analysis: its name, a line of help, what it takes, and what it does.
 
-    `analyse` gets the study file and `Points`, in which it keeps what took long.
+    `analyse` gets the study file and `Points`, in which it keeps what took long. `untold` says why no
+    tolerance can be asked of it; empty where its runs have measures that can be within one.
     """
 
     name: str
     help: str
     parameters: type[Parameters]
     analyse: Callable[[StudyFile, Points], StudyResult]
+    untold: str = "it is made of theory on the extracted circuit, and runs nothing"
 
 
 @dataclass(frozen=True)
@@ -156,6 +158,7 @@ class StudyFile:
     file, study, title : where it is, which analysis, heading
     scene_file, overrides : the scene with what is changed in it, as `load_scene` takes them
     parameters : of the analysis, an instance of `Study.parameters`
+    tolerances : within which the measures of its runs are asked for, as `cosim run --tol` takes them
     """
 
     file: Path
@@ -164,6 +167,7 @@ class StudyFile:
     scene_file: Path
     overrides: tuple[str, ...]
     parameters: Any = field(repr=False)
+    tolerances: tuple[str, ...] = ()
 
     def scene(self, *overrides: str) -> Scene:
         """Load the scene with further overrides on top."""
@@ -180,7 +184,7 @@ class StudyFile:
         scene = self.scene()
         parts = (
             self.study.name, self.title, self.parameters.model_dump_json(), scene.digest(),
-            scene.code_digest(), resolve(scene).board.digest, _sources(),
+            scene.code_digest(), resolve(scene).board.digest, _sources(), *self.tolerances,
         )  # fmt: skip
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 

@@ -13,6 +13,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from cosim.accuracy.tolerance_control import parse_tolerances, run_within
 from cosim.errors import fail
 from cosim.measures import wall_frame
 from cosim.ngspice.child import Child, start_early
@@ -105,7 +106,12 @@ def traced(spec: StudyFile, given: Traced, every_s: float, child: Child | None =
     if scene.wall is None:
         fail("a trace needs a wall", file=str(spec.scene_file), key="wall")
     with scratch_folder("trace") as folder:
-        result = run(resolve(scene), folder / "run", formats=(), child=child)
+        plan, place = resolve(scene), folder / "run"
+        if spec.tolerances:  # of each run; the model stays that of the study
+            wanted = parse_tolerances(spec.tolerances)
+            result = run_within(plan, place, wanted, free=False, child=child, formats=())
+        else:
+            result = run(plan, place, formats=(), child=child)
         frame = wall_frame(scene, result.signals)
         t = np.asarray(result.signals["time"])
         at = steps(scene.duration_s, every_s)
@@ -260,4 +266,4 @@ def _everything(one: Traced, mine: Mapping[str, float], plain: Mapping[str, floa
     )
 
 
-STUDY = Study("trace", "a hand traces the wall: methods side by side", TraceParameters, analyse)
+STUDY = Study("trace", "a hand traces the wall: methods side by side", TraceParameters, analyse, untold="")
