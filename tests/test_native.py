@@ -8,7 +8,7 @@ import pytest
 from numba import types as numba_types
 from numpy.typing import NDArray
 
-from cosim.loop.numba_calls import kind_of
+from cosim.loop.numba_calls import kind_of, table
 
 # What `NDArray[x]` is: expanded (numpy up to 2.4, and any numpy on Python 3.11), or an alias of the language
 EXPANDED: Any = lambda element: np.ndarray[tuple[Any, ...], np.dtype[element]]  # noqa: E731
@@ -32,3 +32,17 @@ def test_an_array_of_nothing_is_refused() -> None:
     record = NamedTuple("record", [("data", Annotated[list[str], 1])])  # noqa: UP014
     with pytest.raises(TypeError, match="names no element"):
         kind_of(record)
+
+
+def test_a_table_has_numbers_addresses_and_lengths_in_order() -> None:
+    data = np.arange(6.0).reshape(2, 3)
+    fields = [("count", int), ("share", float), ("data", Annotated[NDArray[np.float64], 2])]
+    record = NamedTuple("record", fields)
+    words = table(record(7, 0.5, data))
+    assert words[0] == 7
+    assert words[1:2].view(np.float64)[0] == 0.5
+    assert list(words[2:]) == [data.ctypes.data, 2, 3]
+    # a float's place keeps its meaning where a whole number stands in it
+    assert table(record(7, 2, data))[1:2].view(np.float64)[0] == 2.0
+    with pytest.raises(ValueError, match="contiguous"):
+        table(record(7, 0.5, data.T))

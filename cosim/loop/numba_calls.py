@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import typing
 from typing import Any
 
@@ -147,17 +148,24 @@ def table(record: Any) -> Any:
     address (`lent`). The tuple must live as long as the table is used.
     """
     words: list[int] = []
-    hints = typing.get_type_hints(type(record))
+    kind: Any = type(record)
+    floats = _floats(kind)
     for name, value in zip(record._fields, record, strict=True):
         if isinstance(value, np.ndarray):
             if not value.flags.c_contiguous:
                 raise ValueError("only contiguous arrays have an address and lengths")
             words += [value.ctypes.data, *value.shape]
-        elif hints[name] is float:
+        elif name in floats:
             words.append(int(np.float64(value).view(np.int64)))
         else:
             words.append(int(value))
     return np.array(words, np.int64)
+
+
+@functools.cache
+def _floats(cls: Any) -> frozenset[str]:
+    """Return the names of a named tuple's numbers that are no integers."""
+    return frozenset(name for name, hint in typing.get_type_hints(cls).items() if hint is float)
 
 
 # An intrinsic's first parameter is the compiler's own: callers see it without.
