@@ -1,6 +1,7 @@
 """A room imports only from floors below it, and only one module touches PySpice or matplotlib."""
 
 import ast
+import re
 from functools import cache
 from pathlib import Path
 
@@ -58,6 +59,29 @@ def test_imports_point_down(name, path):
             continue
         same_floor_is_fine = there == here and here in TOGETHER and room.split(".")[0] != "mech"
         assert there < here or same_floor_is_fine, f"{name} (floor {here}) imports {target} (floor {there})"
+
+
+def targets(path):
+    """Functions that a file names in words, for another process to call: module and function."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            match = re.fullmatch(r"((?:cosim|mech|reports)(?:\.\w+)+):(\w+)", node.value)
+            if match:
+                yield match.groups()
+
+
+def test_functions_named_in_words_exist_and_lie_no_higher():
+    """A child process imports them: to the floors it is an import like any other."""
+    homes = dict(FOUND)
+    named = [(name, *target) for name, path in FOUND for target in targets(path)]
+    assert len(named) > 20
+    for name, module, function in named:
+        assert module in homes, f"{name} names {module}, which is no module"
+        tree = ast.parse(homes[module].read_text(encoding="utf-8"))
+        assert function in {each.name for each in tree.body if isinstance(each, ast.FunctionDef)}, (
+            f"{name} names {module}:{function}, which is no function"
+        )
+        assert floor(module)[0] <= floor(name)[0], f"{name} names {module} of a higher floor"
 
 
 def test_mechanics_knows_no_circuit():
