@@ -139,6 +139,7 @@ def engine_overhead(repetitions: int) -> list[Figure]:
     """Share that the engine adds to `spice` samples: chunks, files and the pool, one worker."""
     prepared = _prepared("drop", _SAMPLES_OF_ENGINE)
     job, points = _job(prepared, _SAMPLES_OF_ENGINE)
+    _bare(prepared, points[:2])  # warms up
     shares = []
     for _ in range(max(min(repetitions, 3), 1)):
         bare = _bare(prepared, points)
