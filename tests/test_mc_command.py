@@ -126,3 +126,19 @@ def test_no_option_is_ignored_in_silence(
 ) -> None:
     assert cli.main(["mc", PRESS, "--measure", "k_max", *words]) == 2
     assert reason in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_sample_of_a_number_that_a_pilot_chose_replays(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Randomised points depend on how many there are: the command on the page says the number."""
+    words = ["mc", PRESS, "--model", "linear", "--measure", "curl", "--sampling", "sobol"]
+    out = tmp_path / "mc"
+    study = json.loads(call(capsys, *words, "--until", "curl +- 1 N/m", "-o", str(out), "--json"))
+    n, (number, value) = study["sampling"]["n"], study["worst"]["curl"][0]
+    assert study["sampling"]["replicates"] == 16
+    page = (out / "report.html").read_text()
+    assert f"--sampling sobol -n {n} --sample {number}<" in page
+    again = json.loads(call(capsys, *words, "-n", str(n), "--sample", str(number), "--json"))
+    assert again["measures"]["curl"] == value

@@ -114,7 +114,9 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     refuse_foreign(out, FILES, MANIFEST)  # told before the first sample
     with collected() as cautions, progress("mc") as show:
         findings = monte_carlo(prepared, show, processes)
-    page = write_monte_carlo(findings, out, replay(args), digest, cautions, record_of(prepared))
+    page = write_monte_carlo(
+        findings, out, replay(args, findings.study.sampling.n), digest, cautions, record_of(prepared)
+    )
     result = findings.as_dict() | {"page": str(page)}
     return result, "\n".join([*_text(findings), f"wrote {page}"])
 
@@ -182,8 +184,8 @@ def _samples(args: argparse.Namespace) -> int:
     return _USUAL_SAMPLES if args.samples is None else int(args.samples)
 
 
-def replay(args: argparse.Namespace) -> str:
-    """Return the command that measures one sample again, without its number."""
+def replay(args: argparse.Namespace, n: int) -> str:
+    """Return the command that measures one sample of `n` again, without its number."""
     import shlex
 
     words = ["cosim", "mc", args.scene]
@@ -192,7 +194,7 @@ def replay(args: argparse.Namespace) -> str:
     words += [word for text in args.spec for word in ("--spec", text)]
     words += ["--model", args.model] if args.model else []
     words += ["--seed", str(args.seed)] if args.seed is not None else []
-    words += ["--sampling", args.sampling, "-n", str(_samples(args))] if args.sampling != "plain" else []
+    words += ["--sampling", args.sampling, "-n", str(n)] if args.sampling != "plain" else []
     return f"{shlex.join(words)} --sample"
 
 
