@@ -27,10 +27,7 @@ from cosim.scene import load_scene
 
 SERIES = "PySpice, callbacks in Python"
 #: Relative tolerance, and tolerance of the coupling [rad].
-SETTINGS = (
-    (1e-2, 1e-7), (1e-3, 1e-7), (1e-4, 1e-7), (1e-5, 1e-8), (1e-5, 1e-9), (1e-6, 1e-9), (1e-6, 1e-10),
-    (1e-7, 1e-11),
-)  # fmt: skip
+SETTINGS = ((1e-2, 1e-7), (1e-4, 1e-7), (1e-5, 1e-9), (1e-6, 1e-10), (1e-7, 1e-11))
 
 
 def first_reference(path: Path, overrides: Sequence[str], folder: Path) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import statistics
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cosim.scene import PotNoise
 from cosim.storage.owned_files import manifest_of
 from cosim.units import quantity
 from reports.page import PAGE_NAME, picture, render, write_page
@@ -101,6 +102,12 @@ def words(study: Accuracy) -> list[str]:
             "The encoder counts in steps: a count that comes a sample early or late is an error of its own, "
             "the same for all settings that have it. One deck in plain ngspice is given the codes and has "
             "no such error."
+        )
+    effects = study.scene.effects
+    if effects.pot_noise is not PotNoise.NONE or effects.component_noise:
+        sentences.append(
+            f"All runs see one path of the noise (seed {study.scene.seed}): these are errors on that path. "
+            "From path to path a measure scatters by itself, and digits below its scatter are the path's."
         )
     large = [f"{name} {size:.1e}" for name, size in study.neglected.items() if size > study.tolerance]
     if large:

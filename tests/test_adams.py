@@ -55,3 +55,23 @@ def test_defect_is_what_the_predictor_got_wrong():
     exact = moved(acceleration, H)
     # as accurate as the difference of two numbers of order one
     assert defect == pytest.approx(abs(exact[0] - q[0]) + H * abs(exact[1] - v[0]), abs=1e-15)
+
+
+@pytest.mark.parametrize("trapezoids", [0, 1])
+def test_impulse_of_a_settling_current_has_no_error_by_the_rule_that_the_circuit_has(trapezoids):
+    """L di/dt = 1 - i by trapezoids of growing steps, i an acceleration: its integral is t - L i, exactly."""
+    inductance, i, v, t = 1.0, 0.0, 0.0, 0.0
+    s = at(np.polynomial.Polynomial([0.0]), 1)
+    s["v"][0], s["trapezoids"] = 0.0, trapezoids
+    for h in np.geomspace(0.01, 1.0, 20):
+        z = h / inductance
+        new = (i * (1.0 - z / 2.0) + z) / (1.0 + z / 2.0)
+        correct(s, h, np.array([new]), h, True)
+        s["a_old"][0], s["a"][0], s["h_old"], s["history"] = i, new, h, 2
+        i, t = new, t + h
+    v = float(s["v"][0])
+    exact = t - inductance * i
+    if trapezoids:
+        assert v == pytest.approx(exact, rel=1e-13)
+    else:
+        assert abs(v - exact) > 1e-3  # what the parabola makes of the same points

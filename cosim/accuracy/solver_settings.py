@@ -23,9 +23,10 @@ _ORDER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-8)
 _TOGETHER = (
     (1e-3, 2.0, 1e-6, 1e-9), (1e-5, 1.0, 1e-9, 1e-9), (1e-6, 1.0, 1e-10, 1e-9), (1e-7, 1.0, 1e-11, 1e-9),
 )  # fmt: skip
-#: The same by trapezoids, which are twice as exact as Gear's rule where no pole is stepped over.
+#: The same by trapezoids, where linkage and circuit share the rule and steps alone decide how exact it is.
 _TRAPEZOIDS = (
-    (1e-3, 2.0, 1e-6, 1e-9), (1e-5, 1.0, 1e-8, 1e-9), (1e-6, 1.0, 1e-10, 1e-9), (1e-7, 1.0, 1e-10, 1e-9),
+    (1e-3, 2.0, 1e-6, 1e-9), (1e-3, 0.5, 1e-7, 1e-9), (1e-5, 1.0, 1e-8, 1e-9), (1e-3, 0.125, 1e-7, 1e-9),
+    (1e-6, 0.125, 1e-9, 1e-9),
 )  # fmt: skip
 #: The references: far tighter than any of these, and with steps that show every peak.
 _TIGHT_STEP, _SECOND_STEP = 1.0 / 40.0, 1.0 / 25.0

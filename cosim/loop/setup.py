@@ -224,6 +224,7 @@ def _put_steps(s: np.void, scene: Scene, grids: list[float]) -> None:
     s["h_couple"] = s["h_max"]
     s["h_pole"] = s["h_max"]
     s["tol"] = solver.coupling_tolerance_rad
+    s["trapezoids"] = solver.method is choices.Integration.TRAP
     # A million is thousands of times what a period needs, ten times more than it was asked for is too.
     fine = min([float(s["h_max"]), *grids])
     s["most_points"] = max(1_000_000, math.ceil(10 * period / fine))

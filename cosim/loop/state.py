@@ -117,6 +117,7 @@ STATE = np.dtype(
         ("b_emf", "f8", (NMAX, NMAX)),  # N m s/rad at the joints: what the motors' back-EMF brakes with
         ("column", "f8", NMAX),
         ("tol", "f8"),
+        ("trapezoids", "i8"),  # whether ngspice integrates by them, and the linkage with it
         ("t_event", "f8"),
         ("announced", "i8"),
         ("t_end", "f8"),

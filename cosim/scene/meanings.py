@@ -145,7 +145,7 @@ MEANINGS: dict[str, str] = {
     "solver.model": "circuit model; auto takes the cheapest that carries the effects",
     "solver.rtol": "relative tolerance of ngspice's steps",
     "solver.max_step_s": "longest step",
-    "solver.method": "integration method of ngspice",
+    "solver.method": "integration method of ngspice, and with trap of the linkage as well",
     "solver.coupling_tolerance_rad": "error of a joint angle that one step may make",
     "solver.band_hz": "band in which the reduced circuit must be good",
     "solver.reduction_tolerance": "error of the reduced circuit in that band, of each path's maximum",

@@ -5,6 +5,11 @@ The circuit needs the joint angles at a point whose motor current is not known y
 accepted the point, the current is known and the corrector (a parabola through the last three accelerations)
 takes the linkage there. Their difference is Milne's estimate of what the coupling got wrong, for free.
 
+Where ngspice integrates by trapezoids, the corrector of the speed is the trapezoid, too. What that rule gets
+wrong of a current that settles behind a jump of a DAC, L di/dt = u - R i, cancels in the impulse: the rule's
+own sum of h (i_n + i_n+1)/2 is (u t - L i)/R without an error, and a parabola through the same points is not.
+With Gear's rule nothing cancels, and the parabola's order counts.
+
 Right after a discontinuity (a DAC step) nothing behind is smooth: the first step holds the acceleration of
 its *end*, as backward Euler does in ngspice at the same step, so that the jump is taken with its right-hand
 limit and the circuit's own delay keeps its first moment.
@@ -49,7 +54,7 @@ def correct(s: Record, h: float, a_new: Vector, weight: float, take: bool) -> fl
             # a(x) = a + b x + c x^2 through -h_old, 0, h
             right = (a_new[j] - s.a[j]) / h
             c = 0.0
-            if s.history > 1:
+            if s.history > 1 and s.trapezoids == 0:
                 c = (right - (s.a[j] - s.a_old[j]) / s.h_old) / (h + s.h_old)
             b = right - c * h
             q = s.q[j] + h * (s.v[j] + h * (s.a[j] / 2 + h * (b / 6 + h * c / 12)))
