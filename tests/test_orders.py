@@ -42,9 +42,9 @@ def rc(method: str, step: float) -> float:
     return abs(float(out[-1]) - exact)
 
 
-def coupling(tmp_path, step: float) -> float:
+def coupling(tmp_path, step: float, method: str = "gear") -> float:
     """Error of the angle in lockstep with an ideal circuit whose spring and viscosity are exact."""
-    tables = merge(HELD, {"effects": {"motor": "emf"}, "solver": {"max_step_s": step}})
+    tables = merge(HELD, {"effects": {"motor": "emf"}, "solver": {"max_step_s": step, "method": method}})
     run = quick(tmp_path, slider(**tables))
     t, q = (np.asarray(run.signals[name]) for name in ("time", "q1"))
     rate = np.array([[0.0, 1.0], [-(OMEGA**2), -EMF_TRUE / INERTIA]])
@@ -108,6 +108,7 @@ ORDERS = (
     Order("ngspice, trapezoids", lambda _, h: rc("trap", h), (0.02, 0.01, 0.005, 0.0025), 2.0, 0.15),
     Order("ngspice, Gear's rule", lambda _, h: rc("gear", h), (0.02, 0.01, 0.005, 0.0025), 2.0, 0.15),
     Order("coupling", coupling, (4e-3, 2e-3, 1e-3), 3.0, 0.35),
+    Order("coupling, trapezoids", lambda f, h: coupling(f, h, "trap"), (4e-3, 2e-3, 1e-3), 2.0, 0.35),
     Order("collocation", collocation, (0.06, 0.03, 0.015), 6.0, 0.35),
     Order("event location", event, (0.03, 0.015, 0.0075), 5.0, 0.35),
     Order("reduction, of band over pole", lambda _, w: reduction(w), (0.1, 0.03, 0.01), 1.0, 0.1),
