@@ -58,14 +58,20 @@ CODE = {
             "--random N",
         ),
         "2758 errors) 99.9 % lay within": ("benchmarks/estimates.py", "--random N"),
+        "a resistor moved by up to 1 %": ("benchmarks/estimates.py", "rng.uniform(0.99, 1.01)"),
         "about 40 % to the time": ("benchmarks/estimates.py", "what the estimates cost"),
         "a 95 % bound": ("tests/test_quoted_numbers.py", "def test_bounds_hold_as_often_as_they_say"),
     },
-    "docs/explanation/work-precision.md": {
-        "at errors of 1 % to 0.01 %. At 0.001 % it takes": (
-            "benchmarks/work_precision.py",
-            "SPICE, LINEAR = (1e-2, 1e-3, 1e-4, 1e-5)",
-        )
+    "docs/explanation/certificates.md": {
+        "a difference above 2 % of rated current": (
+            "cosim/circuits/extraction/certificate.py",
+            "BENT = 0.02",
+        ),
+        "above 20 % there is no model": (
+            "cosim/circuits/extraction/certificate.py",
+            "WORST_LARGE_SIGNAL = 0.2",
+        ),
+        "bend by 0.4 % at level": ("cosim/circuits/extraction/certificate.py", "BENT"),
     },
     "docs/tutorials/first-monte-carlo.md": {
         "its design value of 104.5 N/m": (
