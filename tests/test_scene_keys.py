@@ -84,7 +84,7 @@ def test_sections(capsys: pytest.CaptureFixture[str]) -> None:
     assert "used with effects.delay" in out
     assert cli.main(["keys", "--json"]) == 0
     assert len(json.loads(capsys.readouterr().out)["keys"]) == len(ALL)
-    assert cli.main(["keys", "compute"]) == 2
+    assert cli.main(["keys", "compuetr"]) == 2
     assert "nearest is computer" in capsys.readouterr().err
 
 
