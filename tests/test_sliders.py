@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from browser import Browser
 from formula_studies import LIMIT, SIGMA, SLOPE, formulas, measured
-from scipy import special
+from scipy import special, stats
 
 from reports.sliders import SLIDERS, sliders_page
 
@@ -37,6 +37,11 @@ def test_a_moved_resistor_moves_measure_and_yield(tmp_path: Path) -> None:
         share = float(browser.evaluate(passing).split()[0]) / 100.0
         exact = special.ndtr(LIMIT + SLOPE[1])
         assert share == pytest.approx(exact, abs=4.0 * np.sqrt(exact * (1.0 - exact) / 400))
+        # the interval is the exact one of so many devices
+        exact_bounds = stats.binomtest(round(400 * share), 400).proportion_ci(0.95, "exact")
+        words = browser.evaluate(passing).replace("(", "").replace(")", "").split()
+        shown = float(words[2]) / 100.0, float(words[4]) / 100.0
+        assert shown == pytest.approx((exact_bounds.low, exact_bounds.high), rel=2e-4)
         browser.screenshot(tmp_path / "sliders.png")
         browser.evaluate("document.getElementById('reset').click()")
         assert browser.evaluate(cell) == before
