@@ -167,10 +167,10 @@ def coupling_order() -> list[tuple[str, float, float]]:
     times = instants(plan)
     out = []
     with Child() as compiled, Child() as plain:
-        truth: Outcome = compiled.call("benchmarks.sides:lockstep_run", {"plan": tight(plan)})
+        truth = Outcome(**compiled.call("benchmarks.sides:lockstep_run", {"plan": tight(plan)}))
         for order in (2, 1):
             payload = {"plan": plan, "constants": truth.constants, "order": order}
-            run: Outcome = plain.call("benchmarks.pyspice:run", payload)
+            run = Outcome(**plain.call("benchmarks.pyspice:run", payload))
             wrong = error(run.signals, truth.signals, CURRENTS, times)
             what = (
                 "slope extrapolated, parabola corrects" if order == 2 else "acceleration held, line corrects"

@@ -50,7 +50,7 @@ def callback_rows(path: Path, overrides: Sequence[str], folder: Path, repeats: i
             setting = Setting("peer", SERIES, f"{SERIES}, rtol {rtol:g}, coupling {coupling:g} rad", ())
             payload = {"plan": retold(plan, rtol=rtol, coupling_rad=coupling), "constants": constants}
             try:
-                runs = [child.call("benchmarks.pyspice:run_as_data", payload) for _ in range(repeats)]
+                runs = [child.call("benchmarks.pyspice:run", payload) for _ in range(repeats)]
             except CosimError as error:
                 rows.append(Row(setting, failed=error.in_brief))
                 continue

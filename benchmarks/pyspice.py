@@ -209,16 +209,10 @@ class PythonLockstep(NgSpiceShared):  # type: ignore[misc]  # PySpice carries no
 _simulator: PythonLockstep | None = None
 
 
-def run(payload: dict[str, Any], report: Any) -> Outcome:
-    """Run a plan ('plan', 'constants', 'order') once, in a process of its own."""
+def run(payload: dict[str, Any], report: Any) -> dict[str, Any]:
+    """Run a plan ('plan', 'constants', 'order') once, in a process of its own; returns `Outcome`'s fields."""
     global _simulator
     if _simulator is None:
         _simulator = PythonLockstep()
     _simulator.begin(payload["plan"], payload["constants"], payload.get("order", 2))
-    return _simulator.run()
-
-
-def run_as_data(payload: dict[str, Any], report: Any) -> dict[str, Any]:
-    """Run a plan as `run`; returns 'signals' and 'stats', which a child may send."""
-    outcome = run(payload, report)
-    return {"signals": outcome.signals, "stats": outcome.stats}
+    return vars(_simulator.run())

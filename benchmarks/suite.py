@@ -106,11 +106,11 @@ def pyspice(repetitions: int) -> list[Figure]:
             return float(compiled.call("benchmarks.sides:lockstep_wall", {"plan": plan}))
 
         def peer() -> float:
-            return float(plain.call("benchmarks.pyspice:run", payload).wall_s)
+            return Outcome(**plain.call("benchmarks.pyspice:run", payload)).wall_s
 
-        truth: Outcome = compiled.call("benchmarks.sides:lockstep_run", {"plan": plan})
+        truth = Outcome(**compiled.call("benchmarks.sides:lockstep_run", {"plan": plan}))
         payload = {"plan": plan, "constants": truth.constants}
-        once: Outcome = plain.call("benchmarks.pyspice:run", payload)
+        once = Outcome(**plain.call("benchmarks.pyspice:run", payload))
         walls = interleaved(repetitions, ours, peer)
     difference = error(once.signals, truth.signals, CURRENTS, instants(plan))
     return [

@@ -1,7 +1,10 @@
 """The benchmarks' figures: names, targets and form; that both sides of a pair do the same work."""
 
+import importlib
 import json
 import math
+import re
+import typing
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +13,7 @@ import pytest
 from benchmarks.__main__ import write
 from benchmarks.figure import TARGETS, figure, interleaved
 from benchmarks.regression import BAND, BANDS, allowed, committed, worse
+from benchmarks.rig import CURRENTS, Outcome, error, instants, slope
 from benchmarks.stiff import System, sundials
 from benchmarks.suite import SUITE
 from benchmarks.table import show
@@ -98,6 +102,36 @@ def test_runs_are_interleaved_behind_a_warm_up():
     times = interleaved(2, lambda: order.append("a") or 1.0, lambda: order.append("b") or 2.0)
     assert order == ["a", "b"] * 3
     assert times == [[1.0, 1.0], [2.0, 2.0]]
+
+
+def _types(hint):
+    """Return the classes in a type hint."""
+    inner = typing.get_args(hint)
+    return {hint} if not inner else {kind for each in inner for kind in _types(each)}
+
+
+def test_what_a_child_sends_is_none_of_the_benchmarks_own_types():
+    """A parent reads types of the package and plain ones only."""
+    folder = Path(__file__).resolve().parents[1] / "benchmarks"
+    texts = {path.stem: path.read_text(encoding="utf-8") for path in folder.glob("*.py")}
+    targets = set(re.findall(r'"(benchmarks\.\w+:\w+)"', "".join(texts.values())))
+    targets |= {f"benchmarks.sides:{name}" for name in re.findall(r'_call\("(\w+)"', texts["suite"])}
+    assert len(targets) >= 14
+    for target in targets:
+        module, _, name = target.partition(":")
+        hint = typing.get_type_hints(getattr(importlib.import_module(module), name))["return"]
+        assert not any(kind.__module__.startswith("benchmarks") for kind in _types(hint)), target
+
+
+@pytest.mark.slow
+def test_both_loops_of_the_comparison_with_pyspice_answer():
+    plan = slope("duration_s=0.1")
+    with Child() as compiled, Child() as plain:
+        ours = Outcome(**compiled.call("benchmarks.sides:lockstep_run", {"plan": plan}))
+        peer = Outcome(**plain.call("benchmarks.pyspice:run", {"plan": plan, "constants": ours.constants}))
+    # the same method and tolerances: what differs is the order of some sums, 1e-16 of a current a step
+    assert peer.stats["points"] == pytest.approx(ours.stats["points"], rel=0.02)
+    assert error(peer.signals, ours.signals, CURRENTS, instants(plan)) < 1e-9
 
 
 @pytest.mark.slow
