@@ -1,0 +1,100 @@
+"""The random search for trouble: what is drawn, what counts as apart, and a few scenes end to end."""
+
+import json
+import math
+
+import pytest
+
+from benchmarks import trouble
+from benchmarks.trouble import Answer, Drawn, drawn, judged, twin_changes
+from cosim.caution import collected
+from cosim.scene import load_scene
+
+
+def reply(name, force, bound, *cautions):
+    """A run with one measure."""
+    return Answer(name, {"peak_force": (force, bound, "N")}, frozenset(cautions))
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "expected"),
+    [
+        (reply("linear", 1.0, 1e-3), reply("units", 1.0015, 1e-3), "agreed"),
+        (reply("linear", 1.0, 0.1), reply("units", 1.1, 0.1), "bounded"),
+        (reply("linear", 1.0, 1e-3), reply("units", 1.005, 1e-3), "nearly"),
+        (reply("linear", 1.0, 1e-3), reply("units", 1.007, 1e-3), "apart"),
+        (reply("linear", 1.0, 1e-3), reply("units", 1.007, 1e-3, "sequence-differs"), "flagged"),
+        (reply("linear", 1.0, 1e-3), reply("units", 1.007, 1e-3, "key-unused"), "apart"),
+        (reply("linear", 1.0, None), reply("units", 1.2, 1e-3), "flagged"),
+        (reply("linear", math.nan, 1e-3), reply("units", 1.0, 1e-3), "no number"),
+    ],
+)  # fmt: skip
+def test_two_runs_are_judged_by_their_bounds(one, other, expected):
+    assert judged([one], other)["outcome"] == expected
+
+
+def test_all_models_are_held_against_one_another():
+    """The worst pair decides, though each agrees with the first."""
+    seen = judged([reply("ideal", 1.0, 1e-2), reply("linear", 1.009, 1e-6), reply("spice", 0.991, 1e-6)],
+                  reply("units", 1.0, 1e-2))  # fmt: skip
+    assert seen["outcome"] == "apart"
+    assert seen["worst"]["between"] == ["linear", "spice"]
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    """Many scenes of a seed."""
+    return [drawn(5, number) for number in range(400)]
+
+
+def test_the_ranges_are_those_of_the_search(scenes):
+    def span(key):
+        values = [float(scene.changes[key]) for scene in scenes if scene.changes.get(key)]
+        return min(values), max(values)
+
+    for key, low, high in (
+        ("computer.period_s", 1e-4, 0.2),
+        ("computer.discrete_stiffness_n_per_m", 1.0, 1e5),
+        ("operator.mass_kg", 1e-3, 10.0),
+        ("device.values.tl072_gbw", 1e4, 1e9),
+    ):
+        least, most = span(key)
+        assert low <= least < 2.0 * low, key
+        assert 0.5 * high < most <= high, key
+    assert {scene.twin for scene in scenes} == set(trouble.TWINS)
+    for effect in trouble._RARE:
+        assert any(scene.changes[f"effects.{effect}"] for scene in scenes), effect
+
+
+def test_every_drawn_scene_and_twin_is_a_scene(scenes):
+    """What the generator draws is refused by no check of keys."""
+    for number, scene in enumerate(scenes):
+        with collected(forward=False):
+            load_scene(scene.file, scene.overrides({}))
+            load_scene(scene.file, scene.overrides(twin_changes(scene, 5, number)))
+
+
+def test_a_turned_arm_has_the_same_distance_from_the_wall():
+    scene = Drawn(trouble.ROOT / "scenes" / "slope.toml", {}, "turned")
+
+    def gap(more):
+        tables = load_scene(scene.file, scene.overrides(more))
+        (px, py), (nx, ny) = tables.wall.point_m, tables.wall.normal
+        x, y = tables.device.start.tip_m
+        return (x - px) * nx + (y - py) * ny, tables.device.start.tip_m
+
+    (before, tip), (after, turned) = gap({}), gap(twin_changes(scene, 1, 1))
+    assert before == pytest.approx(0.010, rel=1e-3)  # 10 mm off the wall, as the scene says
+    assert after == pytest.approx(before, rel=1e-12)
+    assert math.dist(tip, turned) > 1e-3
+
+
+@pytest.mark.slow
+def test_a_few_scenes_end_to_end(tmp_path, monkeypatch, capsys):
+    out = tmp_path / "trouble.jsonl"
+    monkeypatch.setattr("sys.argv", ["trouble", "--seed", "1", "-n", "5", "--out", str(out)])
+    assert trouble.main() == 0, capsys.readouterr().out
+    rows = [json.loads(line) for line in out.read_text(encoding="utf-8").splitlines()]
+    assert len(rows) == 5
+    assert all(row["outcome"] in ("agreed", "bounded") for row in rows)
+    assert all(row["compared"] >= 8 for row in rows)
