@@ -6,6 +6,7 @@ scheduler keeps nothing, and no finished chunk is measured again when a worker d
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
@@ -25,6 +26,8 @@ _EACH, _MOST = 2, 200
 _PATIENCE_S = 10
 #: So long [s] a study without workers waits for the next one: a batch system starts it again.
 _NEXT_S = 60
+#: Between two attempts to send the work [s].
+_PAUSE_S = 0.2
 
 #: What measures, in a worker's process, by the study: made once.
 _made: dict[str, Callable[[Chunk], Any]] = {}
@@ -41,23 +44,36 @@ def _measure(make: Maker, study: str, chunk: Chunk) -> Any:
         return error
 
 
+def _answer(future: Any, killed: type[Exception]) -> Any:
+    """Return what a task returned, or that it has killed its workers."""
+    try:
+        return future.result()
+    except killed as error:
+        return error
+
+
 def _sent(client: Any, make: Maker, address: str) -> Any:
-    """Send what makes the work to all workers, waiting for one where there is none.
+    """Send what makes the work to all workers; where they die meanwhile, to the next ones.
 
     Raises
     ------
     InputError
         Where no worker comes, or the scheduler is gone.
     """
-    try:
-        client.wait_for_workers(1, timeout=_NEXT_S)
-        return client.scatter(make, broadcast=True)
-    except (OSError, TimeoutError, CancelledError) as error:
-        fail(
-            f"scheduler or workers are gone ({type(error).__name__}); what was measured is kept: the same "
-            "command goes on",
-            key="--cluster", value=address,
-        )  # fmt: skip
+    end = time.monotonic() + _NEXT_S
+    while True:
+        try:
+            client.wait_for_workers(1, timeout=max(end - time.monotonic(), 1.0))
+            return client.scatter(make, broadcast=True)
+        # the scheduler's KeyError: a worker that took the work and died before that was noted
+        except (OSError, TimeoutError, CancelledError, KeyError) as error:
+            if client.status != "running" or time.monotonic() >= end:
+                fail(
+                    f"scheduler or workers are gone ({type(error).__name__}); what was measured is kept: "
+                    "the same command goes on",
+                    key="--cluster", value=address,
+                )  # fmt: skip
+        time.sleep(_PAUSE_S)
 
 
 def clustered(make: Maker, study: str, chunks: Iterator[Chunk], address: str) -> Iterator[tuple[Chunk, Any]]:
@@ -103,22 +119,19 @@ def clustered(make: Maker, study: str, chunks: Iterator[Chunk], address: str) ->
                 return
             try:
                 done = distributed.wait(list(flying), return_when="FIRST_COMPLETED").done
-                ended = [(future, future.exception()) for future in done]
-            except CancelledError:  # what was sent is gone with the last worker that had it, or the scheduler
+                ended = [(future, _answer(future, distributed.KilledWorker)) for future in done]
+            except CancelledError:  # gone with the scheduler, or the last worker that had work or answer
                 waiting.extend(flying.values())
                 flying.clear()
                 kept = _sent(client, make, address)
                 continue
-            for future, died in ended:
+            for future, answer in ended:
                 chunk = flying.pop(future)
-                if died is None:
-                    answer = future.result()
-                    future.release()
-                    if isinstance(answer, CosimError):
-                        raise answer
+                future.release()
+                if isinstance(answer, CosimError):
+                    raise answer
+                if not isinstance(answer, distributed.KilledWorker):
                     yield chunk, answer
-                elif not isinstance(died, distributed.KilledWorker):
-                    raise died
                 elif chunk.count > 1:
                     waiting.extend(chunk.halves())
                 elif not chunk.again:
