@@ -1,6 +1,6 @@
 """Workers of a cluster that die at an awkward instant, by a scheduler made up for it."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import CancelledError
 from types import SimpleNamespace
 from typing import Any
@@ -66,7 +66,7 @@ class KilledWorker(Exception):
 
 
 @pytest.fixture
-def study(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Client], list[tuple[Chunk, Any]]]]:
+def study(monkeypatch: pytest.MonkeyPatch) -> Callable[[Client], list[tuple[Chunk, Any]]]:
     def measured(client: Client) -> list[tuple[Chunk, Any]]:
         distributed = SimpleNamespace(
             Client=lambda address, timeout: client,
@@ -77,7 +77,7 @@ def study(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Client], list[t
         return list(clustered(lambda: lambda chunk: chunk.first, "study", iter(CHUNKS), ADDRESS))
 
     monkeypatch.setattr(cluster, "_made", {})
-    yield measured
+    return measured
 
 
 @pytest.mark.parametrize("error", [OSError("in scatter"), TimeoutError(), KeyError("tcp://gone")])
