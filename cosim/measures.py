@@ -18,7 +18,7 @@ from cosim.loop.dac_channels import channels
 from cosim.scene import PotNoise, Scene
 from cosim.scene.tolerance_table import CLASSES
 from cosim.signal_statistics import Trace, changes, together
-from cosim.units import quantity
+from cosim.units import pretty, quantity
 
 Signals = Mapping[str, NDArray[np.float64]]
 #: An amplifier that saturates softly stops short of its stated limit by so much.
@@ -249,7 +249,7 @@ def amount(text: str, unit: str) -> Tolerance | None:
     written = match[2].strip()
     if written == "%":
         return Tolerance(size / 100, True)
-    if written == unit:
+    if written in (unit, pretty(unit)):
         return Tolerance(size, False)
     if unit and "^" not in unit and written[1:] == unit and written[0] in PREFIXES:
         return Tolerance(size * PREFIXES[written[0]], False)

@@ -1,9 +1,10 @@
 """Units of what a run records, and numbers with units as a reader expects them: digits, a prefix, a unit."""
 
 import math
+import re
 
-__all__ = ["figures", "heading", "measured", "name_of", "quantity", "sample_unit", "scale", "signal_unit",
-           "signed", "unit_in"]  # fmt: skip
+__all__ = ["figures", "heading", "measured", "name_of", "pretty", "quantity", "sample_unit", "scale",
+           "signal_unit", "signed", "unit_in"]  # fmt: skip
 
 _SIGNALS = {
     "time": "s", "x": "m", "y": "m", "fx": "N", "fy": "N", "fmx": "N", "fmy": "N",
@@ -83,6 +84,23 @@ def unit_in(heading: str) -> str:
     return heading.partition(" [")[2].removesuffix("]")
 
 
+_POWERS = {"2": "²", "3": "³"}
+_POWER = re.compile(r"\^([23])(?![\d.])")
+#: A micro of a file, ``[us]`` or ``2 us``; a word that begins with u has no digit or bracket before it.
+_MICRO = re.compile(r"((?<=\[)|(?<=\d )|(?<=\d\u00a0))u(?=[smJNAVW]\b)")
+
+
+def pretty(text: str) -> str:
+    """Return text with its units as people read them; files keep ASCII, ``us`` and ``m/s^2``.
+
+    Examples
+    --------
+    >>> pretty('delay [us]'), pretty('3 A^2 s'), pretty('uses 2^24 codes')
+    ('delay [µs]', '3 A² s', 'uses 2^24 codes')
+    """
+    return _MICRO.sub("µ", _POWER.sub(lambda match: _POWERS[match[1]], text))
+
+
 def quantity(value: float, unit: str = "", digits: int = 3) -> str:
     """Return ``4.29 mm`` for 0.00429 and ``"m"``.
 
@@ -103,7 +121,7 @@ def quantity(value: float, unit: str = "", digits: int = 3) -> str:
     if not math.isfinite(value):
         return "not known"
     if unit not in _PREFIXED or value == 0.0:
-        return f"{figures(value, digits)} {unit}".rstrip()
+        return f"{figures(value, digits)} {pretty(unit)}".rstrip()
     power = _power(value, unit, digits)
     rounded = float(f"{value:.{digits - 1}e}")
     return f"{figures(rounded / 10.0**power, digits)} {_PREFIXES[power]}{unit}"
@@ -141,13 +159,13 @@ def measured(value: float, error: float, unit: str = "") -> str:
     least = 10.0 ** (math.floor(math.log10(abs(value))) - _MOST_DIGITS + 1) if value else 0.0
     size = max(error, least)
     if size == 0.0:
-        return f"0 {unit}".rstrip()
+        return f"0 {pretty(unit)}".rstrip()
     place = math.floor(math.log10(size))
     up = math.ceil(size / 10.0**place - 1e-9)
     if up == 10:
         place, up = place + 1, 1
     decimals = max(-place, 0)
-    return f"{value:.{decimals}f} ± {up * 10.0**place:.{decimals}f} {_PREFIXES[power]}{unit}".rstrip()
+    return f"{value:.{decimals}f} ± {up * 10.0**place:.{decimals}f} {_PREFIXES[power]}{pretty(unit)}".rstrip()
 
 
 def signed(value: float, unit: str = "", digits: int = 3) -> str:

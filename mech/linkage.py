@@ -48,7 +48,7 @@ class Linkage(ABC):
         Friction at the joints. Coulomb friction is coulomb tanh(v / coulomb_speed), or holds and slips at
         located instants where the integrator can (`mech.stiction`).
     coulomb_speed_rad_per_s
-        Width of that step.
+        Width of that step, where it is one: in exported decks.
     stops_rad
         (low, high) for each joint; infinite bounds are allowed.
     stop_stiffness_n_m_per_rad, stop_damping_n_m_s

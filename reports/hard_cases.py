@@ -18,8 +18,10 @@ if TYPE_CHECKING:
 FILES, MANIFEST = (PAGE_NAME, "hard_cases.csv"), manifest_of("hard-cases")
 _HEAD = [
     "#", "case", "model", "what is found", "expected", "got", "off by", "bound", "where the bound comes from",
-    "time [s]", "",
+    "time [s]", "verdict",
 ]  # fmt: skip
+#: Columns of sentences: one line a case in a table of their own, or they squeeze the numbers of the first.
+_NUMBERS, _WORDS = (0, 1, 2, 4, 5, 6, 7, 9, 10), (0, 1, 3, 8)
 
 
 def write_hard_cases(outcomes: Sequence[Outcome], folder: Path) -> Path:
@@ -32,12 +34,23 @@ def write_hard_cases(outcomes: Sequence[Outcome], folder: Path) -> Path:
     """
     rows = [_row(each) for each in outcomes]
     held = sum(each.held for each in outcomes)
-    table = TextTable("Case by case", _HEAD, rows, {0, 4, 5, 6, 7, 9}, "", FILES[1])
+    numbers = TextTable(
+        "Case by case", _part(_HEAD, _NUMBERS), [_part(row, _NUMBERS) for row in rows], {0, 3, 4, 5, 6, 7},
+        "", FILES[1],
+    )  # fmt: skip
+    sentences = {tuple(_part(row, _WORDS)): None for row in rows}  # those of a case's models are one
+    words = TextTable(
+        "What is found, and where its bound comes from",
+        _part(_HEAD, _WORDS),
+        [list(row) for row in sentences],
+        {0},
+        "",
+    )
     note = (
         f"{held} of {len(outcomes)} hold. Every expected value is theory's: a closed form, a matrix "
         "exponential, an elliptic integral; none is this program's output."
     )
-    section = Section("cases", "Scenes that are hard for numbers", [], (note,), [], [table], "")
+    section = Section("cases", "Scenes that are hard for numbers", [], (note,), [], [numbers, words], "")
     html = render(
         "study.html.j2", title="Hard cases", command="", summary=[], sections=[section], claims=[],
         warnings=[],
@@ -49,10 +62,18 @@ def write_hard_cases(outcomes: Sequence[Outcome], folder: Path) -> Path:
     return write_page(folder, html, [], {FILES[1]: stream.getvalue()}, MANIFEST)
 
 
+def _part(row: Sequence[str], columns: Sequence[int]) -> list[str]:
+    return [row[k] for k in columns]
+
+
+def _small(value: float) -> str:
+    return f"{value:.1e}" if value else "0"
+
+
 def _row(each: Outcome) -> list[str]:
     case = each.case
     got = "-" if each.got is None else f"{each.got:.9g}"
-    off = "-" if each.got is None else f"{abs(each.got - case.expected):.1e}"
+    off = "-" if each.got is None else _small(abs(each.got - case.expected))
     verdict = "holds" if each.held else each.failed or "MISSED"
     return [str(case.row), case.name, each.model, case.what, f"{case.expected:.9g}", got, off,
-            f"{case.bound[each.model]:.1e}", case.reason, f"{each.seconds:.2g}", verdict]  # fmt: skip
+            _small(case.bound[each.model]), case.reason, f"{each.seconds:.2g}", verdict]  # fmt: skip

@@ -14,6 +14,7 @@ import numpy as np
 from cosim.caution import Caution, grouped
 from cosim.storage.checksums import MANIFEST
 from cosim.storage.owned_files import write_files
+from cosim.units import pretty
 from reports.summary import summary, tiles
 from reports.tables import Table, Trial, all_tables, command_line, compare_table
 from reports.view import RunLike, View
@@ -220,12 +221,13 @@ def render(template: str, **fields: Any) -> str:
         lstrip_blocks=True,
     )  # fmt: skip
     environment.filters["glue"] = glue
+    environment.filters["pretty"] = pretty
     return environment.get_template(template).render(**fields)
 
 
 def glue(text: str) -> str:
-    """Return `text` with its numbers glued to their units, so that no line ends between them."""
-    return re.sub(r"(?<=\d) (?=[%A-Za-zµ]{1,3}\b|%)", "\u00a0", text)
+    """Return `text` with pretty units, glued to their numbers, so that no line ends between them."""
+    return re.sub(r"(?<=\d) (?=[%A-Za-zµ]{1,3}\b|%)", "\u00a0", pretty(text))
 
 
 def write_page(

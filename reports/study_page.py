@@ -1,5 +1,6 @@
 """From the results of studies to one self-contained page: verdicts first, then study by study."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -12,6 +13,7 @@ from cosim.storage.owned_files import manifest_of
 from cosim.studies.claims import Claim
 from cosim.studies.study import StudyResult, Verdict, table_text
 from cosim.studies.study import Table as StudyTable
+from cosim.units import unit_in
 from reports.page import Picture, picture, render, write_page
 from reports.style import look
 
@@ -20,6 +22,9 @@ __all__ = ["Section", "TextTable", "write_study_page"]
 MANIFEST = manifest_of("study")
 #: A longer table is data for a program: the page only links it.
 _MOST_ROWS = 40
+#: Values below this share of their column's largest are sums' and differences' rounding: some thousand
+#: units in the last place of a double.
+_EPS = 1e-12
 _HOLDS = {True: "holds", False: "does not hold", None: "answered"}
 #: The same of what judges a closed form or a model of this program.
 _OWN = {True: "own check passed", False: "own check failed", None: "answered"}
@@ -190,6 +195,7 @@ def draw_study(name: str, result: StudyResult) -> list[Picture]:
 def text_table(table: StudyTable, file: str) -> TextTable:
     """Return a table as a page shows it; one of many rows stays in its file."""
     columns = list(table.columns.values())
+    least = [_rounding(name, column) for name, column in table.columns.items()]
     count = len(columns[0]) if columns else 0
     numbers = {
         i for i, column in enumerate(columns)
@@ -198,11 +204,32 @@ def text_table(table: StudyTable, file: str) -> TextTable:
     if count > _MOST_ROWS:
         note = f"{table.note} {count} rows, in the file.".strip()
         return TextTable(table.title, list(table.columns), [], numbers, note, file)
-    rows = [[_text(value) for value in row] for row in zip(*columns, strict=True)]
-    return TextTable(table.title, list(table.columns), rows, numbers, table.note, file)
+    rows = [
+        [_text(value, size) for value, size in zip(row, least, strict=True)]
+        for row in zip(*columns, strict=True)
+    ]
+    note = table.note
+    if any(_is_noise(value, size) for column, size in zip(columns, least, strict=True) for value in column):
+        note = f"{note} Shown as 0: what is below {_EPS:g} of its column's largest.".strip()
+    return TextTable(table.title, list(table.columns), rows, numbers, note, file)
 
 
-def _text(value: Any) -> str:
+def _rounding(heading: str, column: Sequence[Any]) -> float:
+    """Return the size below which a column's values are rounding.
+
+    It is 0 without a unit in the heading, where a column may hold quantities of many scales.
+    """
+    numbers = [abs(value) for value in column if isinstance(value, float) and math.isfinite(value)]
+    return _EPS * max(numbers, default=0.0) if unit_in(heading) else 0.0
+
+
+def _is_noise(value: Any, least: float) -> bool:
+    return isinstance(value, float) and 0.0 < abs(value) < least
+
+
+def _text(value: Any, least: float) -> str:
+    if _is_noise(value, least):
+        return "0"
     if value is None:
         return "-"
     if isinstance(value, bool):

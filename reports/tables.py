@@ -173,9 +173,11 @@ def _provenance(view: View) -> Table:
 
 
 def command_line(command: Any) -> str:
-    """Return the command as it would be typed."""
+    """Return the command as it would be typed; ``python -m cosim`` is the command ``cosim``."""
     if isinstance(command, list | tuple) and command:
-        return shlex.join([Path(str(command[0])).name, *(str(part) for part in command[1:])])
+        program = Path(str(command[0]))
+        name = "cosim" if program.parts[-2:] == ("cosim", "__main__.py") else program.name
+        return shlex.join([name, *(str(part) for part in command[1:])])
     return str(command or "")
 
 

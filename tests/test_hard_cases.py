@@ -1,15 +1,19 @@
 """Every hard case on every model; and that the command tells a miss."""
 
+import csv
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
+from browser import Browser
 
 from cosim.accuracy.hard_cases import case_table
 from cosim.accuracy.hard_cases.case_table import CASES, chosen
 from cosim.accuracy.hard_cases.hard_case import ALL, Bench, HardCase, Outcome
 from cosim.cli import main
 from cosim.errors import InputError, SimulationError
+from reports.hard_cases import write_hard_cases
 
 EVERY = [
     pytest.param(case, model, id=f"{case.row}-{case.name}-{model}",
@@ -57,6 +61,35 @@ def test_cases_are_chosen_by_name_and_number() -> None:
     assert len(chosen([], slow=True)) == len(CASES)
     with pytest.raises(InputError, match="nearest is bouncing ball"):
         chosen(["bouncing bal, first impact"], slow=False)
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    outcomes = [
+        Outcome(case, model, case.expected + bound / 3, "", 12.34)
+        for case in CASES for model, bound in case.bound.items()
+    ]  # fmt: skip
+    return write_hard_cases(outcomes, tmp_path_factory.mktemp("page"))
+
+
+def test_the_page_s_zeros_are_zeros(page: Path) -> None:
+    assert any(bound == 0.0 for case in CASES for bound in case.bound.values())
+    assert "0.0e+00" not in page.read_text(encoding="utf-8")
+    with (page.parent / "hard_cases.csv").open(encoding="utf-8") as file:
+        assert len(list(csv.DictReader(file))) == sum(len(case.bound) for case in CASES)
+
+
+@pytest.mark.browser
+def test_the_page_s_tables_fit(page: Path) -> None:
+    with Browser(1200, 900) as browser:
+        browser.visit(page)
+        # nothing is cut off at the right, and no row of numbers is taller than three lines of 23 pixels
+        cut = "[...document.querySelectorAll('.scroll')].map(s => s.scrollWidth - s.clientWidth)"
+        assert max(browser.evaluate(cut)) <= 0
+        tall = "[...document.querySelectorAll('table')[0].rows].map(r => r.clientHeight)"
+        assert max(browser.evaluate(tall)) <= 3 * 23 + 9
+        browser.resize(420, 900)
+        assert browser.evaluate("document.documentElement.scrollWidth") <= 420
 
 
 def test_the_command_ends_with_1_on_a_miss(tmp_path, monkeypatch, capsys) -> None:

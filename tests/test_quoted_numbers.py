@@ -58,8 +58,7 @@ CODE = {
             "--random N",
         ),
         "2758 errors) 99.9 % lay within": ("benchmarks/estimates.py", "--random N"),
-        "a resistor moved by up to 1 %": ("benchmarks/estimates.py", "rng.uniform(0.99, 1.01)"),
-        "about 40 % to the time": ("benchmarks/estimates.py", "what the estimates cost"),
+        "one resistor moved by up to ±1 %": ("benchmarks/estimates.py", "rng.uniform(0.99, 1.01)"),
         "a 95 % bound": ("tests/test_quoted_numbers.py", "def test_bounds_hold_as_often_as_they_say"),
     },
     "docs/explanation/certificates.md": {

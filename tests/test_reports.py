@@ -19,19 +19,20 @@ from synthetic import DRAG, PERIOD_S, SyntheticRun, slope_run
 
 from cosim.comparisons.sweep import Sweep
 from cosim.errors import InputError
-from cosim.units import quantity, scale
+from cosim.units import measured, quantity, scale
 from reports import Trial, compare_table, write_report
 from reports.decimate import keep_peaks, merge_spans
 from reports.effects import draw as draw_effects
 from reports.energy_and_cost import energy
 from reports.formatting import ratio, share
 from reports.notebook import figure, html
-from reports.page import FIGURES, draw_all, glue
+from reports.page import FIGURES, draw_all, glue, render
+from reports.study_page import Section, TextTable
 from reports.style import figure as figure_of_axes
 from reports.style import look
 from reports.summary import summary, tiles
 from reports.sweep import draw as draw_sweep
-from reports.tables import all_tables
+from reports.tables import all_tables, command_line
 from reports.view import View
 
 
@@ -114,6 +115,7 @@ def test_spans_closer_than_a_pixel_are_joined() -> None:
         (4.2e-7, "rad", "420 nrad"),
         (3600.0, "s", "3600 s"), (233.0, "N/m", "233 N/m"), (0.0, "J", "0 J"), (-0.02, "V", "-20 mV"),
         (1e-20, "J", "1.00e-08 pJ"), (0.25, "", "0.250"), (float("nan"), "m", "not known"),
+        (2.5, "A^2 s", "2.50 A² s"), (0.0, "m/s^2", "0 m/s²"),
     ],
 )  # fmt: skip
 def test_quantities_read_well(value: float, unit: str, text: str) -> None:
@@ -130,6 +132,32 @@ def test_shares_and_axes_read_well() -> None:
     assert scale(0.03, "J") == (1e3, "mJ")
     assert scale(0.5, "N") == (1.0, "N")
     assert scale(0.0, "V") == (1.0, "V")
+
+
+def test_a_page_writes_units_one_way(tmp_path: Path) -> None:
+    # squares and micros of files, where they stand in headings, in cells and in sentences
+    assert measured(2.0, 0.1, "A^2 s") == "2.0 ± 0.1 A² s"
+    table = TextTable("t", ["delay [us]", "a [m/s^2]"], [["2 us", "3 A^2 s"]], set(), "within 5 us")
+    html = render("study.html.j2", title="", command="", summary=["9.81 m/s^2"], sections=[
+        Section("s", "s", [], ("2 uJ of 2^24 codes",), [], [table], "")], claims=[], warnings=[])  # fmt: skip
+    text = html.replace("\u00a0", " ")
+    for right in (
+        "delay [µs]",
+        "a [m/s²]",
+        "2 µs<",
+        "3 A² s",
+        "within 5 µs",
+        "9.81 m/s²",
+        "2 µJ of 2^24 codes",
+    ):
+        assert right in text
+
+
+def test_a_command_is_the_one_to_be_typed() -> None:
+    at = "/usr/lib/python3/site-packages/cosim/__main__.py"
+    assert command_line([at, "run", "a b.toml"]) == "cosim run 'a b.toml'"
+    assert command_line(["/usr/bin/cosim", "run"]) == "cosim run"
+    assert command_line(["/home/me/other/__main__.py", "x"]) == "__main__.py x"
 
 
 def test_no_line_ends_between_number_and_unit() -> None:

@@ -15,7 +15,7 @@ from cosim.errors import InputError
 from cosim.studies.claims import load_claims
 from cosim.studies.study import StudyResult, Table, Verdict
 from reports.page import picture
-from reports.study_page import write_study_page
+from reports.study_page import text_table, write_study_page
 from reports.style import Drawn, figure
 
 PAPER = SCENES / "paper"
@@ -86,6 +86,16 @@ def test_a_check_of_our_own_closed_form_is_no_verdict_on_the_paper(tmp_path: Pat
     assert "1 of 1 verdicts on the paper hold." in text
     assert "1 of 2 checks of this program" in text
     assert text.count('class="verdict own-check-failed"') == 1
+
+
+def test_rounding_is_shown_as_zero() -> None:
+    # 1e-12 of a column's largest is some thousand units in the last place; without a unit scales may be mixed
+    columns = {"part": ["a", "b", "c"], "delay [us]": [3.0, -1.8e-13, 4e-12], "value": [1e6, 1e-9, 0.0]}
+    shown = text_table(Table("t", "T", columns, "A note."), "t.csv")
+    assert [row[1] for row in shown.rows] == ["3", "0", "4e-12"]
+    assert [row[2] for row in shown.rows] == ["1e+06", "1e-09", "0"]
+    assert shown.note == "A note. Shown as 0: what is below 1e-12 of its column's largest."
+    assert text_table(Table("t", "T", {"delay [us]": [3.0, 0.0]}), "t.csv").note == ""
 
 
 def test_every_picture_has_its_data(tmp_path: Path) -> None:

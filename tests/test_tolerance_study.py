@@ -403,6 +403,7 @@ def test_bad_specifications_are_told_together() -> None:
         ("max_penetration < 0.02 m", -math.inf, 0.02),
         ("rest_force > 50 mN", 0.05, math.inf),
         ("heat < 2 A^2 s", -math.inf, 2.0),
+        ("heat < 2 A² s", -math.inf, 2.0),
     ],
 )
 def test_a_limit_may_have_a_unit_with_a_prefix(text: str, low: float, high: float) -> None:

@@ -42,9 +42,9 @@ class Chain(Table):
     Lists hold one value a joint. Rotor inertia is on the motor's side of the gear, everything else on
     the joint's side. Centres of mass lie on the link, measured from its joint; inertias are about them.
 
-    In the models `ideal` and `linear` Coulomb friction holds and slips, and stops push and let go, at located
-    instants; stops with `stop_restitution` do not give. On `spice` and in exported decks it is
-    coulomb tanh(v / coulomb_speed), the only use of `coulomb_speed_rad_per_s`.
+    In a run of any model Coulomb friction holds and slips, and stops push and let go, at located instants
+    (`spice` ends its steps there); on `ideal` and `linear` stops with `stop_restitution` do not give. In an
+    exported deck friction is coulomb tanh(v / coulomb_speed), the only use of `coulomb_speed_rad_per_s`.
 
     Shafts (``effects.shaft``) turn between motor and joint, backlash (``effects.backlash``) is the full width
     of the gear's gap; both are counted at the joint. Friction is on the joint's side of them.

@@ -14,6 +14,7 @@ from cosim.catalogue import NAMES, UNITS
 from cosim.errors import InputError, Problem, nearest
 from cosim.measures import PREFIXES
 from cosim.ngspice.lines import number
+from cosim.units import pretty
 
 __all__ = ["Spec", "parse_specs"]
 
@@ -96,9 +97,10 @@ def _parsed(text: str) -> Spec | Problem:
 
 def _without_unit(written: str, unit: str) -> tuple[str, float]:
     """Return what stands before the unit, and the factor of the unit's prefix: 20 mm is 20 and 1e-3."""
-    if not unit or not written.endswith(unit):
+    shown = pretty(unit)  # as results are printed
+    if not unit or not written.endswith((unit, shown)):
         return written, 1.0
-    head = written.removesuffix(unit)
+    head = written.removesuffix(unit).removesuffix(shown)
     if head[-1:] in PREFIXES and "^" not in unit and not head.lower().endswith("meg"):
         return head[:-1].strip(), PREFIXES[head[-1]]
     return head.strip(), 1.0
