@@ -95,10 +95,10 @@ def pretty(text: str) -> str:
 
     Examples
     --------
-    >>> pretty('delay [us]'), pretty('3 A^2 s'), pretty('uses 2^24 codes')
-    ('delay [µs]', '3 A² s', 'uses 2^24 codes')
+    >>> pretty('delay [us]'), pretty('3 A^2 s'), pretty('+-1 % of 2^24 codes')
+    ('delay [µs]', '3 A² s', '±1 % of 2^24 codes')
     """
-    return _MICRO.sub("µ", _POWER.sub(lambda match: _POWERS[match[1]], text))
+    return _MICRO.sub("µ", _POWER.sub(lambda match: _POWERS[match[1]], text)).replace("+-", "±")
 
 
 def quantity(value: float, unit: str = "", digits: int = 3) -> str:

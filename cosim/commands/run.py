@@ -215,7 +215,7 @@ def _text(finished: "list[tuple[Variant, Path, Run]]") -> str:
         stats = run.stats
         lines.append(
             f"{head}{quantity(run.scene.duration_s, 's', 4)} simulated in {quantity(stats['wall_s'], 's')}, "
-            f"{stats['points']} points, {1e6 * stats['wall_s'] / stats['points']:.3g} us each -> {out}"
+            f"{stats['points']} points, {1e6 * stats['wall_s'] / stats['points']:.3g} µs each -> {out}"
         )
         if "choice" in run.plan:
             lines += choice_lines(run.plan["choice"])
