@@ -165,7 +165,7 @@ def _summary(claims: Sequence[_Claim]) -> list[str]:
 
     held = sum(holds == _HOLDS[True] for _, holds in judged)
     decided = held + sum(holds == _HOLDS[False] for _, holds in judged)
-    out = f"{held} of {decided} verdicts on the paper hold"
+    out = f"{held} of {decided} verdicts on the paper hold" if decided else "No verdict on the paper"
     if failed := which(_HOLDS[False]):
         out += f"; not all of {'; '.join(failed)}"
     answered = sum(holds == _HOLDS[None] for _, holds in judged)

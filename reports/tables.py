@@ -228,4 +228,6 @@ def _changed(first: Mapping[str, Any] | None, row: Mapping[str, Any] | None) -> 
     if not isinstance(value, int | float) or not isinstance(before, int | float) or before == 0:
         return text
     change = float(value) / float(before) - 1.0
-    return f"{text} (same)" if change == 0.0 else f"{text} ({100 * change:+.3g} %)"
+    if change == 0.0:
+        return f"{text} (same)"
+    return f"{text} ({100 * change:+.3g} %)" if abs(change) < 10.0 else f"{text} (x {change + 1.0:.3g})"

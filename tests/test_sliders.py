@@ -1,5 +1,6 @@
 """The page of sliders: what a moved component does, in a browser, against the formula."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ from browser import Browser
 from formula_studies import LIMIT, SIGMA, SLOPE, formulas, measured
 from scipy import special, stats
 
+from reports.monte_carlo import write_monte_carlo
 from reports.sliders import SLIDERS, sliders_page
 
 
@@ -46,3 +48,13 @@ def test_a_moved_resistor_moves_measure_and_yield(tmp_path: Path) -> None:
         browser.evaluate("document.getElementById('reset').click()")
         assert browser.evaluate(cell) == before
     assert (tmp_path / "sliders.png").stat().st_size > 0
+
+
+def test_without_a_fitted_surface_no_page_links_to_sliders(tmp_path: Path) -> None:
+    few = measured(formulas(8))  # fewer samples than random variables ask for
+    assert few.bill
+    assert not few.surfaces
+    page = write_monte_carlo(few, tmp_path, "cosim mc --sample", "x")
+    links = re.findall(r'href="([^"#:]+)"', page.read_text(encoding="utf-8"))
+    assert links
+    assert [link for link in links if not (tmp_path / link).is_file()] == []

@@ -98,6 +98,12 @@ def test_rounding_is_shown_as_zero() -> None:
     assert text_table(Table("t", "T", {"delay [us]": [3.0, 0.0]}), "t.csv").note == ""
 
 
+def test_a_page_of_questions_alone_counts_no_verdicts(tmp_path: Path) -> None:
+    question = replace(synthetic(), verdicts=(Verdict("N3", "it shifts", "a question", "by 15 %", None),))
+    text = write_study_page([("a", question)], tmp_path, "T").read_text(encoding="utf-8")
+    assert "No verdict on the paper. 1 more answer a question with a number." in text.replace("\u00a0", " ")
+
+
 def test_every_picture_has_its_data(tmp_path: Path) -> None:
     """Lines, bars, dots and maps: what is drawn stands in the file beside it, not its headings alone."""
     for name in ("line", "bars", "dots", "mesh", "shaded", "contours"):

@@ -301,7 +301,8 @@ def _cell(row: "Mapping[str, Any] | None", before: "Mapping[str, Any] | None") -
         return f"{text} (same)"
     if before["value"] == 0:
         return text
-    return f"{text} ({100 * (row['value'] / before['value'] - 1):+.3g} %)"
+    ratio = row["value"] / before["value"]
+    return f"{text} ({100 * (ratio - 1):+.3g} %)" if abs(ratio - 1) < 10 else f"{text} (x {ratio:.3g})"
 
 
 COMMAND = Command("run", "simulate a scene; with --set one run a value", _arguments, _run)
