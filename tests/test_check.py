@@ -11,11 +11,11 @@ import pytest
 from support import BOARD1, BOARD2, SCENES, scene_of, slider
 
 from cosim.checking import measured_constants
-from cosim.checking.bench import Bench
 from cosim.checking.check import check
 from cosim.checking.check_target import load_subject
 from cosim.checking.loops import encirclements, gain_margins, measure_loops, phase_margins
 from cosim.checking.printout import describe
+from cosim.checking.probed_board import ProbedBoard
 from cosim.checking.requirements import Severity
 from cosim.circuits.extraction.swing import swings
 from cosim.cli import main
@@ -87,7 +87,7 @@ def textbook(folder, poles_hz, gbw_hz, feedback, ro=1e-3):
         + feedback
         + "Gi 0 imot1 out 0 1\nRi imot1 0 1\n.ends board\n"
     )
-    (loop,) = measure_loops(Bench(Simulator(), load_deck(folder / "board.cir")))
+    (loop,) = measure_loops(ProbedBoard(Simulator(), load_deck(folder / "board.cir")))
     return loop
 
 

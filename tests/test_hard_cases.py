@@ -10,7 +10,7 @@ from browser import Browser
 
 from cosim.accuracy.hard_cases import case_table
 from cosim.accuracy.hard_cases.case_table import CASES, chosen
-from cosim.accuracy.hard_cases.hard_case import ALL, Bench, HardCase, Outcome
+from cosim.accuracy.hard_cases.hard_case import ALL, CaseRunner, HardCase, Outcome
 from cosim.cli import main
 from cosim.errors import InputError, SimulationError
 from reports.hard_cases import write_hard_cases
@@ -23,14 +23,14 @@ EVERY = [
 
 
 @pytest.fixture(scope="module")
-def bench():
-    with Bench() as made:
+def runner():
+    with CaseRunner() as made:
         yield made
 
 
 @pytest.mark.parametrize(("case", "model"), EVERY)
-def test_hard_case(bench: Bench, case: HardCase, model: str) -> None:
-    result = bench.outcome(case, model)
+def test_hard_case(runner: CaseRunner, case: HardCase, model: str) -> None:
+    result = runner.outcome(case, model)
     assert result.failed == ""
     assert result.held, f"{result.got!r}, expected {case.expected!r} to {case.bound[model]:g}: {case.reason}"
 
@@ -93,14 +93,14 @@ def test_the_page_s_tables_fit(page: Path) -> None:
 
 
 def test_the_command_ends_with_1_on_a_miss(tmp_path, monkeypatch, capsys) -> None:
-    def broken(bench: Bench, model: str) -> float:
+    def broken(runner: CaseRunner, model: str) -> float:
         raise SimulationError("it broke")
 
     cases = [
-        HardCase("right", 1, "a number", 2.0, {"ideal": 0.1}, "none", lambda bench, model: 2.05),
-        HardCase("wrong", 2, "a number", 2.0, {"ideal": 0.01}, "none", lambda bench, model: 2.05),
+        HardCase("right", 1, "a number", 2.0, {"ideal": 0.1}, "none", lambda runner, model: 2.05),
+        HardCase("wrong", 2, "a number", 2.0, {"ideal": 0.01}, "none", lambda runner, model: 2.05),
         HardCase("broken", 3, "a number", 2.0, {"spice": 0.01}, "none", broken),
-        HardCase("no number", 4, "a number", 2.0, {"spice": 0.01}, "none", lambda bench, model: float("nan")),
+        HardCase("no number", 4, "a number", 2.0, {"spice": 0.01}, "none", lambda *_: float("nan")),
     ]
     monkeypatch.setattr(case_table, "CASES", tuple(cases))
     assert main(["hard-cases", "right", "-o", str(tmp_path / "page")]) == 0

@@ -12,7 +12,7 @@ from cosim.assets import scenes_folder
 from cosim.cli import main
 from cosim.errors import InputError, SimulationError, StorageError
 from cosim.storage.checkpoint import Points
-from cosim.storage.staging import Staging, make_scratch, scratch_folder, whole_file
+from cosim.storage.staging import Staging, atomic_file, make_scratch, scratch_folder
 
 DROP = str(scenes_folder() / "drop.toml")
 FAST = ["--set", "duration_s=0.02", "--set", "solver.model=linear"]
@@ -149,7 +149,7 @@ def test_a_failure_leaves_the_earlier_file_and_nothing_beside_it(tmp_path):
     file.write_text("mine")
 
     def fail_halfway():
-        with whole_file(file) as temporary:
+        with atomic_file(file) as temporary:
             temporary.write_text("half")
             raise RuntimeError
 
@@ -157,7 +157,7 @@ def test_a_failure_leaves_the_earlier_file_and_nothing_beside_it(tmp_path):
         fail_halfway()
     assert file.read_text() == "mine"
     assert list(tmp_path.iterdir()) == [file]
-    with whole_file(file) as temporary:
+    with atomic_file(file) as temporary:
         temporary.write_text("whole")
     assert file.read_text() == "whole"
     assert list(tmp_path.iterdir()) == [file]
@@ -167,7 +167,7 @@ def test_a_file_behind_a_link_is_replaced_and_the_link_stays(tmp_path):
     file, link = tmp_path / "table.csv", tmp_path / "link.csv"
     file.write_text("old")
     link.symlink_to(file)
-    with whole_file(link) as temporary:
+    with atomic_file(link) as temporary:
         temporary.write_text("new")
     assert link.is_symlink()
     assert file.read_text() == "new"
@@ -177,7 +177,7 @@ def test_a_file_behind_a_link_is_replaced_and_the_link_stays(tmp_path):
 def test_what_is_no_file_is_not_replaced(tmp_path, make):
     place = tmp_path / "pipe"
     make(place)
-    with pytest.raises(InputError, match="is not a regular file"), whole_file(place):
+    with pytest.raises(InputError, match="is not a regular file"), atomic_file(place):
         pytest.fail("entered")
     assert place.exists()
 
@@ -185,11 +185,11 @@ def test_what_is_no_file_is_not_replaced(tmp_path, make):
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from cosim.storage.staging import Staging, make_scratch, whole_file
+from cosim.storage.staging import Staging, make_scratch, atomic_file
 here = Path(sys.argv[1])
 print(make_scratch("ngspice"), flush=True)
 stage = Staging(here / "result")
-with whole_file(here / "deck.cir") as file:
+with atomic_file(here / "deck.cir") as file:
     file.write_text("half")
     os.kill(os.getpid(), signal.SIGKILL)
 """
@@ -211,7 +211,7 @@ def test_what_a_killed_process_left_is_removed_at_the_next_start(tmp_path, monke
     ]
     with scratch_folder("sweep"):
         assert not left.exists()
-    with whole_file(tmp_path / "deck.cir") as file:
+    with atomic_file(tmp_path / "deck.cir") as file:
         file.write_text("whole")
     with Staging(tmp_path / "result"):
         pass

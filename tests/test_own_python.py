@@ -10,7 +10,7 @@ from support import K_FS, merge, quick, scene_of, simulate, slider
 
 from cosim import cli
 from cosim.errors import CosimError
-from cosim.loop.userclass import Said
+from cosim.loop.userclass import PrintCapture
 from cosim.results import Run
 from reports import write_report
 
@@ -129,7 +129,7 @@ def test_what_it_printed_last_stands_beside_its_error(tmp_path: Path) -> None:
 
 
 def test_a_law_that_prints_without_end_is_cut() -> None:
-    result = Said()
+    result = PrintCapture()
     with result.listening():
         for k in range(3000):
             print(k, "x" * 1000)

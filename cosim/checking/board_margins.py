@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.checking.bench import Bench
 from cosim.checking.loops import Loop, measure_loops
 from cosim.checking.measured_constants import Rest, measure_rest
+from cosim.checking.probed_board import ProbedBoard
 from cosim.ngspice.child import Child, call
 from cosim.ngspice.deck import Deck
 from cosim.ngspice.simulator import Simulator
@@ -41,5 +41,5 @@ def standing(board: Deck, time_limit_s: float, child: Child | None = None) -> St
 
 def ask(payload: dict[str, Any], report: Callable[[dict[str, Any]], None]) -> Standing:
     """Measure ``payload['board']``; runs in the child."""
-    bench = Bench(Simulator(on_time=lambda reached: report({})), payload["board"])
+    bench = ProbedBoard(Simulator(on_time=lambda reached: report({})), payload["board"])
     return Standing(tuple(measure_rest(bench, bench.constants())), tuple(measure_loops(bench)))

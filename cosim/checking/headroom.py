@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from cosim.checking.bench import Bench
+from cosim.checking.probed_board import ProbedBoard
 from cosim.checking.signal_paths import LOW_HZ
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.extraction.swing import Swing as MeasuredSwing
@@ -80,7 +80,7 @@ class Headroom:
 
 
 def measure_headroom(
-    bench: Bench, constants: DesignConstants, measured: Mapping[str, MeasuredSwing]
+    bench: ProbedBoard, constants: DesignConstants, measured: Mapping[str, MeasuredSwing]
 ) -> Headroom:
     """Deflect one joint at a time, both ways, through one spring at a time, to rated torque.
 
@@ -100,7 +100,7 @@ def measure_headroom(
             continue
         least = float("inf")
         for i, j, sign in _ways(bench.joints):
-            bench.hold(
+            bench.hold_only(
                 {
                     f"ksp{i}{j}": constants.v_fs * k / constants.k_fs,
                     f"u{j}": sign * at * constants.v_rad,
@@ -113,7 +113,7 @@ def measure_headroom(
                 if abs(point[node]) > peaks.get(node, (-1.0, ""))[0]:
                     peaks[node] = abs(point[node]), name
         cases.append(Case(name, rated / k, least))
-    bench.hold({})
+    bench.hold_only({})
     return Headroom(
         tuple(cases),
         _swings(bench, peaks, known),
@@ -127,7 +127,7 @@ def _ways(joints: int) -> Iterator[tuple[int, int, float]]:
     return ((i, j, sign) for i in each for j in each for sign in (1.0, -1.0))
 
 
-def _known(bench: Bench, measured: Mapping[str, MeasuredSwing]) -> dict[str, MeasuredSwing]:
+def _known(bench: ProbedBoard, measured: Mapping[str, MeasuredSwing]) -> dict[str, MeasuredSwing]:
     """Return the output limits that are known, stated ones first, by instance path."""
     swings = dict(measured)
     for a in bench.board.amplifiers:
@@ -138,13 +138,13 @@ def _known(bench: Bench, measured: Mapping[str, MeasuredSwing]) -> dict[str, Mea
 
 
 def _speeds(
-    bench: Bench, constants: DesignConstants, known: Mapping[str, MeasuredSwing]
+    bench: ProbedBoard, constants: DesignConstants, known: Mapping[str, MeasuredSwing]
 ) -> tuple[Speed, ...]:
     """Scale each amplifier's answer to a slow ramp, the quadrature part as w -> 0, up to its limit."""
     speeds = []
     limits = {a.path: (a.out_node, known[a.path].limit_v) for a in bench.board.amplifiers if a.path in known}
     for j in range(1, bench.joints + 1):
-        bench.hold({f"ksd{j}{j}": constants.v_fs})
+        bench.hold_only({f"ksd{j}{j}": constants.v_fs})
         answer = bench.response(f"pot{j}", f"lin 1 {LOW_HZ!r} {LOW_HZ!r}")
         reached = [
             Speed(j, limit * 2 * math.pi * LOW_HZ / abs(answer[node][0].imag), path)
@@ -153,12 +153,12 @@ def _speeds(
         ]
         if reached:
             speeds.append(min(reached, key=lambda speed: speed.speed_rad_per_s))
-    bench.hold({})
+    bench.hold_only({})
     return tuple(speeds)
 
 
 def _swings(
-    bench: Bench, peaks: dict[str, tuple[float, str]], known: Mapping[str, MeasuredSwing]
+    bench: ProbedBoard, peaks: dict[str, tuple[float, str]], known: Mapping[str, MeasuredSwing]
 ) -> tuple[Swing, ...]:
     swings = []
     for a in bench.board.amplifiers:
@@ -167,15 +167,15 @@ def _swings(
     return tuple(swings)
 
 
-def _limits(bench: Bench, constants: DesignConstants) -> tuple[float | None, ...]:
+def _limits(bench: ProbedBoard, constants: DesignConstants) -> tuple[float | None, ...]:
     """Return each motor's current with command and spring at the end of the DACs' range."""
     limits: list[float | None] = []
     for i in range(1, bench.joints + 1):
         full = constants.dac_v
-        bench.hold({f"cmd{i}": full, f"ksp{i}{i}": constants.v_fs, f"u{i}": full})
+        bench.hold_only({f"cmd{i}": full, f"ksp{i}{i}": constants.v_fs, f"u{i}": full})
         try:
             limits.append(bench.operating_point()[f"imot{i}"])
         except CosimError:  # a clipped board need not have an operating point that Newton finds
             limits.append(None)
-    bench.hold({})
+    bench.hold_only({})
     return tuple(limits)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.checking.bench import HIGHEST_HZ, Bench, Real
 from cosim.checking.loop_probes import Probe
+from cosim.checking.probed_board import HIGHEST_HZ, ProbedBoard, Real
 from cosim.types import Complex
 
 _SWEEP = f"dec 20 0.1 {HIGHEST_HZ:g}"
@@ -42,9 +42,9 @@ class Loop:
     stable: bool | None
 
 
-def measure_loops(bench: Bench) -> list[Loop]:
+def measure_loops(bench: ProbedBoard) -> list[Loop]:
     """Open every loop in turn, with all pins at zero; places without feedback are left out."""
-    bench.hold({})
+    bench.hold_only({})
     loops = []
     for probe in bench.probes:
         f, t = bench.loop_gain(probe, _SWEEP)

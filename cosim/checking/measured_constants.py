@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from cosim.checking.bench import Bench
+from cosim.checking.probed_board import ProbedBoard
 from cosim.checking.signal_paths import LOW_HZ, Path, low_hz
 from cosim.circuits.design_constants import DesignConstants
 from cosim.errors import NoOperatingPoint
@@ -68,7 +68,7 @@ class Rest:
 
 
 def measure_constants(
-    bench: Bench, constants: DesignConstants, paths: list[Path], notes: list[str]
+    bench: ProbedBoard, constants: DesignConstants, paths: list[Path], notes: list[str]
 ) -> Readings:
     """Read every constant at every place, one gain at full scale at a time.
 
@@ -84,13 +84,13 @@ def measure_constants(
     for i in joints:
         for j in joints:
             pair = f"{i}{j}"
-            bench.hold({f"ksp{i}{j}": constants.v_fs})
+            bench.hold_only({f"ksp{i}{j}": constants.v_fs})
             k = -_real(bench, f"pot{j}", f"imot{i}", f) * per_ampere
             readings["k_fs", pair] = k, None
             if i == j:
                 by_u = _real(bench, f"u{j}", f"imot{i}", f) * per_ampere
                 readings["v_rad", f"{j}"] = (k / by_u if by_u else None), None
-            bench.hold({f"ksd{i}{j}": constants.v_fs})
+            bench.hold_only({f"ksd{i}{j}": constants.v_fs})
             c, c_above = (-_rate(bench, f"pot{j}", f"imot{i}", hz) * per_ampere for hz in (f, _APART * f))
             readings["c_fs", pair] = c, (100.0 * (c_above / c - 1.0) if c else None)
             try:
@@ -100,14 +100,14 @@ def measure_constants(
                 w = None
             if w is not None:
                 readings["w_rated", pair] = w, None
-    bench.hold({})
+    bench.hold_only({})
     for i in joints:
         by_cmd = _real(bench, f"cmd{i}", f"imot{i}", f) * per_ampere
         readings["v_nm", f"{i}"] = (1.0 / by_cmd if by_cmd else None), None
     return readings
 
 
-def multiplier_volts(bench: Bench, constants: DesignConstants, i: int, j: int) -> float | None:
+def multiplier_volts(bench: ProbedBoard, constants: DesignConstants, i: int, j: int) -> float | None:
     """Return what the multiplier from joint j to motor i puts out for rated current, at full-scale gain [V].
 
     It is the multiplier with the largest output, all other gains being zero. ``None`` if the board has none,
@@ -115,7 +115,7 @@ def multiplier_volts(bench: Bench, constants: DesignConstants, i: int, j: int) -
     """
     outputs = [a.out_node for a in bench.board.amplifiers if a.role == "vca"]
     rated = constants.i_rated * constants.kt * constants.gear
-    bench.hold({f"ksp{i}{j}": constants.v_fs, f"pot{j}": -rated / constants.k_fs})
+    bench.hold_only({f"ksp{i}{j}": constants.v_fs, f"pot{j}": -rated / constants.k_fs})
     point = bench.operating_point()
     current = abs(point[f"imot{i}"])
     if not outputs or current == 0.0:
@@ -133,9 +133,9 @@ def table(constants: DesignConstants, real: Readings, ideal: Readings) -> list[C
     ]
 
 
-def measure_rest(bench: Bench, constants: DesignConstants) -> list[Rest]:
+def measure_rest(bench: ProbedBoard, constants: DesignConstants) -> list[Rest]:
     """Read what is left with every gain at zero."""
-    bench.hold({})
+    bench.hold_only({})
     currents = bench.operating_point()
     per_ampere = constants.kt * constants.gear
     joints = range(1, bench.joints + 1)
@@ -154,10 +154,10 @@ def measure_rest(bench: Bench, constants: DesignConstants) -> list[Rest]:
     ]
 
 
-def _real(bench: Bench, pin: str, output: str, f_hz: float) -> float:
+def _real(bench: ProbedBoard, pin: str, output: str, f_hz: float) -> float:
     return float(bench.response(pin, f"lin 1 {f_hz!r} {f_hz!r}")[output][0].real)
 
 
-def _rate(bench: Bench, pin: str, output: str, f_hz: float) -> float:
+def _rate(bench: ProbedBoard, pin: str, output: str, f_hz: float) -> float:
     h = bench.response(pin, f"lin 1 {f_hz!r} {f_hz!r}")[output][0]
     return float(h.imag) / (2 * math.pi * f_hz)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.checking.bench import Bench
 from cosim.checking.headroom import SOFT_N_PER_M
+from cosim.checking.probed_board import ProbedBoard
 from cosim.checking.signal_paths import LOW_HZ
 from cosim.circuits.design_constants import DesignConstants
 
@@ -67,7 +67,7 @@ class PotNoise:
     damper_n: float
 
 
-def measure_noise(bench: Bench, constants: DesignConstants) -> list[Noise]:
+def measure_noise(bench: ProbedBoard, constants: DesignConstants) -> list[Noise]:
     """Ask `.noise` at every motor with gains at zero, all springs on, and all gains on."""
     pairs = [f"{i}{j}" for i in range(1, bench.joints + 1) for j in range(1, bench.joints + 1)]
     springs = {f"ksp{pair}": constants.v_fs for pair in pairs}
@@ -79,7 +79,7 @@ def measure_noise(bench: Bench, constants: DesignConstants) -> list[Noise]:
     per_ampere = constants.kt * constants.gear
     noises = []
     for gains, held in states.items():
-        bench.hold(held)
+        bench.hold_only(held)
         for i in range(1, bench.joints + 1):
             low, high = BAND_HZ
             heard = bench.noise(f"imot{i}", f"pot{i}", f"dec 10 {low:g} {high:g}")
@@ -91,7 +91,7 @@ def measure_noise(bench: Bench, constants: DesignConstants) -> list[Noise]:
     return noises
 
 
-def _top(bench: Bench, elements: dict[str, float], total: float) -> tuple[Contributor, ...]:
+def _top(bench: ProbedBoard, elements: dict[str, float], total: float) -> tuple[Contributor, ...]:
     """Sum the elements' powers inside each part and return the largest."""
     paths = [a.path for a in bench.board.amplifiers]
     power: dict[str, float] = {}
@@ -107,7 +107,7 @@ def _top(bench: Bench, elements: dict[str, float], total: float) -> tuple[Contri
 
 
 def measure_pot_noise(
-    bench: Bench, constants: DesignConstants, noise_rad: float, bandwidth_hz: float
+    bench: ProbedBoard, constants: DesignConstants, noise_rad: float, bandwidth_hz: float
 ) -> list[PotNoise]:
     """Pass white potentiometer noise through the measured spring and damper of each joint."""
     pot_noises = []
@@ -116,7 +116,7 @@ def measure_pot_noise(
     for j in range(1, bench.joints + 1):
         forces = []
         for gain in ("ksp", "ksd"):
-            bench.hold({f"{gain}{j}{j}": constants.v_fs})
+            bench.hold_only({f"{gain}{j}{j}": constants.v_fs})
             swept = bench.response(f"pot{j}", sweep)
             f, h = np.real(swept["frequency"]), np.abs(swept[f"imot{j}"])
             # below the sweep |h| is taken as constant (spring) or falls (damper): 1e-3 of the band at most
@@ -125,5 +125,5 @@ def measure_pot_noise(
         spring, damper = forces
         softer = SOFT_N_PER_M * constants.r_tip**2 / constants.k_fs
         pot_noises.append(PotNoise(j, noise_rad, bandwidth_hz, spring, spring * softer, damper))
-    bench.hold({})
+    bench.hold_only({})
     return pot_noises

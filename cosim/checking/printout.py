@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from cosim.checking.bench import HIGHEST_HZ
 from cosim.checking.check import Check
 from cosim.checking.components import BAND_HZ as MECHANICAL_HZ
 from cosim.checking.headroom import SOFT_N_PER_M
 from cosim.checking.noise_budget import BAND_HZ, Noise, PotNoise
+from cosim.checking.probed_board import HIGHEST_HZ
 from cosim.checking.requirements import Severity
 from cosim.checking.signal_paths import NAMES, Brake
 from cosim.circuits.extraction.swing import SwingFrom

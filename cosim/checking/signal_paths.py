@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.checking.bench import HIGHEST_HZ, Bench, Real
+from cosim.checking.probed_board import HIGHEST_HZ, ProbedBoard, Real
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.extraction.block_delays import MOTOR, SpringDelay
 from cosim.circuits.extraction.block_delays import Step as Part
@@ -95,7 +95,7 @@ def bandwidth(f_hz: Real, h: Complex) -> float | None:
     return float(f_hz[k - 1] * (f_hz[k] / f_hz[k - 1]) ** share)
 
 
-def measure_paths(bench: Bench, constants: DesignConstants) -> list[Path]:
+def measure_paths(bench: ProbedBoard, constants: DesignConstants) -> list[Path]:
     """Sweep every path of every joint with its own gain at full scale and all others at zero."""
     paths = []
     for j in range(1, bench.joints + 1):
@@ -110,7 +110,7 @@ def measure_paths(bench: Bench, constants: DesignConstants) -> list[Path]:
     return paths
 
 
-def _path(bench: Bench, j: int, kind: str, pin: str, held: Mapping[str, float]) -> Path:
+def _path(bench: ProbedBoard, j: int, kind: str, pin: str, held: Mapping[str, float]) -> Path:
     f, h = _through(bench, j, kind, pin, held, _SWEEP)
     width = bandwidth(f, h)
     low = low_hz(width)
@@ -119,18 +119,18 @@ def _path(bench: Bench, j: int, kind: str, pin: str, held: Mapping[str, float]) 
 
 
 def _through(
-    bench: Bench, j: int, kind: str, pin: str, held: Mapping[str, float], sweep: str
+    bench: ProbedBoard, j: int, kind: str, pin: str, held: Mapping[str, float], sweep: str
 ) -> tuple[Real, Complex]:
     """Return frequencies and what comes through the held gain alone.
 
     What leaks with that gain at zero is taken off: a damper multiplier's offset would else pass for a lead
     of the spring, a spring multiplier's for a drift of the damper.
     """
-    bench.hold(held)
+    bench.hold_only(held)
     on = bench.response(pin, sweep)
     f, h = np.real(on["frequency"]), on[f"imot{j}"]
     if held:
-        bench.hold({})
+        bench.hold_only({})
         h = h - bench.response(pin, sweep)[f"imot{j}"]
     return f, _per_input(kind, f, h)
 
@@ -139,7 +139,7 @@ def _per_input(kind: str, f_hz: Real, h: Complex) -> Complex:
     return h / (2j * math.pi * f_hz) if kind == "rate" else h
 
 
-def _at(bench: Bench, pin: str, f_hz: float) -> dict[str, complex]:
+def _at(bench: ProbedBoard, pin: str, f_hz: float) -> dict[str, complex]:
     response = bench.response(pin, f"lin 1 {f_hz!r} {f_hz!r}")
     return {name: complex(values[0]) for name, values in response.items()}
 
@@ -157,9 +157,9 @@ def _named(step: Part) -> str:
     return f"{step.instance} and {MOTOR}" if step.block.endswith(f" and {MOTOR}") else step.instance
 
 
-def measure_admittance(bench: Bench) -> list[list[float]]:
+def measure_admittance(bench: ProbedBoard) -> list[list[float]]:
     """Return what motor current i loses per rad/s of motor j as w -> 0 [A s/rad], rows i, gains at zero."""
-    bench.hold({})
+    bench.hold_only({})
     n = range(1, bench.joints + 1)
     columns = [_at(bench, f"vel{j}", LOW_HZ) for j in n]
     return [[-column[f"imot{i}"].real for column in columns] for i in n]

@@ -21,7 +21,7 @@ def plan_of(args: argparse.Namespace, scene: "Scene", child: "Child") -> "Plan":
     from cosim.api.simulation import plan
 
     begun = time.perf_counter()
-    chosen = plan(scene, child=child, trust=args.trust, on_choice=_told)
+    chosen = plan(scene, child=child, trust=args.trust, on_choice=_remark_choice)
     if chosen.choice:
         took = quantity(time.perf_counter() - begun, "s")
         remark(f"effects chosen in {chosen.choice['runs']} runs, {took}")
@@ -87,7 +87,7 @@ def open_lines(scene: "Scene", choice: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _told(words: str) -> None:
+def _remark_choice(words: str) -> None:
     remark(f"choosing effects: {words}", detail=True)
 
 

@@ -83,7 +83,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
     sides, rows = comparison.sides, comparison.changes
     page = write_comparison(sides, rows, out / "report")
-    text = "\n".join([*_table(sides, rows, args.most), *_told(sides), f"wrote {page}"])
+    text = "\n".join([*_table(sides, rows, args.most), *_descriptions(sides), f"wrote {page}"])
     result = {
         "boards": [side.label for side in sides],
         "measures": [dict(side.run.measures) for side in sides],
@@ -157,7 +157,7 @@ def _table(sides: "Sequence[Side]", rows: "Sequence[Row]", most: int) -> list[st
     return text
 
 
-def _told(sides: "Sequence[Side]") -> list[str]:
+def _descriptions(sides: "Sequence[Side]") -> list[str]:
     """Return what is said in words, once where all sides say the same."""
     lines = [""]
     for name in dict.fromkeys(name for side in sides for name, _ in side.said):

@@ -37,6 +37,10 @@ class Path(IntEnum):
     CMD = 1
 
 
+#: As compiled code compares them.
+_DISCRETE, _CONTINUOUS, _COMBINED, _JOINT_PD = (int(method) for method in Method)
+_PATH_U = int(Path.U)
+
 #: What a computer is told once. Units: s, N/m, N s/m, m, N m/rad, rad, V; `encoder_step`, `dac_step` = 0 and
 #: `dac_range` = inf are the null forms of encoder and DAC, `ramp` = `anchored` = 0 those of what softens
 #: the onset of a contact.
@@ -71,6 +75,8 @@ COMPUTER = np.dtype(
 
 #: What a computer knows at a sample, and what it asks for (matrices row-major, k[i, j]: joint j to motor i).
 #: `held` counts the samples of the present contact; its springs are relaxed at the depth `anchor` [m].
+#: Per joint: `normal_torque` of a unit force along the wall's normal, row of J^T n [N m/N], and `lever`, the
+#: tip's distance from the joint along the normal [m].
 SAMPLE = np.dtype(
     [
         ("tick", "i8"),
@@ -90,6 +96,8 @@ SAMPLE = np.dtype(
         ("unsolved", "i8"),
         ("jac", "f8", (2, NMAX)),
         ("r", "f8", 2),
+        ("normal_torque", "f8", NMAX),
+        ("lever", "f8", NMAX),
     ],
     align=True,
 )
@@ -191,33 +199,32 @@ def law(c: Record, p: Record, x: Record) -> None:
         # switched on relaxed, and drawn back with the tip: no sample ever adds to what the springs store
         x.anchor = x.pen if x.held == 1 else min(x.anchor, x.pen)
     depth = x.pen - x.anchor
-    if c.method == 0:
+    if c.method == _DISCRETE:
         jacobian(p, x.q, x.jac)
     else:
         equilibrium(c, p, x)
-    w = x.jac[0]  # row 0 becomes J^T n, the joint torques of a unit normal force,
-    across = x.jac[1]  # row 1 the distance of the tip from each joint along the normal
+    w, lever = x.normal_torque, x.lever
     speed = 0.0
     for j in range(n):
         jx, jy = x.jac[0, j], x.jac[1, j]
         w[j] = c.normal[0] * jx + c.normal[1] * jy
-        across[j] = c.normal[0] * jy - c.normal[1] * jx
+        lever[j] = c.normal[0] * jy - c.normal[1] * jx
         speed += w[j] * x.v[j]
-    if c.method == 3:
+    if c.method == _JOINT_PD:
         for i in range(n):
             x.ksp[i, i] = c.joint_gain[i] if c.joint_gain[i] >= 0.0 else c.k_dp * w[i] * w[i]
             x.ksd[i, i] = c.joint_damper[i] if c.joint_damper[i] >= 0.0 else c.k_dd * w[i] * w[i]
-    elif c.method != 0:
+    elif c.method != _DISCRETE:
         for i in range(n):
             for j in range(n):
                 x.ksp[i, j] = c.k_dp * w[i] * w[j]
                 x.ksd[i, j] = c.k_dd * w[i] * w[j]
-    force = 0.0 if c.method == 1 else c.kp * depth - c.kd * speed
+    force = 0.0 if c.method == _CONTINUOUS else c.kp * depth - c.kd * speed
     held = force  # what the springs do not carry
-    if c.method != 1 and (c.kp != 0.0 or c.kd != 0.0):
+    if c.method != _CONTINUOUS and (c.kp != 0.0 or c.kd != 0.0):
         held = _push(c, x, w, force)
     if c.geometric:
-        _stiffen(c, x, w, across, held)
+        _stiffen(c, x, w, lever, held)
     if x.held <= c.ramp:
         _weaken(c, x, x.held / (c.ramp + 1.0))
 
@@ -236,7 +243,7 @@ def _weaken(c: Record, x: Record, share: float) -> None:
 def _push(c: Record, x: Record, w: Vector, force: float) -> float:
     """Ask for the discrete force [N] along the normal; return what of it the springs do not carry."""
     n = c.n
-    if c.path == 0 and c.method == 2:
+    if c.path == _PATH_U and c.method == _COMBINED:
         ww = 0.0
         for j in range(n):
             ww += w[j] * w[j]
@@ -250,7 +257,7 @@ def _push(c: Record, x: Record, w: Vector, force: float) -> float:
 
 
 @inner
-def _stiffen(c: Record, x: Record, w: Vector, across: Vector, held: float) -> None:
+def _stiffen(c: Record, x: Record, w: Vector, lever: Vector, held: float) -> None:
     """Add the geometric stiffness of the force in being to Ksp (footnote 2; Chen and Kao 2000).
 
     Where the tip moves under a force F on the device, J^T F changes although F does not: without the term
@@ -265,7 +272,7 @@ def _stiffen(c: Record, x: Record, w: Vector, across: Vector, held: float) -> No
         push += c.k_dp * w[j] * (x.u[j] - x.q[j])
     for i in range(n):
         for j in range(n):
-            added = push * across[max(i, j)]
+            added = push * lever[max(i, j)]
             x.ksp[i, j] += added
             x.cmd[i] -= added * (x.u[j] - x.q[j])
 

@@ -16,13 +16,13 @@ from typing import Any
 from cosim.errors import InputError, Problem, SimulationError, nearest
 from mech.userfile import load_file
 
-__all__ = ["Said", "in_users_words", "load_class"]
+__all__ = ["PrintCapture", "in_users_words", "load_class"]
 
 #: Lines of ``print()`` that are kept, and characters of each: a law is called thousands of times.
 _MOST_LINES, _MOST_CHARACTERS = 1000, 500
 
 
-class Said(io.TextIOBase):
+class PrintCapture(io.TextIOBase):
     """What user's code prints, line by line; the first lines are kept, the others counted."""
 
     def __init__(self) -> None:
@@ -52,7 +52,9 @@ class Said(io.TextIOBase):
             yield
 
 
-def load_class(where: str, scene: Path | None, *, key: str, what: str, method: str, printed: Said) -> Any:
+def load_class(
+    where: str, scene: Path | None, *, key: str, what: str, method: str, printed: PrintCapture
+) -> Any:
     """Make one object of the class `file.py:Class`, the file relative to the scene.
 
     Parameters
@@ -95,7 +97,7 @@ def load_class(where: str, scene: Path | None, *, key: str, what: str, method: s
 
 
 def in_users_words(
-    where: str, error: BaseException, time_s: float | None = None, output: Said | None = None
+    where: str, error: BaseException, time_s: float | None = None, output: PrintCapture | None = None
 ) -> SimulationError:
     """Return the error of a run that a user's class ended: its own words, and the line of its file."""
     if isinstance(error, SimulationError):

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cosim.circuits.design_constants import DesignConstants
-from cosim.loop.userclass import Said, in_users_words, load_class
+from cosim.loop.userclass import PrintCapture, in_users_words, load_class
 from cosim.scene import Scene
 from mech.kernels import jacobian, tip
 from mech.records import NMAX
@@ -83,7 +83,7 @@ class Command:
     torque_n_m: ArrayLike = field(default=0.0)
 
 
-def load_law(where: str, scene: Path | None, printed: Said | None = None) -> Any:
+def load_law(where: str, scene: Path | None, printed: PrintCapture | None = None) -> Any:
     """Make one object of the class `file.py:Class`, the file relative to the scene.
 
     Raises
@@ -97,7 +97,7 @@ def load_law(where: str, scene: Path | None, printed: Said | None = None) -> Any
         key="computer.law",
         what="a control law",
         method="control(sample)",
-        printed=Said() if printed is None else printed,
+        printed=PrintCapture() if printed is None else printed,
     )
 
 
@@ -122,7 +122,7 @@ class UserLaw:
         where: str,
         scene: Scene,
         board: DesignConstants,
-        printed: Said,
+        printed: PrintCapture,
     ) -> None:
         self.law, self.state, self.failed, self.where = law, state, failed, where
         self.scene, self.board, self.said = scene, board, printed

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cosim.circuits.design_constants import DesignConstants
 from cosim.errors import SimulationError
-from cosim.loop.userclass import Said, in_users_words, load_class
+from cosim.loop.userclass import PrintCapture, in_users_words, load_class
 from cosim.scene import Scene
 from cosim.storage.rawfile import read_raw
 
@@ -61,7 +61,7 @@ def measured(payload: dict[str, Any], report: Callable[[dict[str, Any]], None]) 
     """
     scene: Scene = payload["scene"]
     run = Recorded(scene, payload["constants"], read_raw(Path(payload["raw"])), payload["samples"])
-    printed, rows = Said(), {}
+    printed, rows = PrintCapture(), {}
     names: Iterable[str] = payload["names"]
     for where in names:
         made = load_class(

@@ -113,7 +113,7 @@ class Simulator:
         kept = [ffi.new("char[]", row.encode()) for row in deck.rows]
         library.lines.clear()
         status = library.api.ngSpice_Circ(ffi.new("char *[]", [*kept, ffi.NULL]))
-        output = self._said()
+        output = self._output()
         if library.exited or status or any(is_error(line) for line in library.lines):
             raise InputError(load_problems(output, written, lines))
         library.loaded = True
@@ -314,7 +314,7 @@ class Simulator:
     def _address(self, function: Any) -> int:
         return int(self._library.ffi.cast("intptr_t", function))
 
-    def _said(self) -> list[str]:
+    def _output(self) -> list[str]:
         """Return the lines printed since the last command without the name of their stream."""
         return [line.partition(" ")[2] for line in self._library.lines]
 
@@ -349,7 +349,7 @@ class Simulator:
             raise failure
         if not (library.lines or status or library.exited):
             return []
-        output = self._said()
+        output = self._output()
         problem = self._without_operating_point(output)
         if problem is not None:
             raise problem
@@ -382,7 +382,7 @@ class Simulator:
             return
         library.lines.clear()
         library.api.ngSpice_Command(b"status")
-        for line in self._said():
+        for line in self._output():
             match = _STOP.match(line)
             if match:
                 library.api.ngSpice_Command(f"delete {match[1]}".encode())

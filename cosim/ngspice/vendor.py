@@ -40,7 +40,7 @@ def chosen(library: Netlist, name: str, file: Path) -> Netlist:
         problem = Problem(f"no such subcircuit{f', nearest is {near}' if near else ''}", file=str(file),
                           key="subckt", value=name,
                           allowed=", ".join(list(library.blocks)[:8]) or "the file defines none")  # fmt: skip
-        raise InputError([problem, *library.slips, *(_told(line) for line in _unread(library))])
+        raise InputError([problem, *library.slips, *(_problem(line) for line in _unread(library))])
     wanted, blocks = [name], dict[str, Block]()
     missing: set[str] = set()
     while wanted:
@@ -65,7 +65,7 @@ def _unread(library: Netlist) -> list[Line]:
     return [line for line in library.top if line.keyword in INLINED]
 
 
-def _told(line: Line) -> Problem:
+def _problem(line: Line) -> Problem:
     return Problem(line.fault, file=line.file, line=line.lineno, value=line.text)
 
 

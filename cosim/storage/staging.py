@@ -29,7 +29,7 @@ def disk_errors(path: str | os.PathLike[str]) -> Iterator[None]:
 
 
 @contextmanager
-def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary file beside `path` that replaces it at the end of the block.
 
     A failure, a full disk or a kill leaves an earlier file as it was; what killed processes of this machine

@@ -15,7 +15,7 @@ import numpy as np
 
 from cosim.catalogue import needing_no_run
 from cosim.errors import fail
-from cosim.storage.staging import disk_errors, whole_file
+from cosim.storage.staging import atomic_file, disk_errors
 from cosim.tolerance.engine import LEVELS, Processes
 from cosim.tolerance.monte_carlo import Study
 from cosim.tolerance.preparation import Points, Prepared
@@ -134,7 +134,7 @@ class LevelSamples:
         value = decide()
         with disk_errors(file.parent):
             file.parent.mkdir(parents=True, exist_ok=True)
-            with whole_file(file) as part:
+            with atomic_file(file) as part:
                 part.write_text(json.dumps({"digest": digest, name: value}) + "\n", encoding="utf-8")
         return value
 

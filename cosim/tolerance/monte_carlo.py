@@ -242,19 +242,19 @@ def pilot_size(until: tuple[str, float], pilot: Study, specs: Sequence[Spec]) ->
             if what == "yield"
             else intervals.mean(_known(pilot.column(what)), pilot.sampling)
         )
-        return max(_whole(pilot.sampling.n * (seen.half / half) * (seen.half / half)), pilot.sampling.n)
+        return max(_ceil(pilot.sampling.n * (seen.half / half) * (seen.half / half)), pilot.sampling.n)
     z = 1.959964
     if what == "yield":
         # of a share that a pilot saw as 0 or 1 no more is known than its exact bound
         estimate = intervals.share(passed(pilot, specs), pilot.sampling)
         p = min(max(estimate.value, 1.0 - estimate.high), 1.0 - estimate.low)
         p = p if 0.0 < p < 1.0 else (estimate.low if p >= 1.0 else estimate.high)
-        return _whole(max(p * (1.0 - p) * (z / half) * (z / half), 2.0 / half))
+        return _ceil(max(p * (1.0 - p) * (z / half) * (z / half), 2.0 / half))
     sigma = intervals.spread(_known(pilot.column(what)), pilot.sampling)
-    return max(_whole((z * sigma.high / half) * (z * sigma.high / half)), 16)
+    return max(_ceil((z * sigma.high / half) * (z * sigma.high / half)), 16)
 
 
-def _whole(number: float) -> int:
+def _ceil(number: float) -> int:
     """Return the next whole number; of what overflows, one that no study reaches."""
     return math.ceil(min(number, 1e18))
 

@@ -24,7 +24,7 @@ from cosim.tolerance.distribution_functions import extracted_calls
 from cosim.tolerance.distributions import Shape
 from cosim.tolerance.grammar import Stated, Wrong, begins, parse
 
-__all__ = ["Board", "Found", "Param", "Place"]
+__all__ = ["Board", "NetlistComponent", "Param", "Place"]
 
 _UNITS = {"r": "Ohm", "c": "F", "l": "H", "v": "V", "i": "A"}
 _PLACES = {"r": 3, "c": 3, "l": 3, "v": 3, "i": 3, "e": 5, "g": 5, "f": 4, "h": 4}
@@ -59,7 +59,7 @@ class Param:
 
 
 @dataclass(frozen=True)
-class Found:
+class NetlistComponent:
     """One component: its key, its value as a `Param` that may be an expression, its unit, and its instance.
 
     `kind` is the letter of an element; ':' for a parameter of an instance. `network` is what the line of a
@@ -94,7 +94,7 @@ class Board:
             if line.keyword in (".param", ".params"):
                 self.top |= self._stated(line, self.top)
 
-    def found(self) -> Iterator[Found]:
+    def components(self) -> Iterator[NetlistComponent]:
         """Yield every element outside the parts, and every parameter of a part with a tolerance."""
         envs: dict[str, MutableMapping[str, Param]] = {}
         for path, block, instance in walk(self._net, self._name):
@@ -138,7 +138,7 @@ class Board:
             return given
         return Param(grade.name, given.text, given.env, given.place, grade.stated)
 
-    def _of_block(self, block: Block, path: str, env: Mapping[str, Param]) -> Iterator[Found]:
+    def _of_block(self, block: Block, path: str, env: Mapping[str, Param]) -> Iterator[NetlistComponent]:
         for line in block.body:
             letter = line.keyword[0]
             if letter in ".x*":
@@ -148,11 +148,11 @@ class Board:
             place = _PLACES.get(letter, 0)
             if letter in _PLACES and len(words) > place and not block.local:
                 value = self._element(line, words[place], env, block.name, key)
-                yield Found(key, value, letter, path, block.name)
+                yield NetlistComponent(key, value, letter, path, block.name)
                 words = [words[0], *words[place + 1 :]]
             rest = [param for param in self._reached(" ".join(words[1:]), env) if param.varies]
             for param in rest:  # in a formula, a temperature coefficient: one draw for the instance
-                yield Found(f"{path}:{param.name}", param, ":", path, block.name)
+                yield NetlistComponent(f"{path}:{param.name}", param, ":", path, block.name)
 
     def _element(self, line: Line, word: str, env: Mapping[str, Param], block: str, key: str) -> Param:
         text, calls, wrong = extracted_calls(word.removeprefix("r=").removeprefix("c=").removeprefix("l="))
@@ -165,7 +165,7 @@ class Board:
 
     def _of_part(
         self, block: Block, path: str, env: Mapping[str, Param], instance: Instance | None
-    ) -> Iterator[Found]:
+    ) -> Iterator[NetlistComponent]:
         """Yield the parameters outside subcircuits that a part's elements depend on, varying or not."""
         body = " ".join(line.text for line in block.body if line.keyword not in (".param", ".params"))
         seen: set[str] = set()
@@ -174,7 +174,7 @@ class Board:
         for param in self._reached(body, env):
             if param.name not in seen and (param.varies or self.top.get(param.name) is param):
                 seen.add(param.name)
-                yield Found(
+                yield NetlistComponent(
                     f"{path}:{param.name}", param, ":", path, block.origin.partition("__")[0], network
                 )
 

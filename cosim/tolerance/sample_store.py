@@ -21,7 +21,7 @@ from typing_extensions import TypedDict
 from cosim.errors import fail
 from cosim.storage.checksums import plain_json
 from cosim.storage.field_types import fits
-from cosim.storage.staging import disk_errors, whole_file
+from cosim.storage.staging import atomic_file, disk_errors
 from cosim.types import Array
 
 __all__ = ["SAMPLES", "Samples"]
@@ -73,14 +73,14 @@ class Samples:
             known = _read(folder / STUDY)
             if known is not None and known != about:
                 fail("holds another study; choose another folder with -o, or remove it", file=str(folder))
-            if os.path.lexists(folder / SAMPLES) and (known is None or not self._whole()):
+            if os.path.lexists(folder / SAMPLES) and (known is None or not self._complete()):
                 fail(
                     "is not what a study of this folder has written: nothing was changed; choose another "
                     "folder with -o, or move it away",
                     file=str(folder / SAMPLES),
                 )
             if known is None:
-                with whole_file(folder / STUDY) as file:
+                with atomic_file(folder / STUDY) as file:
                     file.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
 
     @property
@@ -97,7 +97,7 @@ class Samples:
         place = self._parts / f"{first:012d}-{len(table)}.parquet"
         with disk_errors(self.folder):
             self._parts.mkdir(exist_ok=True)
-            with whole_file(place) as file:
+            with atomic_file(place) as file:
                 pq.write_table(rows, file)
 
     def _schema(self) -> pa.Schema:
@@ -106,7 +106,7 @@ class Samples:
 
     def done(self) -> list[tuple[int, int]]:
         """Return which samples are there, as (first, behind the last) in order; damaged ones are not."""
-        if self._whole():
+        if self._complete():
             return [(self.first, self.last)]
         spans: list[tuple[int, int]] = []
         for first, count, _ in self._listed():
@@ -128,10 +128,10 @@ class Samples:
     def finish(self) -> Path:
         """Write the file of all samples, and take the parts away."""
         target = self.folder / SAMPLES
-        if not self._whole():
+        if not self._complete():
             with (
                 disk_errors(self.folder),
-                whole_file(target) as file,
+                atomic_file(target) as file,
                 pq.ParquetWriter(file, self._schema()) as writer,
             ):
                 for table in _regrouped(self._ordered()):
@@ -164,7 +164,7 @@ class Samples:
             place = self._parts / f"{first:012d}-{len(table)}.parquet"
             with disk_errors(self.folder):
                 self._parts.mkdir(exist_ok=True)
-                with whole_file(place) as file:
+                with atomic_file(place) as file:
                     pq.write_table(table.cast(self._schema()), file)
 
     def _ordered(self) -> Iterator[Any]:
@@ -186,7 +186,7 @@ class Samples:
                 files.append((first, count, path))
         return sorted(files, key=lambda part: (part[0], -part[1]))
 
-    def _whole(self) -> bool:
+    def _complete(self) -> bool:
         """Whether the file of all samples is there and sound."""
         return self._sound(self.folder / SAMPLES, self.first, self.last - self.first)
 

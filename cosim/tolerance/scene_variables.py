@@ -18,7 +18,7 @@ from cosim.scene.tolerance_table import Tolerance
 from cosim.tolerance.distributions import Shape
 from cosim.tolerance.eseries import preferred
 from cosim.tolerance.grammar import Stated, Wrong, merged, parse
-from cosim.tolerance.netlist_tolerances import Board, Found, Param, Place, value_of
+from cosim.tolerance.netlist_tolerances import Board, NetlistComponent, Param, Place, value_of
 from cosim.tolerance.random_variables import Component, Tolerances
 from cosim.tolerance.scene_numbers import Mechanical, numbers
 from cosim.tolerance.value_expression import MOST_NEGATIVE, Recipe, Term
@@ -81,7 +81,7 @@ class _Reader:
         board = Board(netlist(self._deck), self._deck.board, self._named)
         seen: list[str] = []
         classes: set[str] = set()
-        for place in board.found():
+        for place in board.components():
             seen += [place.key, place.key.rpartition(":")[2].rpartition(".")[2]]
             classes.add(self._add(place))
         for each in numbers(self._scene) if self._scene is not None else ():
@@ -96,7 +96,7 @@ class _Reader:
         idle = tuple(name for name in self._classes if name not in classes)
         return Tolerances(tuple(self._found.values()), tuple(self._variables), idle)
 
-    def _add(self, written: Found) -> str:
+    def _add(self, written: NetlistComponent) -> str:
         """Take a component of the board, if it varies; return its class."""
         param, kind = written.value, self._class(written)
         default = self._classes.get(kind)
@@ -164,7 +164,7 @@ class _Reader:
             key, recipe.nominal, unit, recipe.text(unit), shared, *where, recipe, names
         )
 
-    def _recipe(self, place: Found, param: Param, kind: str) -> Recipe | None:
+    def _recipe(self, place: NetlistComponent, param: Param, kind: str) -> Recipe | None:
         """Return how a component's value comes about."""
         several = len(_outermost(param)) > 1
         if value_of(param) is None:
@@ -207,7 +207,7 @@ class _Reader:
             return param.stated
         return merged(param.stated, self._about_percent(default, kind))
 
-    def _terms(self, param: Param, place: Found, own: str, kind: str) -> tuple[Term, ...]:
+    def _terms(self, param: Param, place: NetlistComponent, own: str, kind: str) -> tuple[Term, ...]:
         stated = self._sized(param, kind)
         assert stated is not None
         terms = []
@@ -228,7 +228,7 @@ class _Reader:
     def _variable(self, name: str) -> int:
         return self._variables.setdefault(name, len(self._variables))
 
-    def _class(self, place: Found) -> str:
+    def _class(self, place: NetlistComponent) -> str:
         if place.kind != ":":
             return _CLASSES.get(place.kind, "")
         name = place.key.rpartition(":")[2]
@@ -245,7 +245,7 @@ class _Reader:
         if stated is not None:
             key = f"scene:{each.path}"
             param = Param(each.path.partition("[")[0], repr(each.value), {}, Place(), stated)
-            terms = self._terms(param, Found(key, param, ":", "", ""), key, each.kind)
+            terms = self._terms(param, NetlistComponent(key, param, ":", "", ""), key, each.kind)
             where = self._scene_place(f"components.{name}" if name else each.kind)
             self._sizeless([param], where, each.kind)
             self._take(key, Recipe(each.value, terms=terms), each.unit, where, True, (each.path,))

@@ -73,7 +73,7 @@ def fit_chaos(study: Study, y: Array, known: Array, good: float) -> Chaos | None
             break
         held = _held_out(ot, x, y, family)
         if best is None or held > best.held_out:
-            best = _whole(ot, x, y, family, held, degree)
+            best = _chaos(ot, x, y, family, held, degree)
         if best.held_out >= good:
             break
     return best
@@ -149,7 +149,7 @@ def _held_out(ot: Any, x: Array, y: Array, family: tuple[Any, Any]) -> float:
     return 1.0 - float(np.mean(left**2)) / variance if variance > 0.0 else math.nan
 
 
-def _whole(ot: Any, x: Array, y: Array, family: tuple[Any, Any], held: float, degree: int) -> Chaos:
+def _chaos(ot: Any, x: Array, y: Array, family: tuple[Any, Any], held: float, degree: int) -> Chaos:
     result = _fitted(ot, x, y, family)
     indices = ot.FunctionalChaosSobolIndices(result)
     variables = range(x.shape[1])

@@ -177,13 +177,13 @@ def corrected(pilot: Pilot, high: Array, low: Array, cheap: Array, word: str = "
     shifted = high - pilot.middle
     if word or pilot.words:
         none = np.zeros(REPLICATES)
-        result = _told(shifted, shifted**2, none, none, high, 0, pilot)
+        result = _combined(shifted, shifted**2, none, none, high, 0, pilot)
         return replace(result, word=word or pilot.words)
     about = pilot.middle_of_cheap  # not of the same samples: that would be a bias
     centred, values = low - about, cheap - about
     means = pilot.factor * values.mean(axis=1)
     squares = pilot.factor_of_squares * (values**2).mean(axis=1)
-    return _told(
+    return _combined(
         shifted - pilot.factor * centred,
         shifted**2 - pilot.factor_of_squares * centred**2,
         means, squares, high, cheap.size, pilot,
@@ -198,7 +198,7 @@ def cheap_samples(pilot: Pilot, dear_samples: int) -> int:
     return int(min(2 ** math.floor(math.log2(each)), _MOST_CHEAP))
 
 
-def _told(
+def _combined(
     first: Array, second: Array, means: Array, squares: Array, high: Array, cheap: int, pilot: Pilot
 ) -> TwoLevel:
     """Put both levels together: `first`, `second` are dear samples of both moments, less their controls."""

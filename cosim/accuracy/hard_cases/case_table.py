@@ -19,14 +19,14 @@ from cosim.accuracy.hard_cases import (
     public_problems,
     sampled,
 )
-from cosim.accuracy.hard_cases.hard_case import Bench, HardCase, Outcome
+from cosim.accuracy.hard_cases.hard_case import CaseRunner, HardCase, Outcome
 from cosim.analysis.covariance_steps import white_covariance
 from cosim.errors import fail, nearest
 
 __all__ = ["CASES", "chosen", "run_cases"]
 
 
-def _stiff_covariance(bench: Bench, model: str) -> float:
+def _stiff_covariance(runner: CaseRunner, model: str) -> float:
     """Error of the covariance of white noise behind two poles, the faster of T times 1e7."""
     fast, slow, period = 1e9, 10.0, 0.01
     covariance = white_covariance(np.diag([-fast, -slow]), np.ones((2, 1)), np.eye(1), period)
@@ -90,8 +90,8 @@ def run_cases(
 ) -> Iterator[Outcome]:
     """Run cases on every model that they apply to, one after the other."""
     every = [(case, model) for case in cases for model in case.bound]
-    with Bench() as bench:
+    with CaseRunner() as runner:
         for done, (case, model) in enumerate(every):
             if on_progress is not None:
                 on_progress(done, len(every), f"{case.name}, {model}")
-            yield bench.outcome(case, model)
+            yield runner.outcome(case, model)

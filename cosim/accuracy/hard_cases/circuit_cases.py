@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.accuracy.hard_cases.hard_case import ALL, OWN, RADIUS, Bench, HardCase, slider
+from cosim.accuracy.hard_cases.hard_case import ALL, OWN, RADIUS, CaseRunner, HardCase, slider
 from cosim.assets import netlists_folder
 from cosim.errors import CosimError
 from cosim.loop.linear.matrix_phi import phi_functions
@@ -29,10 +29,10 @@ class Spring:
 """
 
 
-def _bandwidth(what: str) -> Callable[[Bench, str], float]:
+def _bandwidth(what: str) -> Callable[[CaseRunner, str], float]:
     """Return what finds steps or current of 100 s of rest in gravity, amplifiers a thousand times faster."""
 
-    def find(bench: Bench, model: str) -> float:
+    def find(runner: CaseRunner, model: str) -> float:
         outcomes = []
         for hz in ("1e5", "1e8"):
             tables = slider(
@@ -41,7 +41,7 @@ def _bandwidth(what: str) -> Callable[[Bench, str], float]:
                 effects={"opamp": "gbw", "gravity": True, "viscous": True},
                 solver={"coupling_tolerance_rad": 1e-10, "max_step_s": 0.1},
             )  # fmt: skip
-            outcomes.append(bench.run(tables, model, _SPRING))
+            outcomes.append(runner.run(tables, model, _SPRING))
         slow, fast = outcomes
         if what == "steps":
             return float(fast.stats["points"]) / float(slow.stats["points"])
@@ -50,24 +50,24 @@ def _bandwidth(what: str) -> Callable[[Bench, str], float]:
     return find
 
 
-def _follower(bench: Bench, model: str) -> float:
-    (out,) = bench.deck("follower\nVin in 0 1\nE1 out 0 in out 1e6\nR1 out 0 1k\n.end\n", "op", "out")
+def _follower(runner: CaseRunner, model: str) -> float:
+    (out,) = runner.deck("follower\nVin in 0 1\nE1 out 0 in out 1e6\nR1 out 0 1k\n.end\n", "op", "out")
     return float(np.real(out[-1]))
 
 
-def _tiny_capacitor(bench: Bench, model: str) -> float:
+def _tiny_capacitor(runner: CaseRunner, model: str) -> float:
     """Return the time constant [s] that the phase at its corner shows."""
     hz = 1e3 / (2 * math.pi)
     deck = "1 fF\nVin in 0 dc 0 ac 1\nR1 in out 1e12\nC1 out 0 1e-15\n.end\n"
-    (out,) = bench.deck(deck, f"ac lin 1 {hz!r} {hz!r}", "out")
+    (out,) = runner.deck(deck, f"ac lin 1 {hz!r} {hz!r}", "out")
     return float(-out[0].imag / out[0].real) / (2 * math.pi * hz)
 
 
-def _equal_poles(bench: Bench, model: str) -> float:
+def _equal_poles(runner: CaseRunner, model: str) -> float:
     return float(phi_functions(np.array([[-1.0, 0.0], [1.0, -1.0 - 1e-8]]), 1.0, 1)[0][1, 0])
 
 
-def _large_norm(h: float, bench: Bench, model: str) -> float:
+def _large_norm(h: float, runner: CaseRunner, model: str) -> float:
     """Return the largest relative error of a chain of poles up to 6e7 rad/s, against 60 digits."""
     rates = ("3", "2e3", "5e5", "6e7")
     a = np.zeros((4, 4))
@@ -91,7 +91,7 @@ def _large_norm(h: float, bench: Bench, model: str) -> float:
     return worst
 
 
-def _subnormal(bench: Bench, model: str) -> float:
+def _subnormal(runner: CaseRunner, model: str) -> float:
     """Largest change of what a swing of 1e-307 rad ends with, over one of 1e-3 rad; nothing is not linear."""
     ends = []
     for size in (1e-3, 1e-307):
@@ -101,15 +101,15 @@ def _subnormal(bench: Bench, model: str) -> float:
                       "waypoints_s_m": [[0.0, 0.0, 0.0]]},
             effects={"operator_dynamics": True},
         )  # fmt: skip
-        signals = bench.run(tables, model).signals
+        signals = runner.run(tables, model).signals
         ends.append(np.array([signals["q1"][-1], signals["v1"][-1], len(signals["time"]) * size]) / size)
     return float(np.abs(ends[1] / ends[0] - 1.0).max())
 
 
-def _two_capacitors(what: str) -> Callable[[Bench, str], float]:
+def _two_capacitors(what: str) -> Callable[[CaseRunner, str], float]:
     """Return what finds the common voltage, or the heat over C V^2/4, of 1 uF at 1 V and 1 uF at 0 V."""
 
-    def find(bench: Bench, model: str) -> float:
+    def find(runner: CaseRunner, model: str) -> float:
         worst = 0.0
         for ohms in (1e-2, 1.0, 1e2):
             tau = ohms * 0.5e-6
@@ -119,7 +119,7 @@ def _two_capacitors(what: str) -> Callable[[Bench, str], float]:
             )
             t, a, b = (
                 np.real(v)
-                for v in bench.deck(deck, f"tran {tau / 100!r} {20 * tau!r} 0 {tau / 100!r} uic",
+                for v in runner.deck(deck, f"tran {tau / 100!r} {20 * tau!r} 0 {tau / 100!r} uic",
                                     "time", "a", "b")
             )  # fmt: skip
             if what == "voltage":
@@ -132,18 +132,18 @@ def _two_capacitors(what: str) -> Callable[[Bench, str], float]:
     return find
 
 
-def _kt_over_c(ohms: float, bench: Bench, model: str) -> float:
+def _kt_over_c(ohms: float, runner: CaseRunner, model: str) -> float:
     """Return the noise [V rms] of 1 nF across a resistor at 300 K, from its density to 1e4 corners."""
     deck = f"kT/C\n.option temp=26.85\nVin in 0 dc 0 ac 1\nR1 in out {ohms!r}\nC1 out 0 1n\n.end\n"
     corner = 1.0 / (2 * math.pi * ohms * 1e-9)
-    hz, density = bench.deck(
+    hz, density = runner.deck(
         deck, f"noise v(out) Vin dec 200 {corner / 1e4!r} {corner * 1e4!r}", "noise1.frequency",
         "noise1.onoise_spectrum",
     )  # fmt: skip
     return math.sqrt(float(np.trapezoid(np.real(density) ** 2, np.real(hz))))
 
 
-def _slew(bench: Bench, model: str) -> float:
+def _slew(runner: CaseRunner, model: str) -> float:
     """Amplitude of a follower of a slow op-amp at 20 kHz, over SR/(4 f); its slew rate is 0.5 V/us."""
     hz, rate = 20e3, 0.5e6
     text = (Path(netlists_folder()) / "parts" / "ua741.lib").read_text(encoding="utf-8")
@@ -156,32 +156,32 @@ def _slew(bench: Bench, model: str) -> float:
         "Rl out 0 100k\n.options reltol=1e-5\n.end\n"
     )
     step = 1 / hz / 400
-    (out,) = bench.deck(deck, f"tran {step!r} {42 / hz!r} {40 / hz!r} {step!r}", "out")
+    (out,) = runner.deck(deck, f"tran {step!r} {42 / hz!r} {40 / hz!r} {step!r}", "out")
     return float(np.ptp(np.real(out))) / 2 / (rate / (4 * hz))
 
 
-def _feedback(gain: float, bench: Bench, model: str) -> float:
+def _feedback(gain: float, runner: CaseRunner, model: str) -> float:
     deck = f"loop\nVin u 0 1\nRu u 0 1k\nB1 a 0 V=v(u)+{gain!r}*v(a)\nRa a 0 1k\n.end\n"
-    (out,) = bench.deck(deck, "op", "a")
+    (out,) = runner.deck(deck, "op", "a")
     return float(np.real(out[-1])) * (1.0 - gain)
 
 
-def _loop_of_one(bench: Bench, model: str) -> float:
-    return bench.refusal(lambda: _feedback(1.0, bench, model), "singular")
+def _loop_of_one(runner: CaseRunner, model: str) -> float:
+    return runner.refusal(lambda: _feedback(1.0, runner, model), "singular")
 
 
-def _refused(file: str, line: str, words: str) -> Callable[[Bench, str], float]:
+def _refused(file: str, line: str, words: str) -> Callable[[CaseRunner, str], float]:
     """Return what finds whether a board with a line more in a block is refused with these words."""
 
-    def find(bench: Bench, model: str) -> float:
-        place = bench.netlists({file: lambda text: text.replace(".ends", f"{line}\n.ends", 1)})
+    def find(runner: CaseRunner, model: str) -> float:
+        place = runner.netlists({file: lambda text: text.replace(".ends", f"{line}\n.ends", 1)})
         tables = slider(device={"board": str(place / "board1.cir")}, duration_s=0.1)
-        return bench.refusal(lambda: bench.run(tables, model), words)
+        return runner.refusal(lambda: runner.run(tables, model), words)
 
     return find
 
 
-def _swapped(bench: Bench, model: str) -> float:
+def _swapped(runner: CaseRunner, model: str) -> float:
     """Whether a follower with the inputs of its op-amp exchanged is called unstable."""
 
     def exchange(text: str) -> str:
@@ -192,12 +192,12 @@ def _swapped(bench: Bench, model: str) -> float:
         rows[at] = " ".join(words)
         return "\n".join(rows)
 
-    place = bench.netlists({"blocks/angle.cir": exchange})
+    place = runner.netlists({"blocks/angle.cir": exchange})
     tables = slider(
         device={"board": str(place / "board1.cir")}, duration_s=0.1, solver={"max_step_s": 1e-3},
         effects={"opamp": "gbw"} if model != "ideal" else {},
     )  # fmt: skip
-    return bench.refusal(lambda: bench.run(tables, model), "unstable")
+    return runner.refusal(lambda: runner.run(tables, model), "unstable")
 
 
 _KICK = """
@@ -208,7 +208,7 @@ class Kick:
 """
 
 
-def _hangs(amps: float, code: str, words: str, bench: Bench, model: str) -> float:
+def _hangs(amps: float, code: str, words: str, runner: CaseRunner, model: str) -> float:
     """Whether it is said that a kick of 9 V has let an output go where it stays.
 
     A source drives the summing node once the output is below -3 V, and drives nothing about 0 V: there are
@@ -216,7 +216,7 @@ def _hangs(amps: float, code: str, words: str, bench: Bench, model: str) -> floa
     """
     line = "R31 sum out {r31}"
     hang = f"Bhang 0 sum I={amps!r}/(1+exp(4*(V(out)+3)))"
-    place = bench.netlists({"blocks/summer.cir": lambda text: text.replace(line, f"{line}\n{hang}")})
+    place = runner.netlists({"blocks/summer.cir": lambda text: text.replace(line, f"{line}\n{hang}")})
     tables = slider(
         duration_s=0.15,
         device={"board": str(place / "board1.cir"), "slider": {"mass_kg": 1e3}},
@@ -225,11 +225,11 @@ def _hangs(amps: float, code: str, words: str, bench: Bench, model: str) -> floa
         effects={"opamp": "full", "vca": "gbw", "driver": "voltage", "driver_level": "gbw", "motor": "full"},
         solver={"coupling_tolerance_rad": 1e-7},
     )  # fmt: skip
-    said = bench.run(tables, model, _KICK).warnings
+    said = runner.run(tables, model, _KICK).warnings
     return float(any(each == code and words in text and "xsum1.xop" in text for each, text in said))
 
 
-def _in_band(interval: float, bench: Bench, model: str) -> float:
+def _in_band(interval: float, runner: CaseRunner, model: str) -> float:
     """Return the power below 100 Hz of a potentiometer's noise over that of its density, drawn so often."""
     density, hz, seconds = 1e-10, 100.0, 2.0  # rad^2/Hz
     bandwidth = 0.5 / interval
@@ -238,7 +238,7 @@ def _in_band(interval: float, bench: Bench, model: str) -> float:
             "noise_rad": math.sqrt(density * bandwidth), "noise_bandwidth_hz": bandwidth}},
         effects={"pot_noise": "white"}, solver={"coupling_tolerance_rad": 1e-6},
     )  # fmt: skip
-    s = bench.run(tables, model).signals
+    s = runner.run(tables, model).signals
     at = np.arange(round(seconds / interval)) * interval
     noise = np.interp(at, s["time"], np.asarray(s["pot1"]) - np.asarray(s["q1"]))
     lines = np.fft.rfft(noise)[1 : round(hz * seconds) + 1] * interval
@@ -249,13 +249,13 @@ def _in_band(interval: float, bench: Bench, model: str) -> float:
 def _edge(values: dict[str, str], words: tuple[str, ...]) -> HardCase:
     """Return the case of a part's data at the edge of numbers: a finite answer, or an error with its name."""
 
-    def find(bench: Bench, model: str) -> float:
+    def find(runner: CaseRunner, model: str) -> float:
         tables: dict[str, Any] = slider(
             duration_s=0.05, device={"values": values, "start": {"q_rad": [-0.01]}},
             computer={"period_s": 0.01}, effects={"opamp": "gbw"}, solver={"coupling_tolerance_rad": 1e-7},
         )  # fmt: skip
         try:
-            ran = bench.run(tables, model)
+            ran = runner.run(tables, model)
         except CosimError as error:
             return float(any(word in str(error) for word in words))
         return float(all(np.isfinite(column).all() for column in ran.signals.values()))

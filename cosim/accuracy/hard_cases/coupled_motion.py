@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.accuracy.hard_cases.hard_case import ALL, OWN, RADIUS, Bench, HardCase, board, merge, slider
+from cosim.accuracy.hard_cases.hard_case import ALL, OWN, RADIUS, CaseRunner, HardCase, board, merge, slider
 
 __all__ = ["CASES"]
 
@@ -32,7 +32,9 @@ class Springs:
 """
 
 
-def two_masses(bench: Bench, model: str, duration_s: float, solver: dict[str, float]) -> Mapping[str, Any]:
+def two_masses(
+    runner: CaseRunner, model: str, duration_s: float, solver: dict[str, float]
+) -> Mapping[str, Any]:
     """Run two rotors of 0.01 kg m^2, springs 4 pi^2 to ground and 16 pi^2 between all in the circuit."""
     inertia, amplitude = 0.01, _AMPLITUDE
     k, k12 = 4 * math.pi**2 * inertia, 16 * math.pi**2 * inertia
@@ -50,13 +52,13 @@ def two_masses(bench: Bench, model: str, duration_s: float, solver: dict[str, fl
         computer={"analog_stiffness_n_per_m": 1.0, "law": "law.py:Springs"},
         effects={"rotor_inertia": True}, solver=solver,
     )  # fmt: skip
-    return bench.run(tables, model, _SPRINGS.format(k=springs)).signals
+    return runner.run(tables, model, _SPRINGS.format(k=springs)).signals
 
 
-def _two_masses(bench: Bench, model: str) -> float:
+def _two_masses(runner: CaseRunner, model: str) -> float:
     """Return the two-mass oscillator's error over its amplitude."""
     amplitude = _AMPLITUDE
-    signals = two_masses(bench, model, 2.0, {"coupling_tolerance_rad": 1e-10})
+    signals = two_masses(runner, model, 2.0, {"coupling_tolerance_rad": 1e-10})
     t = 2 * math.pi * np.asarray(signals["time"])
     errors = [
         np.asarray(signals[f"q{j}"]) - amplitude / 2 * (np.cos(t) - sign * np.cos(3 * t))
@@ -65,7 +67,7 @@ def _two_masses(bench: Bench, model: str) -> float:
     return float(np.abs(errors).max()) / amplitude
 
 
-def _light_tip(bench: Bench, model: str) -> float:
+def _light_tip(runner: CaseRunner, model: str) -> float:
     """1 g on 1e4 N/m in the circuit, 25 periods of 503 Hz: error over amplitude."""
     amplitude = 1e-3 / RADIUS
     law = _SPRINGS.format(k=1e4 * RADIUS**2 * _STATED / _SPRING)
@@ -74,12 +76,12 @@ def _light_tip(bench: Bench, model: str) -> float:
         computer={"period_s": 0.05, "analog_stiffness_n_per_m": 1.0, "law": "law.py:Springs"},
         solver={"coupling_tolerance_rad": 1e-9},
     )  # fmt: skip
-    signals = bench.run(tables, model, law).signals
+    signals = runner.run(tables, model, law).signals
     exact = amplitude * np.cos(math.sqrt(1e7) * np.asarray(signals["time"]))
     return float(np.abs(np.asarray(signals["q1"]) - exact).max()) / amplitude
 
 
-def _clipped(bench: Bench, model: str) -> float:
+def _clipped(runner: CaseRunner, model: str) -> float:
     """Force at the tip of a driver set to its rated 0.875 A, pressed into its limit by 5 N."""
     tables = slider(
         duration_s=1.0,
@@ -93,17 +95,17 @@ def _clipped(bench: Bench, model: str) -> float:
         effects={"driver_limit": True, "operator_dynamics": True},
         solver={"coupling_tolerance_rad": 1e-8},
     )  # fmt: skip
-    signals = bench.run(tables, model).signals
+    signals = runner.run(tables, model).signals
     return float(_TORQUE * np.interp(0.95, signals["time"], np.asarray(signals["imot1"])) / RADIUS)
 
 
-def _power_up(bench: Bench, model: str) -> float:
+def _power_up(runner: CaseRunner, model: str) -> float:
     """Return the energy from nowhere of a start 5 mm inside an undamped wall, over the spring's."""
     tables = slider(
         duration_s=0.06, computer={"period_s": 0.06}, wall={"point_m": [0.0, 0.0], "normal": [0.0, 1.0]},
         device={"start": {"q_rad": [-5e-3 / RADIUS]}}, solver={"coupling_tolerance_rad": 1e-10},
     )  # fmt: skip
-    signals = bench.run(tables, model).signals
+    signals = runner.run(tables, model).signals
     stored = 0.5 * 100 * RADIUS**2 * _SPRING / _STATED * np.asarray(signals["q1"]) ** 2
     total = np.asarray(signals["e_kin"]) + stored
     return float(np.abs(total / total[0] - 1.0).max())
@@ -113,7 +115,7 @@ def _rotor(inertia: float) -> HardCase:
     """Return the case of a bare rotor that its own back-EMF slows down."""
     tau = inertia * 64.0 / _EMF
 
-    def find(bench: Bench, model: str) -> float:
+    def find(runner: CaseRunner, model: str) -> float:
         zero = [0.0]
         tables = slider(
             duration_s=0.5,
@@ -126,7 +128,7 @@ def _rotor(inertia: float) -> HardCase:
             computer={"period_s": 0.02}, effects={"motor": "emf", "rotor_inertia": True},
             solver={"coupling_tolerance_rad": 1e-9, "rtol": 1e-5},
         )  # fmt: skip
-        signals = bench.run(tables, model).signals
+        signals = runner.run(tables, model).signals
         exact = 20.0 * np.exp(-np.asarray(signals["time"]) / tau)
         return float(np.abs(np.asarray(signals["v1"]) - exact).max()) / 20.0
 
@@ -165,15 +167,15 @@ def _rotated(angle: float, mirrored: bool = False) -> Any:
             solver={"coupling_tolerance_rad": 1e-9},
         )  # fmt: skip
 
-    def find(bench: Bench, model: str) -> float:
-        one, other = (bench.run(tables(turn), model).measures for turn in (lambda x, y: [x, y], turned))
+    def find(runner: CaseRunner, model: str) -> float:
+        one, other = (runner.run(tables(turn), model).measures for turn in (lambda x, y: [x, y], turned))
         names = ("peak_force", "max_penetration", "contact_share", "rendered_stiffness", "peak_current")
         return max(float(abs(one[n]["value"] - other[n]["value"]) / abs(one[n]["value"])) for n in names)
 
     return find
 
 
-def _row_spacing(bench: Bench, model: str) -> float:
+def _row_spacing(runner: CaseRunner, model: str) -> float:
     """Largest change of a measure over its bounds, steps and rows ten times closer."""
     tables = merge(
         slider(duration_s=0.5, computer={"period_s": 0.01}, solver={"coupling_tolerance_rad": 1e-7}),
@@ -184,7 +186,7 @@ def _row_spacing(bench: Bench, model: str) -> float:
         },
     )  # fmt: skip
     one, other = (
-        bench.run(merge(tables, {"solver": {"max_step_s": step}}), model, estimate=True).measures
+        runner.run(merge(tables, {"solver": {"max_step_s": step}}), model, estimate=True).measures
         for step in (2e-3, 2e-4)
     )
     worst = 0.0

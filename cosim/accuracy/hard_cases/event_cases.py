@@ -13,7 +13,7 @@ from cosim.accuracy.hard_cases.hard_case import (
     ALL,
     OWN,
     RADIUS,
-    Bench,
+    CaseRunner,
     HardCase,
     board,
     crossings,
@@ -36,7 +36,7 @@ class Counts:
 """
 
 
-def _beside_a_sample(bench: Bench, model: str) -> float:
+def _beside_a_sample(runner: CaseRunner, model: str) -> float:
     """Largest change of where a push ends that begins on a sample, an ulp before or an ulp behind it."""
     ends = []
     for at in (0.1, math.nextafter(0.1, 0.0), math.nextafter(0.1, 1.0)):
@@ -44,21 +44,21 @@ def _beside_a_sample(bench: Bench, model: str) -> float:
             "type": "hand", "mass_kg": 0.0, "stiffness_n_per_m": 0.0, "damping_n_s_per_m": 1.0,
             "waypoints_s_m": [[0.0, 0.0, 0.0]], "force_s_n": [[at, 0.0, 0.0], [0.3, 0.0, -1.0]],
         }  # fmt: skip
-        ran = bench.run(slider(operator=hand, effects={"operator_dynamics": True}), model)
+        ran = runner.run(slider(operator=hand, effects={"operator_dynamics": True}), model)
         if len(ran.samples["time"]) != 5:
             return math.nan  # a sample was lost, or fired twice
         ends.append(float(ran.signals["y"][-1]))
     return float(np.ptp(ends)) / abs(ends[0])
 
 
-def _both_limits(friction_n_m: float, bench: Bench, model: str) -> float:
+def _both_limits(friction_n_m: float, runner: CaseRunner, model: str) -> float:
     """Return the current at the right of the first gain's jump, over that of a spring at this very angle."""
     tables = slider(
         duration_s=0.2,
         device={"start": {"q_rad": [0.1], "v_rad_per_s": [-1.0]}, "slider": {"coulomb_n_m": friction_n_m}},
         computer={"law": "law.py:Spring"}, effects={"coulomb": friction_n_m > 0.0},
     )  # fmt: skip
-    signals = bench.run(tables, model, _SPRING).signals
+    signals = runner.run(tables, model, _SPRING).signals
     t, q, i = (np.asarray(signals[name]) for name in ("time", "q1", "imot1"))
     at = np.flatnonzero(t == 0.1)
     if len(at) != 2 or i[at[0]] != 0.0:
@@ -81,10 +81,10 @@ def _two_rotors(stops: list[float], speeds: list[float]) -> dict[str, Any]:
     )  # fmt: skip
 
 
-def _simultaneous(bench: Bench, model: str) -> float:
+def _simultaneous(runner: CaseRunner, model: str) -> float:
     """Return how two rotors that strike their stops at the same instants differ, and their exchange."""
-    one = bench.run(_two_rotors([0.5, 1.0], [1.0, 2.0]), model).signals
-    other = bench.run(_two_rotors([1.0, 0.5], [2.0, 1.0]), model).signals
+    one = runner.run(_two_rotors([0.5, 1.0], [1.0, 2.0]), model).signals
+    other = runner.run(_two_rotors([1.0, 0.5], [2.0, 1.0]), model).signals
     if np.abs(np.asarray(one["q1"])).max() > 0.5 or np.asarray(one["v1"]).min() > -0.79:
         return math.nan  # it passed its stop
     twins = np.abs(2.0 * np.asarray(one["q1"]) - np.asarray(one["q2"])).max()
@@ -92,17 +92,17 @@ def _simultaneous(bench: Bench, model: str) -> float:
     return float(max(twins, swapped))
 
 
-def _hits(which: int) -> Callable[[Bench, str], float]:
+def _hits(which: int) -> Callable[[CaseRunner, str], float]:
     """Return what finds the instant of a hit of a carriage between stops, several hits in one step."""
 
-    def find(bench: Bench, model: str) -> float:
+    def find(runner: CaseRunner, model: str) -> float:
         tables = slider(
             duration_s=0.1, solver={"max_step_s": 0.1},
             device={"slider": {"stops_rad": [[-0.2, 0.2]], "stop_restitution": 1.0},
                     "start": {"v_rad_per_s": [10.0]}},
             effects={"end_stops": True},
         )  # fmt: skip
-        signals = bench.run(tables, model).signals
+        signals = runner.run(tables, model).signals
         t, q = (np.asarray(signals[name]) for name in ("time", "q1"))
         hits = np.unique(t[np.abs(q) == 0.2])
         return float(hits[which]) if len(hits) > which else math.nan
@@ -110,12 +110,12 @@ def _hits(which: int) -> Callable[[Bench, str], float]:
     return find
 
 
-def _dip(what: str) -> Callable[[Bench, str], float]:
+def _dip(what: str) -> Callable[[CaseRunner, str], float]:
     """Return what finds when a flight's top enters or leaves a stop 0.2 mrad below it, within one step."""
     g, depth, speed = 9.81 / RADIUS, 2e-4, 1.0
     stop = speed**2 / (2 * g) - depth
 
-    def find(bench: Bench, model: str) -> float:
+    def find(runner: CaseRunner, model: str) -> float:
         tables = slider(
             duration_s=0.1, solver={"coupling_tolerance_rad": 1e-9},
             device={"slider": {"stops_rad": [[-90.0, stop]], "stop_stiffness_n_m_per_rad": 1e-9,
@@ -123,7 +123,7 @@ def _dip(what: str) -> Callable[[Bench, str], float]:
                     "start": {"v_rad_per_s": [speed]}},
             effects={"end_stops": True, "gravity": True},
         )  # fmt: skip
-        signals = bench.run(tables, model).signals
+        signals = runner.run(tables, model).signals
         t, q, v = (np.asarray(signals[name]) for name in ("time", "q1", "v1"))
         at = crossings(t, q, v, stop)
         at = t[q == stop] if model in OWN else at  # our own loop has rows there
@@ -132,7 +132,7 @@ def _dip(what: str) -> Callable[[Bench, str], float]:
     return find
 
 
-def _lost_samples(bench: Bench, model: str) -> float:
+def _lost_samples(runner: CaseRunner, model: str) -> float:
     """Return how many of 25 commands do not arrive 2.5 periods after their sample."""
     period = 3e-3
     tables = slider(
@@ -140,14 +140,14 @@ def _lost_samples(bench: Bench, model: str) -> float:
                                    "delay_fraction": 0.5},
         effects={"delay": True},
     )  # fmt: skip
-    signals = bench.run(tables, model, _COUNTS).signals
+    signals = runner.run(tables, model, _COUNTS).signals
     t, volts = np.asarray(signals["time"]), np.asarray(signals["cmd1"])
     after = np.searchsorted(t, (np.arange(25) + 2.6) * period)
     asked = 0.01 * (1 + np.arange(25) % 7) * 15.625
     return float(np.count_nonzero(np.abs(volts[after] - asked) > 1e-6 * asked))
 
 
-def _contacts(bench: Bench, model: str) -> float:
+def _contacts(runner: CaseRunner, model: str) -> float:
     """Return how often a carriage between two soft stops touches them in one period of 100 ms."""
     tables = slider(
         duration_s=0.1, solver={"max_step_s": 0.1, "coupling_tolerance_rad": 1e-9},
@@ -156,7 +156,7 @@ def _contacts(bench: Bench, model: str) -> float:
                 "start": {"v_rad_per_s": [5.0]}},
         effects={"end_stops": True},
     )  # fmt: skip
-    signals = bench.run(tables, model).signals
+    signals = runner.run(tables, model).signals
     inside = np.abs(np.asarray(signals["q1"])) > 0.05 * (1 + 1e-9)
     return float(np.count_nonzero(np.diff(inside.astype(int)) == 1))
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from cosim.accuracy.hard_cases.coupled_motion import _DAMPER, _SPRING, _STATED, _STATED_C, _TORQUE
-from cosim.accuracy.hard_cases.hard_case import RADIUS, Bench, HardCase, board, slider
+from cosim.accuracy.hard_cases.hard_case import RADIUS, CaseRunner, HardCase, board, slider
 from cosim.types import Array
 
 __all__ = ["CASES"]
@@ -50,11 +50,11 @@ def _jacobi(
 
 def _against_jacobi(
     inertias: tuple[float, float], springs: tuple[float, float, float], dampers: tuple[float, float, float]
-) -> Callable[[Bench, str], float]:
+) -> Callable[[CaseRunner, str], float]:
     """Return what finds our error over that of held values exchanged as often, rejected steps counted."""
     start, end = 0.1, 2.0
 
-    def find(bench: Bench, model: str) -> float:
+    def find(runner: CaseRunner, model: str) -> float:
         (k1, k12, k2), (d1, d12, d2) = springs, dampers
         stiff = np.array([[k1 + k12, -k12], [-k12, k2 + k12]])
         damp = np.array([[d1 + d12, -d12], [-d12, d2 + d12]])
@@ -77,7 +77,7 @@ def _against_jacobi(
                       "analog_stiffness_n_per_m": 1.0},
             effects={"rotor_inertia": True}, solver={"coupling_tolerance_rad": 1e-9},
         )  # fmt: skip
-        ran = bench.run(tables, model, law)
+        ran = runner.run(tables, model, law)
         exchanges = int(ran.stats["points"]) + int(ran.stats["rejected"])
         a = np.zeros((4, 4))
         mass = np.diag(1.0 / np.array(inertias))
@@ -97,7 +97,7 @@ def _against_jacobi(
     return find
 
 
-def _shorter_steps(bench: Bench, model: str) -> float:
+def _shorter_steps(runner: CaseRunner, model: str) -> float:
     """Return the larger error over its bound of an integral at two steps, the shorter of which is worse.
 
     The heat of ten swings of 10 Hz in a circuit's spring, i^2 t/2, in steps of 2.5 ms and 1.25 ms at most.
@@ -117,7 +117,7 @@ def _shorter_steps(bench: Bench, model: str) -> float:
             computer={"period_s": seconds, "law": "law.py:Spring"},
             solver={"coupling_tolerance_rad": 1e-3, "max_step_s": step, "rtol": 1e-5},
         )  # fmt: skip
-        heat = bench.run(tables, model, law, estimate=True).measures["heat"]
+        heat = runner.run(tables, model, law, estimate=True).measures["heat"]
         errors.append(abs(heat["value"] - exact))
         bounds.append(heat["error"])
     if not (errors[1] > 1.1 * errors[0] and bounds[1] > bounds[0]):

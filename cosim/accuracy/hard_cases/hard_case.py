@@ -1,4 +1,4 @@
-"""What a hard case is, and the bench on which its scenes run."""
+"""What a hard case is, and what runs its scenes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ __all__ = [
     "ALL",
     "OWN",
     "RADIUS",
-    "Bench",
+    "CaseRunner",
     "HardCase",
     "Outcome",
     "Ran",
@@ -62,7 +62,7 @@ class HardCase:
     expected : from theory, in that unit
     bound : model -> largest difference from it, in that unit; the models it runs on
     reason : where the bound comes from
-    find : what finds it, on a bench and a model
+    find : what finds it, by a runner, on a model
     slow : whether it takes more than some seconds
     broken : a change of the program that made it miss when it was tried
     """
@@ -73,7 +73,7 @@ class HardCase:
     expected: float
     bound: Mapping[str, float]
     reason: str
-    find: Callable[[Bench, str], float]
+    find: Callable[[CaseRunner, str], float]
     slow: bool = False
     broken: str = ""
 
@@ -121,7 +121,7 @@ class Ran:
     warnings: tuple[tuple[str, str], ...] = ()
 
 
-class Bench:
+class CaseRunner:
     """Runs scenes in a process of its own, which may read the folder of their laws; nothing is kept."""
 
     def __init__(self) -> None:
@@ -132,7 +132,7 @@ class Bench:
     def _started(self) -> Child:
         return start_early("cosim.loop.early_imports", reads=[self._folder])
 
-    def __enter__(self) -> Bench:
+    def __enter__(self) -> CaseRunner:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from scipy.optimize import brentq
 
-from cosim.accuracy.hard_cases.hard_case import ALL, OWN, RADIUS, Bench, HardCase, slider
+from cosim.accuracy.hard_cases.hard_case import ALL, OWN, RADIUS, CaseRunner, HardCase, slider
 from cosim.types import Array
 
 __all__ = ["CASES"]
@@ -31,7 +31,7 @@ _STIFFNESS, _DAMPING, _GAP = 2.0, 2e-3, 4e-3  # of the teeth: N m/rad, N m s/rad
 _PRELOAD = 0.1
 
 
-def _play(preloaded: bool, duration_s: float, bench: Bench, model: str) -> Array:
+def _play(preloaded: bool, duration_s: float, runner: CaseRunner, model: str) -> Array:
     """Return times, motor's angle, speed and twist of a motor that is held through a gear with play."""
     tables = slider(
         duration_s=duration_s,
@@ -45,7 +45,7 @@ def _play(preloaded: bool, duration_s: float, bench: Bench, model: str) -> Array
                  "gravity": preloaded},
         solver={"coupling_tolerance_rad": 1e-9 if model != "spice" else 1e-7, "max_step_s": 5e-4},
     )  # fmt: skip
-    s = bench.run(tables, model, _LAW.format(gain=_GAIN, kick=6e-3)).signals
+    s = runner.run(tables, model, _LAW.format(gain=_GAIN, kick=6e-3)).signals
     return np.array([s["time"], s["qm1"], s["vm1"], np.asarray(s["qm1"]) - np.asarray(s["q1"])])
 
 
@@ -68,16 +68,16 @@ def _balanced() -> float:
     return float(brentq(left, _GAP / 2 * (1 + 1e-9), 100 * _GAP))
 
 
-def _clatter(bench: Bench, model: str) -> float:
+def _clatter(runner: CaseRunner, model: str) -> float:
     """Amplitude of the motor in its gear over that of harmonic balance."""
-    t, q, *_ = _play(False, 3.2, bench, model)
+    t, q, *_ = _play(False, 3.2, runner, model)
     k = np.arange(600, 800)
     return float(np.abs(np.interp(k * _PERIOD, t, q)).max() / _balanced())
 
 
-def _rests(bench: Bench, model: str) -> float:
+def _rests(runner: CaseRunner, model: str) -> float:
     """Return the twist at rest of a preloaded gear over half the gap and what the weight twists."""
-    t, _, v, twist = _play(True, 16.0, bench, model)
+    t, _, v, twist = _play(True, 16.0, runner, model)
     late = t > 15.9
     if np.abs(v[late]).max() > (1e-6 if model != "spice" else 1e-3):
         return math.nan
@@ -109,7 +109,7 @@ def _orbit(start: float, push: float, samples: int) -> Array:
     return np.array(out)
 
 
-def _counts_and_codes(bench: Bench, model: str) -> float:
+def _counts_and_codes(runner: CaseRunner, model: str) -> float:
     """Return the largest distance of the angles at the samples from the exact orbit, over its swing."""
     push, start, seconds = 1.5 * _CODE, -1.45 * _COUNT, 0.25
     tables = slider(
@@ -129,7 +129,7 @@ def _counts_and_codes(bench: Bench, model: str) -> float:
         effects={"viscous": True, "encoder": True, "dac": True, "operator_dynamics": True},
         solver={"coupling_tolerance_rad": 1e-12},
     )  # fmt: skip
-    s = bench.run(tables, model).signals
+    s = runner.run(tables, model).signals
     count = round(seconds / _SAMPLE)
     at = np.searchsorted(np.asarray(s["time"]), np.arange(count) * _SAMPLE - 1e-11)
     exact = _orbit(start, push, count)

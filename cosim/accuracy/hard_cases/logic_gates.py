@@ -191,22 +191,22 @@ CASES = (
         "NAND gate, published solution", 61, "largest error, mixed norm", 0.0, {"spice": 1e-5},
         "asked of all problems of the set; trapezoids of 10 ms on gates of 0.24 ms behind ramps of 5 s, what "
         "they lose of the floating node's charge falls with the square",
-        lambda bench, model: _nand().error(bench, 0.01),
+        lambda runner, model: _nand().error(runner, 0.01),
         broken="backward gain 1.748e-3 instead of 1.748e-4: 4.6e-3",
     ),
     HardCase(
         "NAND gate, bound of a twin", 61, "error over bound", 0.0, {"spice": 1.0},
         "half the step is a twin as that of a run: its bound is not below the error",
-        lambda bench, model: _nand().error_over_bound(bench, 0.02),
+        lambda runner, model: _nand().error_over_bound(runner, 0.02),
     ),
     HardCase(
         "two-bit adding unit, published solution", 61, "largest error, mixed norm", 0.0, {"spice": 1e-5},
         "asked of all problems of the set; 7.1e-6 with twice the step",
-        lambda bench, model: _adder().error(bench, 0.05), slow=True,
+        lambda runner, model: _adder().error(runner, 0.05), slow=True,
     ),
     HardCase(
         "two-bit adding unit, bound of a twin", 61, "error over bound", 0.0, {"spice": 1.0},
         "half the step is a twin as that of a run: its bound is not below the error",
-        lambda bench, model: _adder().error_over_bound(bench, 0.1), slow=True,
+        lambda runner, model: _adder().error_over_bound(runner, 0.1), slow=True,
     ),
 )  # fmt: skip

@@ -12,7 +12,16 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from cosim.accuracy.hard_cases.coupled_motion import _EMF, _SPRING, _STATED, two_masses
-from cosim.accuracy.hard_cases.hard_case import ALL, OWN, RADIUS, Bench, HardCase, board, crossings, slider
+from cosim.accuracy.hard_cases.hard_case import (
+    ALL,
+    OWN,
+    RADIUS,
+    CaseRunner,
+    HardCase,
+    board,
+    crossings,
+    slider,
+)
 from cosim.accuracy.hard_cases.sampled import _HELD, _border
 
 __all__ = ["CASES"]
@@ -20,10 +29,10 @@ __all__ = ["CASES"]
 _INERTIA = 0.2 * RADIUS**2
 
 
-def _stretch(what: str) -> Callable[[Bench, str], float]:
+def _stretch(what: str) -> Callable[[CaseRunner, str], float]:
     """Return what finds the drift of energy or momentum of a free arm that swings through full stretch."""
 
-    def find(bench: Bench, model: str) -> float:
+    def find(runner: CaseRunner, model: str) -> float:
         tables = slider(
             duration_s=1.0,
             device={
@@ -34,7 +43,7 @@ def _stretch(what: str) -> Callable[[Bench, str], float]:
             },
             effects={"coriolis": True}, solver={"max_step_s": 1e-3, "coupling_tolerance_rad": 1e-10},
         )  # fmt: skip
-        s = {k: np.asarray(v) for k, v in bench.run(tables, model).signals.items()}
+        s = {k: np.asarray(v) for k, v in runner.run(tables, model).signals.items()}
         if not np.any(np.diff(np.sign(np.sin(s["q2"])))):
             return math.nan  # it never was stretched
         if what == "energy":
@@ -51,7 +60,7 @@ def _stretch(what: str) -> Callable[[Bench, str], float]:
     return find
 
 
-def _stops_gain(bench: Bench, model: str) -> float:
+def _stops_gain(runner: CaseRunner, model: str) -> float:
     """Largest gain of energy, over the start's, of an arm thrown against soft stops."""
     tables = slider(
         duration_s=1.0,
@@ -64,23 +73,23 @@ def _stops_gain(bench: Bench, model: str) -> float:
         effects={"end_stops": True, "coriolis": True},
         solver={"max_step_s": 1e-3, "coupling_tolerance_rad": 1e-9},
     )  # fmt: skip
-    signals = bench.run(tables, model).signals
+    signals = runner.run(tables, model).signals
     q = np.stack([np.asarray(signals[f"q{j}"]) for j in (1, 2)])
     free = ((q > [[-1.3], [0.1]]) & (q < [[0.4], [1.2]])).all(axis=0)  # nothing is stored in a stop
     energy = np.asarray(signals["e_kin"])[free]
     return float(max((energy / np.minimum.accumulate(energy)).max() - 1.0, 0.0))
 
 
-def _parallel(bench: Bench, model: str) -> float:
+def _parallel(runner: CaseRunner, model: str) -> float:
     """Growth [1/s] of the two-mass oscillator's amplitude, exchanged every 10 ms."""
-    signals = two_masses(bench, model, 10.0, {"max_step_s": 0.01, "coupling_tolerance_rad": 1e-3})
+    signals = two_masses(runner, model, 10.0, {"max_step_s": 0.01, "coupling_tolerance_rad": 1e-3})
     q1, q2, v1, v2 = (np.asarray(signals[name]) for name in ("q1", "q2", "v1", "v2"))
     # 0.01 kg m^2 each, springs 4 pi^2 to ground and 16 pi^2 between, over the inertia
     energy = v1**2 + v2**2 + 4 * math.pi**2 * (q1**2 + q2**2) + 16 * math.pi**2 * (q1 - q2) ** 2
     return math.log(float(energy[-1] / energy[0])) / 2 / 10.0
 
 
-def _on_the_border(bench: Bench, model: str) -> float:
+def _on_the_border(runner: CaseRunner, model: str) -> float:
     """Return the growth a sample, less 1, of a held spring at its border, over 1e4 samples of 3 ms."""
     count, period = 10_000, 3e-3
     tables = slider(
@@ -90,21 +99,21 @@ def _on_the_border(bench: Bench, model: str) -> float:
         computer={"period_s": period, "law": "law.py:Held"}, effects={"viscous": True},
         solver={"max_step_s": period},
     )  # fmt: skip
-    samples = bench.run(tables, model, _HELD).samples
+    samples = runner.run(tables, model, _HELD).samples
     q = np.abs(np.asarray(samples["q_enc1"]))
     # the amplitude from a swing's largest samples: 50 swings at either end
     early, late = q[: count // 4].max(), q[-(count // 4) :].max()
     return math.log(late / early) / (0.75 * count)
 
 
-def _told(step: float, bench: Bench, model: str) -> float:
+def _pin_error(step: float, runner: CaseRunner, model: str) -> float:
     """Return log(error over estimate) of what the circuit is told, at steps forced to be long."""
     tables = slider(
         duration_s=0.06, device={"start": {"q_rad": [-0.04]}}, computer={"period_s": 0.06},
         wall={"point_m": [0.0, 0.0], "normal": [0.0, 1.0]}, effects={"motor": "emf"},
         solver={"max_step_s": step, "coupling_tolerance_rad": 1e-3}, record={"nodes": ["vel1"]},
     )  # fmt: skip
-    ran = bench.run(tables, model)
+    ran = runner.run(tables, model)
     t, q, v, told_q, told_v = (np.asarray(ran.signals[name]) for name in ("time", "q1", "v1", "pot1", "vel1"))
     stiffness = 100 * RADIUS**2 * _SPRING / _STATED
     rate = np.array([[0, 1], [-stiffness / _INERTIA, -_EMF / _INERTIA]])
@@ -124,7 +133,7 @@ class Saturating:
 """
 
 
-def _saturated(bench: Bench, model: str) -> float:
+def _saturated(runner: CaseRunner, model: str) -> float:
     """Amplitude over the describing function's: a negative damper of 0.04 against 0.02 N m s/rad, clipped."""
     gain, b, stiffness, limit = 0.04, 0.02, 50.0, 0.875 * 0.32
     a = brentq(lambda a: 2 / math.pi * (math.asin(1 / a) + math.sqrt(1 - 1 / a**2) / a) - b / gain, 1.01, 9)
@@ -141,7 +150,7 @@ def _saturated(bench: Bench, model: str) -> float:
         solver={"coupling_tolerance_rad": 1e-7},
     )  # fmt: skip
     # the board's damper gives 0.9994 of what is stated: the gain of 10k to 24.3k and the pads beside it
-    signals = bench.run(tables, model, _SATURATING.format(gain=gain)).signals
+    signals = runner.run(tables, model, _SATURATING.format(gain=gain)).signals
     late = np.asarray(signals["time"]) > 4.0
     return float(np.ptp(np.asarray(signals["q1"])[late])) / 2 / amplitude
 
@@ -155,14 +164,14 @@ class Broken:
 """
 
 
-def _bad_law(bench: Bench, model: str) -> float:
+def _bad_law(runner: CaseRunner, model: str) -> float:
     tables = slider(computer={"law": "law.py:Broken", "period_s": 0.01}, duration_s=0.1)
-    return bench.refusal(lambda: bench.run(tables, model, _NOT_A_NUMBER), "torque_n_m", "0.03")
+    return runner.refusal(lambda: runner.run(tables, model, _NOT_A_NUMBER), "torque_n_m", "0.03")
 
 
 def _bad_key(key: str, tables: dict[str, Any]) -> HardCase:
-    def find(bench: Bench, model: str) -> float:
-        return bench.refusal(lambda: bench.run(slider(**tables), model), key)
+    def find(runner: CaseRunner, model: str) -> float:
+        return runner.refusal(lambda: runner.run(slider(**tables), model), key)
 
     return HardCase(
         f"not a number, {key}", 42, "refused by name (1)", 1.0, {"ideal": 0.0}, "NaN fails every comparison",
@@ -170,14 +179,14 @@ def _bad_key(key: str, tables: dict[str, Any]) -> HardCase:
     )  # fmt: skip
 
 
-def _soft_stop(bench: Bench, model: str) -> float:
+def _soft_stop(runner: CaseRunner, model: str) -> float:
     """Largest difference of `spice` and `linear` over their bounds, a soft stop struck at 10 rad/s."""
     tables = slider(
         duration_s=0.2, solver={"coupling_tolerance_rad": 1e-8},
         device={"slider": {"stops_rad": [[-0.5, 0.5]]}, "start": {"v_rad_per_s": [10.0]}},
         effects={"end_stops": True, "motor": "emf"},
     )  # fmt: skip
-    one, other = (bench.run(tables, each, estimate=True).measures for each in (model, "linear"))
+    one, other = (runner.run(tables, each, estimate=True).measures for each in (model, "linear"))
     worst = 0.0
     for name in ("peak_current", "heat"):
         room = one[name]["error"] + other[name]["error"]
@@ -189,7 +198,7 @@ def _ring(period: float) -> HardCase:
     """Return the case of a spring in the circuit alone, seen through samples however rare."""
     stiffness = (2 * math.pi * 41.44) ** 2 * _INERTIA
 
-    def find(bench: Bench, model: str) -> float:
+    def find(runner: CaseRunner, model: str) -> float:
         law = (
             "from cosim.loop.userlaw import Command\nclass Springs:\n    def control(self, sample):\n"
             f"        k = {stiffness * _STATED / _SPRING!r}\n"
@@ -199,7 +208,7 @@ def _ring(period: float) -> HardCase:
             duration_s=0.5, device={"start": {"q_rad": [0.01]}},
             computer={"period_s": period, "law": "law.py:Springs"}, solver={"coupling_tolerance_rad": 1e-9},
         )  # fmt: skip
-        signals = bench.run(tables, model, law).signals
+        signals = runner.run(tables, model, law).signals
         t, q, v = (np.asarray(signals[name]) for name in ("time", "q1", "v1"))
         keep = np.append(np.diff(t) > 0.0, True)
         at = crossings(t[keep], q[keep], v[keep], 0.0)
@@ -219,7 +228,7 @@ def _friction_border(share: float) -> HardCase:
     speed = share * 8 * friction / math.pi / (stiffness * period)
     w = math.sqrt(stiffness)
 
-    def find(bench: Bench, model: str) -> float:
+    def find(runner: CaseRunner, model: str) -> float:
         tables = slider(
             duration_s=2.0,
             device={"slider": {"mass_kg": 1.0, "coulomb_n_m": friction * RADIUS},
@@ -227,7 +236,7 @@ def _friction_border(share: float) -> HardCase:
             computer={"period_s": period, "law": "law.py:Held"}, effects={"coulomb": True},
             solver={"max_step_s": 1e-3, "coupling_tolerance_rad": 1e-10},
         )  # fmt: skip
-        v = np.abs(np.asarray(bench.run(tables, model, _HELD).signals["v1"]))
+        v = np.abs(np.asarray(runner.run(tables, model, _HELD).signals["v1"]))
         half = len(v) // 2
         return float(v[half:].max() > v[:half].max())
 
@@ -247,7 +256,7 @@ class Skewed:
 """
 
 
-def _glitch(bench: Bench, model: str) -> float:
+def _glitch(runner: CaseRunner, model: str) -> float:
     """Return the torque between gain and equilibrium of skewed DACs, over the old equilibrium's."""
     period, skew, angle = 0.02, 5e-3, 0.1
     tables = slider(
@@ -256,7 +265,7 @@ def _glitch(bench: Bench, model: str) -> float:
         computer={"period_s": period, "law": "law.py:Skewed", "dac": {"skew_s": skew}},
         effects={"dac_skew": True}, solver={"coupling_tolerance_rad": 1e-9},
     )  # fmt: skip
-    signals = bench.run(tables, model, _SKEWED).signals
+    signals = runner.run(tables, model, _SKEWED).signals
     t, q, i = (np.asarray(signals[name]) for name in ("time", "q1", "imot1"))
     inside = (t > period + 0.1 * skew) & (t < period + 0.9 * skew)
     late = t > period + 1.1 * skew
@@ -265,18 +274,18 @@ def _glitch(bench: Bench, model: str) -> float:
     return float(np.mean((0.32 * i / -q)[inside])) / (0.5 * _SPRING / _STATED)
 
 
-def _consistent(bench: Bench, model: str) -> float:
+def _consistent(runner: CaseRunner, model: str) -> float:
     """Whether a netlist's own initial voltage is said to count for nothing, and does."""
     from cosim.ngspice.deck import load_deck
 
     currents = []
     for line in ("", ".ic v(inn)=5"):
-        place = bench.netlists({"blocks/diffamp.cir": partial("{1}\n{0}\n".format, line)})
+        place = runner.netlists({"blocks/diffamp.cir": partial("{1}\n{0}\n".format, line)})
         tables = slider(
             device={"board": str(place / "board1.cir"), "start": {"q_rad": [-0.02]}}, duration_s=0.1,
             computer={"period_s": 0.02}, wall={"point_m": [0.0, 0.0], "normal": [0.0, 1.0]},
         )  # fmt: skip
-        currents.append(float(bench.run(tables, model).signals["imot1"][-1]))
+        currents.append(float(runner.run(tables, model).signals["imot1"][-1]))
         noted = any("operating point" in note for note in load_deck(place / "board1.cir").notes)
     return float(noted and currents[0] == currents[1])
 
@@ -302,7 +311,7 @@ CASES = (
              broken="DACs 10 us late: 1.5e-5"),
     *(HardCase(f"steps forced to {1e3 * step:g} ms", 37, "log of error over estimate", 0.0,
                {"spice": math.log(3.0)}, "the list's own factor of 3",
-               partial(_told, step), broken="a fifth of the defect told") for step in (4e-3, 1e-3)),
+               partial(_pin_error, step), broken="a fifth of the defect told") for step in (4e-3, 1e-3)),
     HardCase("negative damper in a clipped driver", 39, "amplitude over the describing function's", 1.0,
              {"ideal": 0.01, "spice": 0.01}, "third harmonics of a swing of Q = 9 and the stated gain",
              _saturated),

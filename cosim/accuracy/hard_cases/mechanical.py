@@ -11,7 +11,7 @@ from cosim.accuracy.hard_cases.hard_case import (
     ALL,
     OWN,
     RADIUS,
-    Bench,
+    CaseRunner,
     HardCase,
     board,
     crossings,
@@ -34,30 +34,30 @@ def _hand(force: list[list[float]], stiffness: float = 0.0, damping: float = 0.0
     }  # fmt: skip
 
 
-def _free_direction(bench: Bench, model: str) -> float:
+def _free_direction(runner: CaseRunner, model: str) -> float:
     """Return how far a constant force drives along a direction that no spring holds."""
     tables = slider(operator=_hand([[0.0, 0.5]]), effects={"operator_dynamics": True})
-    return float(bench.run(tables, model).signals["y"][-1])
+    return float(runner.run(tables, model).signals["y"][-1])
 
 
 def _drift(periods: float) -> Any:
     stiffness = 2000.0  # 1e6 periods of 20 N/m are more seconds than a scene may have
     swing = 2 * math.pi * math.sqrt(_MASS / stiffness)
 
-    def find(bench: Bench, model: str) -> float:
+    def find(runner: CaseRunner, model: str) -> float:
         tables = slider(
             duration_s=periods * swing, operator=_hand([[0.0, 0.0]], stiffness),
             device={"start": {"q_rad": [0.1]}}, computer={"period_s": 1.0}, solver={"max_step_s": 1.0},
             effects={"operator_dynamics": True},
         )  # fmt: skip
-        signals = bench.run(tables, model).signals
+        signals = runner.run(tables, model).signals
         energy = np.asarray(signals["e_kin"]) + 0.5 * stiffness * np.asarray(signals["y"]) ** 2
         return float(np.abs(energy / energy[0] - 1.0).max())
 
     return find
 
 
-def _pendulum(bench: Bench, model: str) -> float:
+def _pendulum(runner: CaseRunner, model: str) -> float:
     """Period from 179 degrees over that of small swings; the motor is idle."""
     com = 0.125
     small = 2 * math.pi * math.sqrt(com / _G)
@@ -71,13 +71,13 @@ def _pendulum(bench: Bench, model: str) -> float:
         },
         effects={"gravity": True}, solver={"max_step_s": 1e-3},
     )  # fmt: skip
-    signals = bench.run(tables, model).signals
+    signals = runner.run(tables, model).signals
     t, q, v = (np.asarray(signals[name]) for name in ("time", "q1", "v1"))
     at = crossings(t, q, v, hanging)
     return float(2.0 * (at[1] - at[0]) / small)
 
 
-def _chaos(bench: Bench, model: str) -> float:
+def _chaos(runner: CaseRunner, model: str) -> float:
     """Energy that a chaotic swing of two links wins or loses in 10 s, over what it turns over."""
     tables = slider(
         duration_s=10.0,
@@ -89,7 +89,7 @@ def _chaos(bench: Bench, model: str) -> float:
         },
         effects={"gravity": True, "coriolis": True}, solver={"max_step_s": 1e-3},
     )  # fmt: skip
-    signals = bench.run(tables, model).signals
+    signals = runner.run(tables, model).signals
     energy = np.asarray(signals["e_kin"]) + np.asarray(signals["e_grav"])
     return float(np.ptp(energy) / np.ptp(np.asarray(signals["e_kin"])))
 
@@ -100,19 +100,19 @@ def _on_a_slope(margin: float, **top: Any) -> dict[str, Any]:
     return slider(**merge({"device": device, "effects": {"coulomb": True, "gravity": True}}, top))
 
 
-def _creep(bench: Bench, model: str) -> float:
+def _creep(runner: CaseRunner, model: str) -> float:
     tables = _on_a_slope(1.001, duration_s=60.0)
-    return float(np.abs(bench.run(tables, model).signals["y"]).max())
+    return float(np.abs(runner.run(tables, model).signals["y"]).max())
 
 
-def _slip(bench: Bench, model: str) -> float:
+def _slip(runner: CaseRunner, model: str) -> float:
     """Instant at which a growing force of 1 N/s moves a carriage held by 0.15 N, by how far it has got."""
     torque = 0.15 * RADIUS
     tables = slider(
         operator=_hand([[0.0, 0.0], [0.5, 0.5]]), device={"slider": {"coulomb_n_m": torque}},
         effects={"coulomb": True, "operator_dynamics": True},
     )  # fmt: skip
-    signals = bench.run(tables, model).signals
+    signals = runner.run(tables, model).signals
     t, y, v = (np.asarray(signals[name]) for name in ("time", "y", "v1"))
     if np.any(v[t < 0.15 - 1e-9]):
         return math.nan  # it crept
@@ -123,13 +123,13 @@ def _released(what: str) -> Any:
     """Return a case of a mass on a spring of the hand's, let go on dry friction: 4.4 half swings."""
     stiffness, friction, start = 50.0, 0.15, 0.0264 / RADIUS  # N/m, N, rad: 8.8 times the range of rest
 
-    def find(bench: Bench, model: str) -> float:
+    def find(runner: CaseRunner, model: str) -> float:
         tables = slider(
             duration_s=2.0, operator=_hand([[0.0, 0.0]], stiffness),
             device={"slider": {"coulomb_n_m": friction * RADIUS}, "start": {"q_rad": [start]}},
             effects={"coulomb": True, "operator_dynamics": True},
         )  # fmt: skip
-        ran = bench.run(tables, model)
+        ran = runner.run(tables, model)
         t, y = np.asarray(ran.signals["time"]), np.asarray(ran.signals["y"])
         if what == "rest":
             return float(y[-1])
@@ -141,7 +141,7 @@ def _released(what: str) -> Any:
 
 
 def _bounce(which: int) -> Any:
-    def find(bench: Bench, model: str) -> float:
+    def find(runner: CaseRunner, model: str) -> float:
         tables = slider(
             duration_s=3.0,
             device={
@@ -150,7 +150,7 @@ def _bounce(which: int) -> Any:
             },
             effects={"end_stops": True, "gravity": True},
         )  # fmt: skip
-        t, q, v = (np.asarray(bench.run(tables, model).signals[n]) for n in ("time", "q1", "v1"))
+        t, q, v = (np.asarray(runner.run(tables, model).signals[n]) for n in ("time", "q1", "v1"))
         if q.min() < 0.0:
             return math.nan  # it fell through
         if which == 0:
@@ -165,7 +165,7 @@ def _any_stop(stop: float, e: float, side: int) -> HardCase:
     height = 0.5 * g * first**2
     over = first + 2 * e * first / (1 - e)
 
-    def find(bench: Bench, model: str) -> float:
+    def find(runner: CaseRunner, model: str) -> float:
         limits = [stop, 90.0] if side < 0 else [-90.0, stop]
         tables = slider(
             duration_s=1.05 * over + 0.02, computer={"period_s": 0.01},
@@ -176,7 +176,7 @@ def _any_stop(stop: float, e: float, side: int) -> HardCase:
             },
             effects={"end_stops": True, "gravity": True},
         )  # fmt: skip
-        t, q, v = (np.asarray(bench.run(tables, model).signals[n]) for n in ("time", "q1", "v1"))
+        t, q, v = (np.asarray(runner.run(tables, model).signals[n]) for n in ("time", "q1", "v1"))
         return float(t[np.argmax((q == stop) & (v == 0.0))])
 
     where = "upper" if side > 0 else "lower"
@@ -190,7 +190,7 @@ def _grazing(depth: float) -> HardCase:
     speed, g = 10.0, _G / RADIUS
     top = speed**2 / (2 * g)
 
-    def find(bench: Bench, model: str) -> float:
+    def find(runner: CaseRunner, model: str) -> float:
         tables = slider(
             duration_s=1.0, computer={"period_s": 1.0}, solver={"max_step_s": 1.0},
             device={
@@ -200,7 +200,7 @@ def _grazing(depth: float) -> HardCase:
             },
             effects={"end_stops": True, "gravity": True},
         )  # fmt: skip
-        t, q = (np.asarray(bench.run(tables, model).signals[n]) for n in ("time", "q1"))
+        t, q = (np.asarray(runner.run(tables, model).signals[n]) for n in ("time", "q1"))
         touched = t[q == top - depth]
         return float(np.ptp(touched)) if len(touched) else 0.0
 
@@ -217,13 +217,13 @@ def _restitution(zeta: float) -> HardCase:
     w = math.sqrt(stiffness / _MASS)
     expected = math.exp(-math.pi * zeta / math.sqrt(1 - zeta**2))
 
-    def find(bench: Bench, model: str) -> float:
+    def find(runner: CaseRunner, model: str) -> float:
         tables = slider(
             duration_s=math.pi / (w * math.sqrt(1 - zeta**2)),
             operator=_hand([[0.0, 0.0]], stiffness, 2 * zeta * w * _MASS),
             device={"start": {"v_rad_per_s": [-1.0]}}, effects={"operator_dynamics": True},
         )  # fmt: skip
-        return float(bench.run(tables, model).signals["v1"][-1])
+        return float(runner.run(tables, model).signals["v1"][-1])
 
     bounds = {**dict.fromkeys(OWN, 1e-9), "spice": 1e-5}
     return HardCase(

@@ -10,7 +10,7 @@ capacitors of 2 pF, which ring at 3e7 rad/s; the set's solution is by RADAU with
 
 from __future__ import annotations
 
-from cosim.accuracy.hard_cases.hard_case import Bench, HardCase
+from cosim.accuracy.hard_cases.hard_case import CaseRunner, HardCase
 from cosim.accuracy.hard_cases.published import Published
 
 __all__ = ["CASES"]
@@ -101,20 +101,20 @@ def _ring_run() -> Published:
     return Published(_ring_deck(), _RING_END_S, names, _RING, keep_from_s=0.99 * _RING_END_S, uic=True)
 
 
-def _amplifier(bench: Bench, model: str) -> float:
-    return _AMPLIFIER_RUN.error(bench, _STEP_S)
+def _amplifier(runner: CaseRunner, model: str) -> float:
+    return _AMPLIFIER_RUN.error(runner, _STEP_S)
 
 
-def _amplifier_bound(bench: Bench, model: str) -> float:
-    return _AMPLIFIER_RUN.error_over_bound(bench, 10 * _STEP_S)
+def _amplifier_bound(runner: CaseRunner, model: str) -> float:
+    return _AMPLIFIER_RUN.error_over_bound(runner, 10 * _STEP_S)
 
 
-def _modulator(bench: Bench, model: str) -> float:
-    return _ring_run().error(bench, _RING_STEP_S)
+def _modulator(runner: CaseRunner, model: str) -> float:
+    return _ring_run().error(runner, _RING_STEP_S)
 
 
-def _modulator_bound(bench: Bench, model: str) -> float:
-    return _ring_run().error_over_bound(bench, 2 * _RING_STEP_S)
+def _modulator_bound(runner: CaseRunner, model: str) -> float:
+    return _ring_run().error_over_bound(runner, 2 * _RING_STEP_S)
 
 
 CASES = (

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from cosim.accuracy.hard_cases.hard_case import ALL, OWN, RADIUS, Bench, HardCase, slider
+from cosim.accuracy.hard_cases.hard_case import ALL, OWN, RADIUS, CaseRunner, HardCase, slider
 
 __all__ = ["CASES"]
 
@@ -31,7 +31,7 @@ class Relay:
 _IDEAL_GAIN = 1e-7
 
 
-def _modulus(bench: Bench, model: str, period: float, viscosity: float) -> float:
+def _modulus(runner: CaseRunner, model: str, period: float, viscosity: float) -> float:
     """Largest eigenvalue of a sample of k = 1e3 N/m on m = 1 kg, from the states at the samples."""
     count = 12
     tables = slider(
@@ -42,7 +42,7 @@ def _modulus(bench: Bench, model: str, period: float, viscosity: float) -> float
         computer={"period_s": period, "law": "law.py:Held"},
         effects={"viscous": viscosity > 0.0},
     )  # fmt: skip
-    ran = bench.run(tables, model, _HELD)
+    ran = runner.run(tables, model, _HELD)
     t = np.asarray(ran.signals["time"])
     at = np.searchsorted(t, np.arange(count) * period - 1e-11)
     states = np.array([np.asarray(ran.signals["q1"])[at], np.asarray(ran.signals["v1"])[at] * period])
@@ -51,8 +51,8 @@ def _modulus(bench: Bench, model: str, period: float, viscosity: float) -> float
     return float(np.abs(np.linalg.eigvals(step)).max())
 
 
-def _growth(period: float, bench: Bench, model: str) -> float:
-    return _modulus(bench, model, period, 0.0)
+def _growth(period: float, runner: CaseRunner, model: str) -> float:
+    return _modulus(runner, model, period, 0.0)
 
 
 def _border(period: float) -> float:
@@ -67,15 +67,15 @@ def _border(period: float) -> float:
 
 
 def _flips(period: float) -> Any:
-    def find(bench: Bench, model: str) -> float:
+    def find(runner: CaseRunner, model: str) -> float:
         share = 1e-6 if model in OWN else 1e-4
-        low, high = (_modulus(bench, model, period, _border(period) * (1 + s * share)) for s in (-1, 1))
+        low, high = (_modulus(runner, model, period, _border(period) * (1 + s * share)) for s in (-1, 1))
         return float(low > 1.0 > high)
 
     return find
 
 
-def _relay(bench: Bench, model: str) -> float:
+def _relay(runner: CaseRunner, model: str) -> float:
     """Swing of x' = -2 sgn(x_k), T = 0.1 s, by a carriage that takes 1 ms to follow."""
     tau, b = 1e-3, 0.01
     tables = slider(
@@ -83,11 +83,11 @@ def _relay(bench: Bench, model: str) -> float:
         device={"slider": {"mass_kg": tau * b / RADIUS**2, "viscous_n_m_s": b}, "start": {"q_rad": [0.05]}},
         solver={"max_step_s": 2e-4},
     )  # fmt: skip
-    signals = bench.run(tables, model, _RELAY).signals
+    signals = runner.run(tables, model, _RELAY).signals
     return float(np.ptp(np.asarray(signals["q1"])[np.asarray(signals["time"]) > 0.5]))
 
 
-def _first_seen(bench: Bench, model: str) -> float:
+def _first_seen(runner: CaseRunner, model: str) -> float:
     """Mean over phases of the depth that the computer first sees, over v T."""
     speed, period, phases = 0.2, 0.025, 4
     seen = []
@@ -98,16 +98,16 @@ def _first_seen(bench: Bench, model: str) -> float:
             wall={"point_m": [0.0, -gap], "normal": [0.0, 1.0]},
             device={"start": {"v_rad_per_s": [-speed / RADIUS]}},
         )  # fmt: skip
-        samples = bench.run(tables, model).samples
+        samples = runner.run(tables, model).samples
         depth = float(samples["pen"][int(np.argmax(np.asarray(samples["contact"])))])
         seen.append(depth if 0.0 <= depth <= speed * period else math.nan)
     return float(np.mean(seen)) / (speed * period)
 
 
-def _ticks(bench: Bench, model: str) -> float:
+def _ticks(runner: CaseRunner, model: str) -> float:
     """Return how many samples of 100 s are not at k T to the last bit."""
     tables = slider(duration_s=100.0, device={"start": {"v_rad_per_s": [1e-3]}}, solver={"max_step_s": 0.1})
-    times = np.asarray(bench.run(tables, model).samples["time"])
+    times = np.asarray(runner.run(tables, model).samples["time"])
     return float(np.count_nonzero(times != np.arange(len(times)) * 0.1)) + abs(len(times) - 1000.0)
 
 
@@ -117,7 +117,7 @@ def _quantised(share: float) -> HardCase:
     friction, b, period = 0.02, 0.2, 1e-3
     wall = share * 2 * friction / step
 
-    def find(bench: Bench, model: str) -> float:
+    def find(runner: CaseRunner, model: str) -> float:
         tables = slider(
             duration_s=0.6,
             device={
@@ -137,7 +137,7 @@ def _quantised(share: float) -> HardCase:
             effects={"viscous": True, "coulomb": True, "encoder": True},
             solver={"coupling_tolerance_rad": 1e-7},
         )  # fmt: skip
-        samples = bench.run(tables, model).samples
+        samples = runner.run(tables, model).samples
         late = np.asarray(samples["time"]) > 0.3
         return float(np.count_nonzero(np.diff(np.asarray(samples["pen"])[late])) > 10)
 

@@ -21,7 +21,7 @@ from cosim.circuits.extraction.extract import SWEEP, extracted, networks, withou
 from cosim.circuits.extraction.ideal import DC_SWEEP, ideal
 from cosim.circuits.extraction.limits_and_offsets import current_limits
 from cosim.circuits.extraction.path_measurement import Paths, Session
-from cosim.circuits.extraction.testbench import Bench
+from cosim.circuits.extraction.testbench import Testbench
 from cosim.circuits.fitting.rational_fit import WORST, FitError, Modes
 from cosim.circuits.fitting.refit import Batch, Unfit, batches, fitted, points
 from cosim.circuits.linear_circuit import LinearCircuit
@@ -220,4 +220,4 @@ class Draws:
         """Return the motors' limits of current [n, 2], by `.dc` where the board as it is shows some."""
         if not np.isfinite(self._limit).any():
             return self._limit
-        return current_limits(Bench(self._placed.deck(values), multipliers=False))
+        return current_limits(Testbench(self._placed.deck(values), multipliers=False))

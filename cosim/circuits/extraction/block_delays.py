@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from cosim.circuits.extraction.testbench import Bench
+from cosim.circuits.extraction.testbench import Testbench
 from cosim.errors import InputError, fail
 from cosim.ngspice.child import TIME_LIMIT_S, Child, call
 from cosim.ngspice.deck import Amplifier, Deck
@@ -110,7 +110,7 @@ def measure(payload: Mapping[str, Any], report: Callable[[dict[str, Any]], None]
     name = _blocks(board)
     amplifiers = list({a.out_node: a for a in board.amplifiers if a.out_node != "0"}.values())
     lines = [f"{_pushed(k)} 0 {a.out_node} dc 0 ac 0" for k, a in enumerate(amplifiers)]
-    bench = Bench(board, lines, multipliers=False)
+    bench = Testbench(board, lines, multipliers=False)
     paths = []
     own = bool(payload.get("own"))
     for j in range(1, bench.joints + 1):
@@ -155,7 +155,7 @@ class _Passed:
 class _Path:
     """The spring path from potentiometer j to motor i at a frequency so low that phases are delays."""
 
-    def __init__(self, bench: Bench, amplifiers: list[Amplifier], i: int, j: int) -> None:
+    def __init__(self, bench: Testbench, amplifiers: list[Amplifier], i: int, j: int) -> None:
         self.bench, self.amplifiers, self.i, self.j = bench, amplifiers, i, j
         self.nodes = [*(a.out_node for a in amplifiers), f"imot{i}"]
         self.hz = _FIRST_HZ

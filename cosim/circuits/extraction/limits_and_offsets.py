@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.circuits.extraction.path_measurement import LOW_HZ, Session
-from cosim.circuits.extraction.testbench import Bench
+from cosim.circuits.extraction.testbench import Testbench
 from cosim.errors import NoOperatingPoint
 from cosim.types import Array, Complex
 
@@ -65,7 +65,7 @@ class Offsets:
     y: Array
 
 
-def current_limits(session: Bench) -> Array:
+def current_limits(session: Testbench) -> Array:
     """Return the lowest and highest current of each motor at standstill [n, 2] A, infinite where none shows.
 
     From a `.dc` sweep of its command: the current where it stops rising.
@@ -89,7 +89,7 @@ def current_limits(session: Bench) -> Array:
     return out
 
 
-def _swept(session: Bench, pin: str, output: str) -> Array:
+def _swept(session: Testbench, pin: str, output: str) -> Array:
     """Sweep a command from far below the converters' range to far above it [_STEPS + 1].
 
     Where ngspice does not find the first point, which is far from rest, it goes from rest to either end, and

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from cosim.circuits.cache import load_arrays, store_arrays
-from cosim.circuits.extraction.testbench import Bench
+from cosim.circuits.extraction.testbench import Testbench
 from cosim.ngspice.deck import Deck
 from cosim.types import Array, Complex
 
@@ -57,7 +57,7 @@ class MotorResponse:
 
 def measure(payload: Mapping[str, Any], report: Callable[[dict[str, Any]], None]) -> MotorResponse:
     """Measure a board in ngspice's child process; payload: 'board'."""
-    bench = Bench(payload["board"], multipliers=False)
+    bench = Testbench(payload["board"], multipliers=False)
     n = bench.joints
     motors, pots = [f"imot{i}" for i in range(1, n + 1)], [f"pot{j}" for j in range(1, n + 1)]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.circuits.extraction.multipliers import LOW_HZ
-from cosim.circuits.extraction.testbench import Bench
+from cosim.circuits.extraction.testbench import Testbench
 from cosim.ngspice.deck import Deck
 from cosim.types import Array, Complex
 
@@ -58,7 +58,7 @@ class Paths:
         return out
 
 
-class Session(Bench):
+class Session(Testbench):
     """A board whose paths are measured.
 
     Attributes

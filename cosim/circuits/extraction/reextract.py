@@ -109,9 +109,13 @@ class Reextraction:
                 return self._other_deck(values)
             self._put(values)
             if not self._session.multipliers:
-                return _told(extracted(self._session, self._asked), "the multipliers have no probes")
+                return _extracted_anew(
+                    extracted(self._session, self._asked), "the multipliers have no probes"
+                )
             if self.circuit.e_pre.any():
-                return _told(extracted(self._session, self._asked), "a pure differentiator has no poles")
+                return _extracted_anew(
+                    extracted(self._session, self._asked), "a pure differentiator has no poles"
+                )
             return self._quickly()
         except BaseException:
             self._stale = True
@@ -126,7 +130,7 @@ class Reextraction:
             refitted = fitted(paths, self._batches, 2.0 * np.pi * asked.band_hz, share)
         except Unfit as reason:
             measured = session.measure(SWEEP)
-            circuit = _told(extracted(session, asked, measured), str(reason))
+            circuit = _extracted_anew(extracted(session, asked, measured), str(reason))
             self._learn(measured)
             return circuit
         self._batches = refitted.batches
@@ -146,7 +150,7 @@ class Reextraction:
     def _other_deck(self, values: Mapping[str, float]) -> LinearCircuit:
         self._stale = True
         deck = altered(self._board, {name: repr(float(value)) for name, value in values.items()})
-        return _told(
+        return _extracted_anew(
             extracted(Session(deck), self._asked), "a value is none of an element or a parameter at the top"
         )
 
@@ -210,7 +214,7 @@ class Reextraction:
         return certificate
 
 
-def _told(circuit: LinearCircuit, reason: str) -> LinearCircuit:
+def _extracted_anew(circuit: LinearCircuit, reason: str) -> LinearCircuit:
     return replace(circuit, certificate=circuit.certificate | {"extracted_anew": reason})
 
 

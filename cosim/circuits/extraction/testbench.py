@@ -6,25 +6,25 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cosim.circuits.decks import Drive, testbench
+from cosim.circuits.decks import Drive
+from cosim.circuits.driven_board import DrivenBoard
 from cosim.circuits.extraction.multipliers import Multiplier, find_multipliers
 from cosim.circuits.extraction.noise_analysis import by_element
 from cosim.circuits.extraction.probes import find_probes
 from cosim.circuits.linear_circuit import channel_names
-from cosim.circuits.operating_point import AtRest
 from cosim.errors import NoOperatingPoint
 from cosim.ngspice.deck import Deck
 from cosim.ngspice.simulator import Simulator
 from cosim.types import Array, Complex
 
-__all__ = ["Bench"]
+__all__ = ["Testbench"]
 
 
 #: Nodes named in one command: ngspice cuts off what is longer than 512 characters.
 _A_LINE = 8
 
 
-class Bench:
+class Testbench(DrivenBoard):
     """A board in ngspice with a plain source at every pin.
 
     Parameters
@@ -42,39 +42,26 @@ class Bench:
         Full scale of the gain pins [V].
     multipliers
         In the order of `channel_names`; empty where a gain pin has no multiplier with probes.
-    mute
-        Elements of whose noise ngspice has no number, as far as `noise` has met them.
     """
 
     def __init__(self, board: Deck, extra: Sequence[str] = (), *, multipliers: bool = True) -> None:
-        self.board, self.joints = board, board.joints
-        joints = range(1, self.joints + 1)
-        self.channels = channel_names(self.joints)
+        joints = range(1, board.joints + 1)
+        self.channels = channel_names(board.joints)
         self.signals = [f"{kind}{j}" for kind in ("pot", "u") for j in joints]
         self.commands = [f"{kind}{j}" for kind in ("cmd", "vel") for j in joints]
         drive = Drive(
-            self.joints, True, (*(f"u{j}" for j in joints), *self.channels, *(f"cmd{j}" for j in joints))
+            board.joints, True, (*(f"u{j}" for j in joints), *self.channels, *(f"cmd{j}" for j in joints))
         )
-        pins = drive.sources()
-        self._source = {pin: f"v{k:02d}" for k, pin in enumerate(pins)}
         self._outputs = [f"imot{i}" for i in joints]
-        rows = [
-            "cosim extraction",
-            *(line.text for line in board.lines[1:]),
-            *testbench(board, drive, dict.fromkeys(pins, "dc 0 ac 0")),
-            *extra,
-            ".save " + " ".join(f"v({node})" for node in self._outputs),
-        ]
-        self.mute: set[str] = set()
         self._saved: tuple[str, ...] = ()
-        self._held: dict[str, float] = {}
         self._hz: dict[str, Array] = {}
-        self.simulator = Simulator()
-        self._rest = AtRest(
-            self.simulator,
-            lambda more: self.simulator.load(
-                "\n".join([*rows, *more, ".end\n"]), lines=board.lines, name=str(board.path)
-            ),
+        super().__init__(
+            Simulator(),
+            board,
+            drive,
+            ["cosim extraction", *(line.text for line in board.lines[1:])],
+            board.lines,
+            [*extra, ".save " + " ".join(f"v({node})" for node in self._outputs)],
         )
         self.v_fs = self.simulator.constant("v_fs")
         self._probes = find_probes(board)
@@ -87,13 +74,6 @@ class Bench:
     def aid(self) -> str:
         """What helps ngspice to an operating point, in words; empty where nothing is needed."""
         return self._rest.aid
-
-    def hold(self, pins: Mapping[str, float]) -> None:
-        """Set the DC voltage of some pins or probes [V]."""
-        for pin, volts in pins.items():
-            if self._held.get(pin, 0.0) != volts:
-                self._rest.alter(f"{self._source.get(pin, pin)} dc", volts)
-                self._held[pin] = volts
 
     def alter(self, elements: Mapping[str, float]) -> None:
         """Give elements other values, by ngspice's names; a later `parameters` takes them back."""
@@ -126,10 +106,7 @@ class Bench:
         The shape is [F, len(nodes)].
         """
         driven = {source: 1.0} if isinstance(source, str) else source
-        names = {self._source.get(pin, pin): volts for pin, volts in driven.items()}
-        for name, volts in names.items():
-            self._rest.alter(f"@{name}[acmag]", volts)
-        try:
+        with self._excited(driven):
             self._analyse(f"ac {sweep}", nodes)
             if sweep not in self._hz:
                 self._hz[sweep] = np.real(self.simulator.vector("frequency")).astype(float)
@@ -137,9 +114,6 @@ class Bench:
             response: Complex = np.zeros((len(self.hz), len(nodes)), np.complex128)
             alive = [k for k, node in enumerate(nodes) if node != "0"]
             response[:, alive] = self.simulator.vectors([nodes[k] for k in alive])
-        finally:
-            for name in names:
-                self._rest.alter(f"@{name}[acmag]", 0.0)
         self.simulator.command("destroy")
         return response
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from cosim.circuits.decks import SUPPLY_V
-from cosim.circuits.extraction.testbench import Bench
+from cosim.circuits.extraction.testbench import Testbench
 from cosim.circuits.fitting.aaa import poles_of
 from cosim.circuits.instability.encirclements import HELD_OHM, Impedances, alike, count, measure
 from cosim.circuits.instability.loop_ports import Port, loop_ports
@@ -62,7 +62,7 @@ def judge(payload: Mapping[str, Any], report: Report) -> Verdict:
 
 def at_rest(payload: Mapping[str, Any], report: Report) -> list[float]:
     """Return the voltages [V] of 'nodes' at the operating point of 'board' with 'pins' held, in the child."""
-    bench = Bench(payload["board"], multipliers=False)
+    bench = Testbench(payload["board"], multipliers=False)
     bench.hold(payload["pins"])
     return [float(volts) for volts in bench.operating_point(payload["nodes"])]
 
@@ -73,17 +73,17 @@ class _Court:
     def __init__(self, board: Deck, report: Report) -> None:
         self.board, self.report = board, report
         self.ports = loop_ports(board)
-        self._bench: Bench | None = None
+        self._bench: Testbench | None = None
         held = self._held() if self.ports else []
         if held:
             self.ports, self._bench = loop_ports(board, held), None
 
     @property
-    def bench(self) -> Bench:
+    def bench(self) -> Testbench:
         """The bench, loaded anew after a transient has had the simulator."""
         if self._bench is None:
             lines = [f"{_source(k)} 0 {port.node} dc 0 ac 0" for k, port in enumerate(self.ports)]
-            self._bench = Bench(self.board, lines, multipliers=False)
+            self._bench = Testbench(self.board, lines, multipliers=False)
         return self._bench
 
     def verdict(self, commanded: Mapping[str, float]) -> Verdict:
@@ -184,7 +184,7 @@ class _Court:
             f"ikick 0 {port.node} dc 0 pulse(0 {amps!r} 0 {step!r} {step!r} {step!r})",
             ".options method=trap reltol=1e-6 vntol=1e-12 abstol=1e-15 chgtol=1e-20 trtol=1",
         ]
-        bench, self._bench = Bench(self.board, lines, multipliers=False), None
+        bench, self._bench = Testbench(self.board, lines, multipliers=False), None
         bench.hold(volts)
         try:
             t, v = bench.transient(step, length, port.node)

@@ -17,8 +17,8 @@ from numba import from_dtype, njit
 
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.loop.linear.matrix_phi import phi_functions
-from cosim.loop.linear.step_bench import Bench
 from cosim.loop.linear.step_maps import NODES, WEIGHTS, Ints, Matrix, Plan, Vector
+from cosim.loop.linear.step_memory import StepMemory
 from cosim.loop.numba_calls import call_plain, kind_of
 from cosim.loop.pin_voltages import grid_noise, volts
 from cosim.loop.state import STATE, Fault
@@ -66,8 +66,8 @@ class Exact(NamedTuple):
 
 
 #: Types by which compiled code knows the memory of a run.
-STATE_KIND, PLAN_KIND, BENCH_KIND, EXACT_KIND = (
-    from_dtype(STATE), kind_of(Plan), kind_of(Bench), kind_of(Exact)
+STATE_KIND, PLAN_KIND, STEP_KIND, EXACT_KIND = (
+    from_dtype(STATE), kind_of(Plan), kind_of(StepMemory), kind_of(Exact)
 )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from numba import carray, njit
 
 from cosim.loop.equations_of_motion import evaluate
 from cosim.loop.events import next_event, process_events
-from cosim.loop.linear.exact_slider import BENCH_KIND, EXACT_KIND, PLAN_KIND, STATE_KIND, land, leap, rests
+from cosim.loop.linear.exact_slider import EXACT_KIND, PLAN_KIND, STATE_KIND, STEP_KIND, land, leap, rests
 from cosim.loop.linear.gauss_step import near, present
 from cosim.loop.linear.recording import check, moved, record, row
 from cosim.loop.numba_calls import lent, record_at
@@ -52,7 +52,7 @@ def _right_hand(s: Record, k: Any, b: Any, wanted: bool) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def leaps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
+def leaps(state: int, plan: int, step: int, exact: int, first: float) -> bool:
     """Go on while each step is one matrix; whether the run is over, by its end or a fault.
 
     Otherwise the scene stops being linear at the accepted point, or a motor comes near its limit: collocation
@@ -60,7 +60,7 @@ def leaps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
     behind a jump of the DACs, 0 for none.
     """
     s = carray(record_at(state, STATE_KIND), 1)[0]
-    k, b, x = lent(plan, PLAN_KIND), lent(bench, BENCH_KIND), lent(exact, EXACT_KIND)
+    k, b, x = lent(plan, PLAN_KIND), lent(step, STEP_KIND), lent(exact, EXACT_KIND)
     wanted = s.rows_capacity > 0
     if s.points == 0:
         _right_hand(s, k, b, wanted)

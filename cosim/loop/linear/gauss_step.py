@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from cosim.loop.linear.step_bench import Bench
 from cosim.loop.linear.step_maps import (
     ANGLE,
     COEFFICIENTS,
@@ -26,6 +25,7 @@ from cosim.loop.linear.step_maps import (
     currents,
     finish,
 )
+from cosim.loop.linear.step_memory import StepMemory
 from cosim.loop.pin_voltages import component, grid_noise, position_noise, volts
 from cosim.types import Record
 from mech.compiled import inner, inner_inlined
@@ -54,7 +54,7 @@ _FIVE = np.linalg.inv(np.vander(np.array([0.0, *NODES, 1.0]), 5, increasing=True
 
 
 @inner_inlined
-def _fixed(s: Record, k: Any, b: Bench, t: float, h: float) -> None:
+def _fixed(s: Record, k: Any, b: StepMemory, t: float, h: float) -> None:
     """Features and gains that do not change between the sweeps."""
     n = s.n
     f = b.features
@@ -91,7 +91,7 @@ def _fixed(s: Record, k: Any, b: Bench, t: float, h: float) -> None:
 
 
 @inner
-def _bend(s: Record, k: Any, b: Bench, t: float, h: float) -> None:
+def _bend(s: Record, k: Any, b: StepMemory, t: float, h: float) -> None:
     """Coefficients of the angles as potentiometers see them whose error belongs to the angle."""
     for j in range(s.n):
         c0 = c1 = c2 = 0.0
@@ -112,7 +112,7 @@ def _bend(s: Record, k: Any, b: Bench, t: float, h: float) -> None:
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def _move(s: Record, k: Any, b: Bench, t: float, h: float) -> None:
+def _move(s: Record, k: Any, b: StepMemory, t: float, h: float) -> None:
     """Hand over what has changed since the last sweep."""
     for j in range(s.coordinates):
         for i in range(3):
@@ -122,7 +122,7 @@ def _move(s: Record, k: Any, b: Bench, t: float, h: float) -> None:
 
 
 @inner_inlined
-def guess(s: Record, b: Bench, h: float) -> None:
+def guess(s: Record, b: StepMemory, h: float) -> None:
     """Guess the accelerations at the nodes: the last step's parabola, or its end where that is of no use.
 
     Of no use it is behind a jump, and far beyond the step that it was made for.
@@ -137,7 +137,7 @@ def guess(s: Record, b: Bench, h: float) -> None:
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def _sweep(s: Record, k: Any, b: Bench, t: float, h: float, weight: float) -> float:
+def _sweep(s: Record, k: Any, b: StepMemory, t: float, h: float, weight: float) -> float:
     """Find the accelerations at the nodes anew; return by how much they have moved the angles [rad]."""
     n, m, motor = s.n, s.coordinates, s.motor
     _move(s, k, b, t, h)
@@ -184,7 +184,7 @@ def _sweep(s: Record, k: Any, b: Bench, t: float, h: float, weight: float) -> fl
 
 
 @inner_inlined
-def _state_at_end(s: Record, b: Bench, h: float) -> None:
+def _state_at_end(s: Record, b: StepMemory, h: float) -> None:
     """Fill `s.q_trial` and `s.v_trial` at the end of the step from the accelerations at the nodes."""
     for j in range(s.coordinates):
         once = twice = 0.0
@@ -196,7 +196,7 @@ def _state_at_end(s: Record, b: Bench, h: float) -> None:
 
 
 @inner_inlined
-def _error_at_end(s: Record, k: Any, b: Bench, slot: int, t: float, h: float) -> float:
+def _error_at_end(s: Record, k: Any, b: StepMemory, slot: int, t: float, h: float) -> float:
     """Finish the step at its end; return the error [rad] of its angles."""
     n, m, motor = s.n, s.coordinates, s.motor
     _move(s, k, b, t, h)
@@ -240,7 +240,7 @@ def _error_at_end(s: Record, k: Any, b: Bench, slot: int, t: float, h: float) ->
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def attempt(s: Record, k: Any, b: Bench, slot: int, t: float, h: float, tol: float) -> float:
+def attempt(s: Record, k: Any, b: StepMemory, slot: int, t: float, h: float, tol: float) -> float:
     """Try a step of length `h` [s] from the accepted point at `t`; return its error [rad].
 
     The error of the angles within the step is that of the cubic term of the accelerations, found as the
@@ -282,7 +282,7 @@ def near(k: Any, joint: int, current: float) -> bool:
 
 
 @inner_inlined
-def clamped(k: Any, b: Bench, joint: int, current: float) -> float:
+def clamped(k: Any, b: StepMemory, joint: int, current: float) -> float:
     """Motor current [A] that flows: the driver's limit while the motor is at it."""
     side = b.clamp[joint]
     if side == 0.0:
@@ -291,7 +291,7 @@ def clamped(k: Any, b: Bench, joint: int, current: float) -> float:
 
 
 @inner
-def _keep_rounding(s: Record, b: Bench, h: float) -> None:
+def _keep_rounding(s: Record, b: StepMemory, h: float) -> None:
     """Add the steps of the angles with what rounding has left out of them so far (Knuth's two-sum)."""
     for j in range(s.coordinates):
         twice = 0.0
@@ -305,7 +305,7 @@ def _keep_rounding(s: Record, b: Bench, h: float) -> None:
 
 
 @inner_inlined
-def accept(s: Record, k: Any, b: Bench, t: float, h: float) -> None:
+def accept(s: Record, k: Any, b: StepMemory, t: float, h: float) -> None:
     """Make the step on trial, of length `h` [s], the present point at `t` [s]."""
     n = s.n
     for j in range(n):
@@ -331,7 +331,7 @@ def accept(s: Record, k: Any, b: Bench, t: float, h: float) -> None:
 
 
 @inner
-def present(s: Record, k: Any, b: Bench) -> None:
+def present(s: Record, k: Any, b: StepMemory) -> None:
     """Fill `b.current` [A] with the right-hand limit of the motor currents at the accepted point."""
     n, m = s.n, 2 * s.n * s.n
     for o in range(n):

@@ -56,7 +56,7 @@ def held_run(scene: Scene, constants: DesignConstants, circuit: LinearCircuit) -
     names = columns(packed.memory.drive, (), shafts=scene.effects.shaft)
     layout = Layout(tuple(names), packed.memory.drive, constants, packed.memory.state[0]["p"])
     table = np.frombuffer(rows.getbuffer()).reshape(-1, len(names))
-    signals, ledger = held_signals(table, layout, packed.bench.total)
+    signals, ledger = held_signals(table, layout, packed.step.total)
     sampled = sample_columns(circuit.joints)
     each = np.ascontiguousarray(np.frombuffer(samples.getbuffer()).reshape(-1, len(sampled)).T)
     return HeldRun(signals, dict(zip(sampled, each, strict=True)), ledger)

@@ -21,16 +21,16 @@ from cosim.loop.dac_channels import channels, drive
 from cosim.loop.linear import stepper
 from cosim.loop.linear.exact_slider import Exact, exact
 from cosim.loop.linear.offset_state import shifted
-from cosim.loop.linear.step_bench import Bench, bench
 from cosim.loop.linear.step_layout import plan
 from cosim.loop.linear.step_maps import Plan
+from cosim.loop.linear.step_memory import StepMemory, step_memory
 from cosim.loop.pin_voltages import pins
 from cosim.loop.recorder import ROWS, Recorder, statistics
 from cosim.loop.run_messages import RunAnswer, RunRequest
 from cosim.loop.setup import Memory, pack
 from cosim.loop.signals import Layout, write_signals
 from cosim.loop.state import Fault
-from cosim.loop.userclass import Said
+from cosim.loop.userclass import PrintCapture
 from cosim.loop.userlaw import UserLaw, load_law
 from cosim.results import RAW
 from cosim.scene import PythonOperator, Scene
@@ -71,7 +71,7 @@ class Propagation:
     memory : the record shared with the lockstep, its rows and samples
     circuit : what is simulated
     plan : maps of the circuit
-    bench : states of the circuit and scratch memory
+    step : states of the circuit and scratch memory
     exact, callback : memory of the exact path, and what makes its matrices; failures : of that
     first_s : longest step behind a jump; 0 for none
     tables : where compiled code finds all that
@@ -80,7 +80,7 @@ class Propagation:
     memory: Memory
     circuit: LinearCircuit
     plan: Plan
-    bench: Bench
+    step: StepMemory
     exact: Exact
     callback: Callable[[], None]
     failures: list[Exception]
@@ -94,7 +94,7 @@ class Propagation:
         """
         state = self.memory.state[0]
         events.begin(state)
-        self.bench.states[:] = rest(self.circuit, state, self.memory.component)
+        self.step.states[:] = rest(self.circuit, state, self.memory.component)
         stepper.run(self.tables, self.first_s)
         if self.failures:
             raise self.failures[0]
@@ -145,7 +145,7 @@ def prepare(
         shafts=scene.effects.shaft,
     )  # fmt: skip
     state["speeds"] = 0  # the pins vel are no part of a row
-    desk = bench(maps, np.zeros(maps.before + maps.after))
+    step = step_memory(maps, np.zeros(maps.before + maps.after))
     first = 0.0
     if record and dense:
         state["fresh"] = _SETTLED * _slowest(shifted_circuit.a_post)
@@ -156,8 +156,8 @@ def prepare(
     failures: list[Exception] = []
     linear = is_linear_between_events(scene)
     leaps, callback = exact(state, shifted_circuit, memory.knots, failures, linear=linear)
-    tables = stepper.Tables(memory.state, maps, desk, leaps)
-    return Propagation(memory, circuit, maps, desk, leaps, callback, failures, first, tables)
+    tables = stepper.Tables(memory.state, maps, step, leaps)
+    return Propagation(memory, circuit, maps, step, leaps, callback, failures, first, tables)
 
 
 def _slowest(a: NDArray[np.float64]) -> float:
@@ -219,7 +219,7 @@ def simulate(request: RunRequest, report: Report) -> RunAnswer:
     )
     component = component_grid(scene, board, report)
     folder = request.folder
-    said = Said()
+    said = PrintCapture()
     with said.listening():  # a user's operator is loaded here
         packed = prepare(scene, constants, circuit, record=True, component=component)
     packed.memory.operator.listen(said.listening)
@@ -242,7 +242,7 @@ def simulate(request: RunRequest, report: Report) -> RunAnswer:
         recorder.close()
     names = columns(packed.memory.drive, (), shafts=scene.effects.shaft)
     layout = Layout(tuple(names), packed.memory.drive, constants, state["p"])
-    ledger = write_signals(folder / ROWS, folder / RAW, layout, scene.title, packed.bench.total)
+    ledger = write_signals(folder / ROWS, folder / RAW, layout, scene.title, packed.step.total)
     (folder / ROWS).unlink()
     return RunAnswer(
         ledger=ledger,

@@ -1,4 +1,4 @@
-"""Our own time loop: the same events as in lockstep with ngspice, around a `LinearCircuit`.
+"""The linear model's time loop: the same events as in lockstep with ngspice, around a `LinearCircuit`.
 
 Between two events (samples, DACs, noise grid, knots of the operator) time is counted in binary fractions of
 the interval, so that a handful of step lengths serves a whole run and every event is met exactly. A step is
@@ -9,19 +9,19 @@ tolerance.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from numba import carray, njit
 
 from cosim.loop.equations_of_motion import evaluate
 from cosim.loop.events import process_events
 from cosim.loop.linear.contact_events import find, first_crossing, meet, strike
-from cosim.loop.linear.exact_slider import BENCH_KIND, EXACT_KIND, PLAN_KIND, STATE_KIND, Exact, rests
+from cosim.loop.linear.exact_slider import EXACT_KIND, PLAN_KIND, STATE_KIND, STEP_KIND, Exact, rests
 from cosim.loop.linear.exact_steps import leaps
 from cosim.loop.linear.gauss_step import accept, attempt, guess, near, present
 from cosim.loop.linear.recording import check, moved, record, row
-from cosim.loop.linear.step_bench import Bench
 from cosim.loop.linear.step_maps import Plan, slot_of
+from cosim.loop.linear.step_memory import StepMemory
 from cosim.loop.numba_calls import call_plain, lent, record_at, table
 from cosim.loop.pin_voltages import gains_ramp, ramp_step
 from cosim.loop.state import Fault
@@ -49,7 +49,7 @@ _WELL_BEHIND = 1e-9
 
 
 class Tables:
-    """Where compiled code finds a run: the state, and the tables of plan, bench and exact path.
+    """Where compiled code finds a run: the state, and the tables of plan, step and exact path.
 
     Attributes
     ----------
@@ -57,10 +57,43 @@ class Tables:
     linear : [1] whether the scene is linear between events
     """
 
-    def __init__(self, state: Any, plan: Plan, bench: Bench, exact: Exact) -> None:
-        self._alive = (state, plan, bench, exact, table(plan), table(bench), table(exact))
+    def __init__(self, state: Any, plan: Plan, step: StepMemory, exact: Exact) -> None:
+        self._alive = (state, plan, step, exact, table(plan), table(step), table(exact))
         self.linear = exact.on
         self.addresses = (state.ctypes.data, *(words.ctypes.data for words in self._alive[4:]))
+
+
+class _Interval(NamedTuple):
+    """Time between two events, cut into binary fractions.
+
+    Attributes
+    ----------
+    start, length : s
+    finest : level (steps of length / 2^level) at which an instant of friction or a stop counts as located
+    """
+
+    start: float
+    length: float
+    finest: int
+
+
+class _Trial(NamedTuple):
+    """A step that can be accepted, and what later steps keep to.
+
+    Attributes
+    ----------
+    level, h, error : the step is h = length / 2^level [s] long, its angles are wrong by `error` [rad]
+    watch : whether a motor is near its limit
+    wish : longest step [s] that errors have allowed so far
+    until : time [s] by which friction or a stop changes what it does; infinite for none in sight
+    """
+
+    level: int
+    h: float
+    error: float
+    watch: bool
+    wish: float
+    until: float
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
@@ -116,17 +149,31 @@ def _limit(s: Record, k: Any, b: Any) -> None:
         evaluate(s, s.t, s.q, s.v, s.a)
 
 
+@inner_inlined
+def _interval(s: Record) -> _Interval:
+    """Return the interval from the accepted point to the next event."""
+    length = s.t_event - s.t
+    finest = _FINEST
+    while finest > 0 and math.ldexp(length, -finest) < _RESOLUTION_S:
+        finest -= 1
+    return _Interval(s.t, length, finest)
+
+
 @njit(cache=True, error_model="numpy", forceinline=True)
-def _time(s: Record, t0: float, length: float, position: int) -> float:
-    return float(s.t_event) if position == _WHOLE else t0 + length * position / _WHOLE
+def _time(s: Record, interval: _Interval, position: int) -> float:
+    if position == _WHOLE:
+        return float(s.t_event)
+    return float(interval.start + interval.length * position / _WHOLE)
 
 
 @inner_inlined
-def _finest(length: float) -> int:
-    """Return the level at which an instant in an interval of `length` [s] counts as found."""
-    level = _FINEST
-    while level > 0 and math.ldexp(length, -level) < _RESOLUTION_S:
-        level -= 1
+def _level(interval: _Interval, position: int, longest: float) -> int:
+    """Return the level of the largest step that lies on the grid and is at most `longest` [s]."""
+    level = 0
+    while position & ((_WHOLE >> level) - 1) != 0 or math.ldexp(interval.length, -level) > longest * (
+        1 + 1e-9
+    ):
+        level += 1
     return level
 
 
@@ -145,16 +192,14 @@ def _longest(s: Record, wish: float, jump: float, first: float, watch: bool) -> 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _take(
-    s: Record, k: Any, b: Any, level: int, length: float, finest: int, watch: bool, wish: float, until: float
-) -> tuple[int, float, float, bool, float, float]:
-    """Try steps until one is good: shorter ones for its error, for a motor's limit, for friction and stops.
-
-    Return its level, length [s] and error [rad], and what `_steps` goes on with: `watch`, `wish`, `until`.
-    """
+    s: Record, k: Any, b: Any, interval: _Interval, level: int, watch: bool, wish: float, until: float
+) -> _Trial:
+    """Shorten a step until its error, the motors' limits, friction and stops let it be accepted."""
+    length = interval.length
     while True:
         if level > _LEVELS - 2:
             s.fault = _COLLAPSED
-            return level, 0.0, 0.0, watch, wish, until
+            return _Trial(level, 0.0, 0.0, watch, wish, until)
         h = math.ldexp(length, -level)
         error = attempt(s, k, b, slot_of(k, h), s.t, h, s.tol)
         if not error <= s.tol:
@@ -175,17 +220,17 @@ def _take(
             level += 1
             guess(s, b, math.ldexp(length, -level))
             continue
-        if s.w.located and level < finest:
+        if s.w.located and level < interval.finest:
             share = first_crossing(s, b, h)
             if share <= 1.0:
                 s.rejected += 1
                 until = s.t + share * h
                 level += 1
-                while level < finest and math.ldexp(length, -level) > share * h:
+                while level < interval.finest and math.ldexp(length, -level) > share * h:
                     level += 1
                 guess(s, b, math.ldexp(length, -level))
                 continue
-        return level, h, error, watch, wish, until
+        return _Trial(level, h, error, watch, wish, until)
 
 
 @inner_inlined
@@ -197,21 +242,64 @@ def _wish(s: Record, error: float, h: float, wish: float) -> float:
     return float(h * grow if grow < 1.0 else max(wish, h * grow))
 
 
+@inner_inlined
+def _pass_events(s: Record, k: Any, b: Any, first: float, watch: bool) -> bool:
+    """Process the events at the accepted point, with a row behind a jump of the DACs; whether they jumped."""
+    jumped = process_events(s, s.t)
+    if jumped:
+        s.history = 0
+    shown = jumped and first > 0.0 and s.ramping == 0
+    if watch or s.w.located or shown:
+        for j in range(s.n):
+            b.before[j] = s.tau[j]
+        _right_hand(s, k, b)
+        if shown and moved(s, b):
+            row(s)
+    if watch:
+        s.history = 0
+    return bool(jumped)
+
+
+@inner_inlined
+def _note_error(s: Record, error: float) -> None:
+    s.defect = error
+    s.defect_max = max(s.defect_max, error)
+    s.defect_sum += error
+
+
+@inner_inlined
+def _switch_limits(s: Record, k: Any, b: Any) -> None:
+    """Clamp motors that have reached their limit at the accepted point, and free those that have left it."""
+    for j in range(s.n):
+        if _side(k, j, b.current[j]) != b.clamp[j]:
+            _limit(s, k, b)
+            s.history = 0
+            break
+
+
+@inner_inlined
+def _switch_contacts(s: Record, k: Any, b: Any) -> bool:
+    """Change what friction, stops and flanks do at an instant that is located; whether anything did."""
+    if not strike(s, b):
+        return False
+    _limit(s, k, b)
+    s.history = 0
+    return True
+
+
 @njit(cache=True, error_model="numpy")
-def _steps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
+def _steps(state: int, plan: int, step: int, exact: int, first: float) -> bool:
     """Go on by collocation; whether the run is over. Otherwise all is linear from the event now due on."""
     s = carray(record_at(state, STATE_KIND), 1)[0]
-    k, b, x = lent(plan, PLAN_KIND), lent(bench, BENCH_KIND), lent(exact, EXACT_KIND)
+    k, b, x = lent(plan, PLAN_KIND), lent(step, STEP_KIND), lent(exact, EXACT_KIND)
     if s.points == 0 and s.w.located:
         meet(s)
     _right_hand(s, k, b)
     s.history = 0
     if s.points == 0:
         record(s)
-    t0, length, position = s.t, s.t_event - s.t, 0
-    whole = _WHOLE
-    finest, until = _finest(length), _NEVER
-    wish, jump = s.h_max, -_NEVER
+    interval, position = _interval(s), 0
+    wish, jump, until = s.h_max, -_NEVER, _NEVER
     watch = behind = bool(0)  # as literals they would have `_take` and `_longest` compiled twice
     while s.fault == 0:
         if s.t_event <= s.t + s.delta_min:
@@ -219,58 +307,35 @@ def _steps(state: int, plan: int, bench: int, exact: int, first: float) -> bool:
                 return True
             if behind and not watch and rests(x, s.t + _WELL_BEHIND * s.c.period):
                 return False
-            jumped = process_events(s, s.t)
-            if jumped:
-                s.history = 0
-                if first > 0.0:
-                    wish, jump = min(wish, first), s.t
-            shown = jumped and first > 0.0 and s.ramping == 0
-            if watch or s.w.located or shown:
-                for j in range(s.n):
-                    b.before[j] = s.tau[j]
-                _right_hand(s, k, b)
-                if shown and moved(s, b):
-                    row(s)
-            if watch:
-                s.history = 0
-            t0, length, position = s.t, s.t_event - s.t, 0
-            finest, until = _finest(length), _NEVER
+            if _pass_events(s, k, b, first, watch) and first > 0.0:
+                wish, jump = min(wish, first), s.t
+            interval, position = _interval(s), 0
+            until = _NEVER
             behind = True
         longest = _longest(s, wish, jump, first, watch)
-        if until - s.t > math.ldexp(length, -finest):
+        if until - s.t > math.ldexp(interval.length, -interval.finest):
             longest = min(longest, until - s.t)
         else:
             until = _NEVER
-        level = 0
-        while position & ((whole >> level) - 1) != 0 or math.ldexp(length, -level) > longest * (1 + 1e-9):
-            level += 1
-        h = math.ldexp(length, -level)
-        guess(s, b, h)
-        level, h, error, watch, wish, until = _take(s, k, b, level, length, finest, watch, wish, until)
+        level = _level(interval, position, longest)
+        guess(s, b, math.ldexp(interval.length, -level))
+        trial = _take(s, k, b, interval, level, watch, wish, until)
         if s.fault != 0:
             break
-        position += whole >> level
-        accept(s, k, b, _time(s, t0, length, position), h)
-        s.defect = error
-        s.defect_max = max(s.defect_max, error)
-        s.defect_sum += error
-        shown = h > _ROW_SHARE * s.c.period or h > _CUT_SHORT * min(wish, s.h_max)
-        wish = _wish(s, error, h, wish)
+        position += _WHOLE >> trial.level
+        accept(s, k, b, _time(s, interval, position), trial.h)
+        _note_error(s, trial.error)
+        shown = trial.h > _ROW_SHARE * s.c.period or trial.h > _CUT_SHORT * min(trial.wish, s.h_max)
+        wish = _wish(s, trial.error, trial.h, trial.wish)
+        watch, until = trial.watch, trial.until
         check(s)
         if watch:
             watch = _watched(s, k, b)
-            for j in range(s.n):
-                if _side(k, j, b.current[j]) != b.clamp[j]:
-                    _limit(s, k, b)
-                    s.history = 0
-                    break
+            _switch_limits(s, k, b)
         struck = False
-        if s.w.located and level >= finest and strike(s, b):
-            struck = True
-            _limit(s, k, b)
-            s.history = 0
-            until = _NEVER
-        if struck or position == whole or shown:
+        if s.w.located and trial.level >= interval.finest and _switch_contacts(s, k, b):
+            struck, until = True, _NEVER
+        if struck or position == _WHOLE or shown:
             record(s)
         else:
             s.points += 1

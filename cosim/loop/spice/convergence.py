@@ -127,7 +127,7 @@ def aided(asked: Tolerances, attempt: Callable[[Aid], Result]) -> Result:
             tried = aid.words
             continue
         if first is not None:
-            warn(_told(first, aid, asked))
+            warn(_caution(first, aid, asked))
         return result
     assert first is not None
     if crawling is None:
@@ -135,11 +135,11 @@ def aided(asked: Tolerances, attempt: Callable[[Aid], Result]) -> Result:
         raise _in_vain(first, tried)
     result = attempt(replace(crawling, patient=True))  # nothing helps, but it gets on
     if crawling.words:
-        warn(_told(first, crawling, asked))
+        warn(_caution(first, crawling, asked))
     return result
 
 
-def _told(error: InputError | SimulationError, aid: Aid, asked: Tolerances) -> Caution:
+def _caution(error: InputError | SimulationError, aid: Aid, asked: Tolerances) -> Caution:
     reason = error.message if isinstance(error, SimulationError) else error.problems[0].message
     return Caution(
         "convergence-aided",

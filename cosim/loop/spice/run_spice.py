@@ -28,7 +28,7 @@ from cosim.loop.setup import Memory, pack
 from cosim.loop.signals import Layout, write_signals
 from cosim.loop.spice import coupling, watch
 from cosim.loop.spice.convergence import Aid, aided, bound_work, plain_start
-from cosim.loop.userclass import Said
+from cosim.loop.userclass import PrintCapture
 from cosim.loop.userlaw import UserLaw, load_law
 from cosim.measures import AT_LIMIT
 from cosim.ngspice.deck import Deck
@@ -102,7 +102,7 @@ def _simulate(request: RunRequest, report: Report, aid: Aid) -> RunAnswer:
     simulator.load(text, lines=board.lines, name=str(board.path))
     if component is not None:
         component = _called(component, simulator)
-    printed = Said()
+    printed = PrintCapture()
     memory = _packed(
         printed, scene, constants, circuit, recorded, nodes[len(recorded) :], component=component
     )
@@ -204,7 +204,7 @@ def _called(component: ComponentGrid, simulator: Simulator) -> ComponentGrid:
 
 
 def _own_law(
-    scene: Scene, constants: DesignConstants, state: np.void, recorder: Recorder, printed: Said
+    scene: Scene, constants: DesignConstants, state: np.void, recorder: Recorder, printed: PrintCapture
 ) -> UserLaw | None:
     """Return the control law of the user's own, if the scene names one."""
     where = scene.computer.law
@@ -242,7 +242,7 @@ def _signals(
     return ledger
 
 
-def _packed(printed: Said, *scene: Any, **more: Any) -> Memory:
+def _packed(printed: PrintCapture, *scene: Any, **more: Any) -> Memory:
     """Return what `pack` makes; what a user's operator prints, then and later, goes to `printed`."""
     with printed.listening():
         memory = pack(*scene, **more)

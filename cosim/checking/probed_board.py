@@ -1,4 +1,4 @@
-"""The board on a bench inside ngspice: every pin has a source, every amplifier a probe."""
+"""A board in ngspice: every pin has a source, every amplifier a probe."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.checking.loop_probes import Probe, insert_probes
-from cosim.circuits.decks import Drive, testbench
+from cosim.circuits.decks import Drive
 from cosim.circuits.design_constants import DesignConstants
+from cosim.circuits.driven_board import DrivenBoard
 from cosim.circuits.extraction.noise_analysis import by_element, silence
-from cosim.circuits.operating_point import AtRest
 from cosim.errors import InputError
 from cosim.ngspice.deck import Deck, board_pins
 from cosim.ngspice.simulator import Simulator
@@ -41,8 +41,8 @@ class Heard:
     gain: float | None
 
 
-class Bench:
-    """One board, loaded; `simulator` may belong to another bench before and after.
+class ProbedBoard(DrivenBoard):
+    """One board with a probe at every amplifier; `simulator` may hold another board before and after.
 
     Parameters
     ----------
@@ -53,25 +53,13 @@ class Bench:
     """
 
     def __init__(self, simulator: Simulator, board: Deck) -> None:
-        self.simulator, self.board, self.joints = simulator, board, board.joints
         lines, self.probes = insert_probes(board)
         inputs = [pin for pin in board_pins(board.joints) if pin not in ("vcc", "vee")]
         channels = tuple(p for p in inputs if not p.startswith(("pot", "vel", "imot")))
-        drive = Drive(board.joints, True, channels)
-        self._source = {pin: f"v{k:02d}" for k, pin in enumerate(drive.sources())}
         self.outputs = tuple(f"imot{i}" for i in range(1, board.joints + 1))
         self.nodes = tuple(dict.fromkeys(a.out_node for a in board.amplifiers))
-        rows = [line.text for line in lines]
-        rows += testbench(board, drive, dict.fromkeys(drive.sources(), "dc 0 ac 0"))
-        self._rest = AtRest(
-            simulator,
-            lambda more: simulator.load(
-                "\n".join([*rows, *more, ".end\n"]), lines=lines, name=str(board.path)
-            ),
-        )
-        self._held: dict[str, float] = {}
-        #: Elements of whose noise ngspice has no number, as far as `noise` has met them.
-        self.mute: set[str] = set()
+        drive = Drive(board.joints, True, channels)
+        super().__init__(simulator, board, drive, [line.text for line in lines], lines)
 
     def constants(self) -> DesignConstants:
         """Return what the board states; `InputError` names what is missing."""
@@ -86,13 +74,9 @@ class Bench:
         except InputError:
             return None
 
-    def hold(self, volts: Mapping[str, float]) -> None:
-        """Put these pins at these volts and all others at zero."""
-        for pin in sorted({*self._held, *volts}):
-            value = volts.get(pin, 0.0)
-            if value != self._held.get(pin, 0.0):
-                self._rest.alter(f"{self._source[pin]} dc", value)
-        self._held = {pin: value for pin, value in volts.items() if value != 0.0}
+    def hold_only(self, pins: Mapping[str, float]) -> None:
+        """Set these pins to these DC voltages [V] and all others to zero."""
+        self.hold({pin: pins.get(pin, 0.0) for pin in sorted({*self._held, *pins})})
 
     def operating_point(self) -> dict[str, float]:
         """Return the volts (and amperes at 1 V/A) of motors and amplifiers with the pins as held."""
@@ -109,7 +93,7 @@ class Bench:
         sweep
             As ngspice's ``ac`` takes it: ``dec 10 1 1e8``.
         """
-        return self._excited(self._source[pin], sweep, (*self.outputs, *self.nodes))
+        return self._swept(pin, sweep, (*self.outputs, *self.nodes))
 
     def loop_gain(self, probe: Probe, sweep: str) -> tuple[Real, Complex]:
         """Return frequencies [Hz] and the return ratio T of the loop at a probe; 1 + T = 0 is unstable.
@@ -120,8 +104,8 @@ class Bench:
         """
         branch = f"{probe.series}#branch"
         names = (probe.node, branch)
-        by_volt = self._excited(probe.series, sweep, names)
-        by_ampere = self._excited(probe.shunt, sweep, names)
+        by_volt = self._swept(probe.series, sweep, names)
+        by_ampere = self._swept(probe.shunt, sweep, names)
         v1, i1 = by_volt[probe.node], by_volt[branch]
         v2, i2 = by_ampere[probe.node], by_ampere[branch]
         share = i2 - v1 + 2.0 * (v1 * i2 - i1 * v2)  # (Yaa + Ybb)/(Yaa + Yab + Yba + Ybb)
@@ -149,12 +133,9 @@ class Bench:
         elements = {name.partition(".")[2] or name: float(rms[0]) for name, rms in totals.items()}
         return Heard(math.sqrt(sum(rms**2 for rms in elements.values())), elements, gain)
 
-    def _excited(self, source: str, sweep: str, names: tuple[str, ...]) -> dict[str, Complex]:
-        self._rest.alter(f"@{source}[acmag]", 1.0)
-        try:
+    def _swept(self, source: str, sweep: str, names: tuple[str, ...]) -> dict[str, Complex]:
+        with self._excited({source: 1.0}):
             self._run(f"ac {sweep}")
-        finally:
-            self._rest.alter(f"@{source}[acmag]", 0.0)
         return {
             name: np.asarray(self.simulator.vector(name), np.complex128) for name in ("frequency", *names)
         }

@@ -11,7 +11,7 @@ from cosim.types import Array
 from mech.records import NMAX
 
 
-class Bench(NamedTuple):
+class StepMemory(NamedTuple):
     """State of the circuit and scratch memory of a step.
 
     Attributes
@@ -57,10 +57,10 @@ class Bench(NamedTuple):
     before: Vector
 
 
-def bench(k: Plan, states: Array) -> Bench:
+def step_memory(k: Plan, states: Array) -> StepMemory:
     """Return scratch memory for a circuit whose states start at `states`."""
     n = k.n
-    return Bench(
+    return StepMemory(
         states=states, features=np.zeros(k.features), results=np.zeros(k.results),
         gains=np.zeros(len(k.gain)), nodes=np.zeros(3 * n), matrix=np.zeros((3 * n, k.moving)),
         moved=np.zeros(k.moving), a=np.zeros((3, NMAX)), new=np.zeros((3, NMAX)), a_new=np.zeros(NMAX),
