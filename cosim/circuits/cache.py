@@ -1,7 +1,7 @@
 """Extracted models on disk, by the content of the deck they came from.
 
 The name of a file is the hash of all that the model depends on, so nothing is ever out of date; files are
-written whole or not at all, and one that cannot be read is as good as none.
+written atomically, and one that cannot be read is ignored.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def folder() -> Path:
 
 
 def load(asked: Asked) -> tuple[LinearCircuit | None, str]:
-    """Return the model, if it is there, and a word on a file that was of no use."""
+    """Return the model, if it is cached, and the reason why a file was not usable."""
     path = folder() / f"{asked.digest}.npz"
     try:
         raw = path.read_bytes()
@@ -77,7 +77,7 @@ def load(asked: Asked) -> tuple[LinearCircuit | None, str]:
 
 
 def load_arrays(name: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]] | None:
-    """Return what `store_arrays` has kept, or nothing where it is not there or of no use."""
+    """Return what `store_arrays` has written; None where it is missing or not readable."""
     try:
         with np.load(io.BytesIO((folder() / f"{name}.npz").read_bytes()), allow_pickle=False) as stored:
             arrays = {key: stored[key] for key in stored.files if key != "about"}
@@ -98,7 +98,7 @@ def store(asked: Asked, circuit: LinearCircuit) -> None:
 
 
 def store_arrays(name: str, about: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Keep arrays and what is to be said of them under a digest; where nothing can be written, nothing is."""
+    """Write arrays and their description under a digest; a folder that cannot be written is no error."""
     packed = io.BytesIO()
     np.savez(packed, about=np.array(json.dumps(about)), **arrays)  # type: ignore[arg-type]
     target = folder() / f"{name}.npz"

@@ -12,7 +12,7 @@ import numpy as np
 from cosim.errors import InputError, Problem
 from cosim.types import Array
 
-#: Numbers beyond are none of any board's: what is computed from them would leave the range of a double.
+#: No board has constants beyond these: results computed from them would overflow a double.
 LEAST, MOST = 1e-30, 1e30
 #: Resolution of a DAC, as a scene may state it as well.
 MOST_BITS = 32

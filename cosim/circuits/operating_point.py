@@ -50,8 +50,8 @@ class AtRest:
     def analyse(self, command: str, ready: Callable[[], object] = lambda: None) -> None:
         """Run an analysis.
 
-        ngspice begins with the last solution it has come to. Where it gets lost from there, or got lost
-        before, it begins again from zero, which is to read the deck again; then with `STEPPING`, which stays.
+        ngspice starts from its last solution. If it does not converge from there, it starts again
+        from zero, which takes a new reading of the deck; then with `STEPPING`, which stays on.
 
         Parameters
         ----------

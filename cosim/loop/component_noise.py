@@ -1,7 +1,7 @@
-"""Component noise in time: one random stream a device, shaped by its spectrum, the same in every model.
+"""Component noise in time: one random stream per device, shaped by its spectrum, the same in every model.
 
 The measured transfers (`noise_contributions.py`) are applied to white streams by FFT, so that what two motors
-share of a device is correlated as it is in the circuit. The result stands at two places: in series with X of
+share of a device is correlated as it is in the circuit. The result enters at two places: in series with X of
 the multipliers, from where it passes through them at whatever gains the computer sets, and at the pins cmd,
 where the noise of all that comes behind (multipliers' outputs, summer, driver, motor) is referred to, so that
 it passes summer, driver and current limit like a command.
@@ -33,7 +33,7 @@ __all__ = ["ComponentGrid", "component_grid", "realise", "references"]
 
 #: Further length of the streams [s]: the FFT joins end and start, and no memory of the circuit is longer.
 _APART_S = 1.0
-#: A pin cmd that moves its motor less than this share of what it does at the lowest frequency is no pin.
+#: The pins cmd do not move all motors where the determinant, relative to the largest entry, is below this.
 _SINGULAR = 1e-9
 
 

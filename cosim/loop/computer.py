@@ -1,8 +1,8 @@
 """The sampled computer: encoders, the control algorithm of section III, DAC codes.
 
 Everything here runs once per sample, compiled. The law works in physical units (rad, N m/rad, N m s/rad,
-N m at the joints); `to_volts` turns its wishes into DAC voltages with the board's *nominal* design constants
-only, so that a changed resistor changes what the device renders and not what the computer believes.
+N m at the joints); `to_volts` converts its outputs to DAC voltages with the *nominal* design constants only,
+so that a changed resistor changes what the device renders and not what the computer believes.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Path(IntEnum):
 _DISCRETE, _CONTINUOUS, _COMBINED, _JOINT_PD = (int(method) for method in Method)
 _PATH_U = int(Path.U)
 
-#: What a computer is told once. Units: s, N/m, N s/m, m, N m/rad, rad, V; `encoder_step`, `dac_step` = 0 and
+#: Settings of a computer. Units: s, N/m, N s/m, m, N m/rad, rad, V; `encoder_step`, `dac_step` = 0 and
 #: `dac_range` = inf are the null forms of encoder and DAC, `ramp` = `anchored` = 0 those of what softens
 #: the onset of a contact.
 COMPUTER = np.dtype(
@@ -73,7 +73,7 @@ COMPUTER = np.dtype(
     align=True,
 )
 
-#: What a computer knows at a sample, and what it asks for (matrices row-major, k[i, j]: joint j to motor i).
+#: Inputs and outputs of the law at a sample (matrices row-major, k[i, j]: joint j to motor i).
 #: `held` counts the samples of the present contact; its springs are relaxed at the depth `anchor` [m].
 #: Per joint: `normal_torque` of a unit force along the wall's normal, row of J^T n [N m/N], and `lever`, the
 #: tip's distance from the joint along the normal [m].
@@ -196,7 +196,7 @@ def law(c: Record, p: Record, x: Record) -> None:
         return
     x.held += 1
     if c.anchored:
-        # switched on relaxed, and drawn back with the tip: no sample ever adds to what the springs store
+        # the springs start relaxed and follow the tip back: no sample ever adds to their energy
         x.anchor = x.pen if x.held == 1 else min(x.anchor, x.pen)
     depth = x.pen - x.anchor
     if c.method == _DISCRETE:
@@ -231,7 +231,7 @@ def law(c: Record, p: Record, x: Record) -> None:
 
 @inner
 def _weaken(c: Record, x: Record, share: float) -> None:
-    """Take a share of all that the wall asks for, while its gains are raised."""
+    """Scale all outputs by a share while the wall's gains are ramped up."""
     for i in range(c.n):
         x.cmd[i] *= share
         for j in range(c.n):
@@ -241,13 +241,13 @@ def _weaken(c: Record, x: Record, share: float) -> None:
 
 @inner
 def _push(c: Record, x: Record, w: Vector, force: float) -> float:
-    """Ask for the discrete force [N] along the normal; return what of it the springs do not carry."""
+    """Command the discrete force [N] along the normal; return the part that the springs do not carry."""
     n = c.n
     if c.path == _PATH_U and c.method == _COMBINED:
         ww = 0.0
         for j in range(n):
             ww += w[j] * w[j]
-        if ww > 0.0:  # at full stretch no torque pushes along the arm: nothing to ask for
+        if ww > 0.0:  # at full stretch no torque pushes along the arm
             for j in range(n):
                 x.u[j] += w[j] * force / (c.k_dp * ww)
         return 0.0
@@ -258,10 +258,10 @@ def _push(c: Record, x: Record, w: Vector, force: float) -> float:
 
 @inner
 def _stiffen(c: Record, x: Record, w: Vector, lever: Vector, held: float) -> None:
-    """Add the geometric stiffness of the force in being to Ksp (footnote 2; Chen and Kao 2000).
+    """Add the geometric stiffness of the present force to Ksp (footnote 2; Chen and Kao 2000).
 
     Where the tip moves under a force F on the device, J^T F changes although F does not: without the term
-    K_g = [dJ^T/dq1 F, dJ^T/dq2 F, ...] the stiffness that is felt is K - J^-T K_g J^-1. For a planar chain
+    K_g = [dJ^T/dq1 F, dJ^T/dq2 F, ...] the rendered stiffness is K - J^-T K_g J^-1. For a planar chain
     K_g[i, j] = -(r - r_m) . F, r_m the joint m = max(i, j). The device pushes along the normal with the force
     of its springs and `held` [N], so that F is its opposite. The torque at the sample stays as it was: the
     commands take away what the stiffer springs would add.
@@ -279,7 +279,7 @@ def _stiffen(c: Record, x: Record, w: Vector, lever: Vector, held: float) -> Non
 
 @inner
 def _code(c: Record, volts: float) -> tuple[float, int]:
-    """One DAC: the voltage of the nearest code, and whether the wish was out of range."""
+    """One DAC: the voltage of the nearest code, and whether it was clipped to the range."""
     if c.dac_step > 0.0:
         volts = np.floor(volts / c.dac_step + 0.5) * c.dac_step
         top = c.dac_range - c.dac_step
@@ -294,7 +294,7 @@ def _code(c: Record, volts: float) -> tuple[float, int]:
 
 @njit(cache=True, error_model="numpy")
 def to_volts(c: Record, x: Record, volts: Vector) -> None:
-    """Turn the wishes in `x` into DAC voltages [V], in the order of `cosim.loop.dac_channels.channels`.
+    """Convert the outputs in `x` to DAC voltages [V], in the order of `cosim.loop.dac_channels.channels`.
 
     Channels that the range clips are counted in `x.saturated`.
     """

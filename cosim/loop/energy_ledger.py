@@ -8,7 +8,7 @@ Device: linkage and rotors. Over the run
 with the last four negative (shafts: where the effect is in force). Works are integrals of torque times speed
 with the same interpolants that the integrator used: torque constant at its right-hand value behind a jump,
 else linear or a parabola; speed a cubic through speeds and accelerations. The residual is therefore a measure
-of the mechanical integration. With shafts, and in our own loop, the integrator keeps account itself.
+of the mechanical integration. With shafts, and in the linear loop, the integrator adds up the works itself.
 """
 
 from __future__ import annotations

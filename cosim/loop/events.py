@@ -119,7 +119,7 @@ def next_event(s: Record) -> float:
 @inner
 def announce(s: Record, now: float) -> None:
     """Tell ngspice where the DACs will jump next, so that it starts afresh there (order one)."""
-    if s.breakpoint_address == 0:  # our own loop knows
+    if s.breakpoint_address == 0:  # the linear loop knows
         return
     if s.tick <= s.last_tick:
         call_with_time(s.breakpoint_address, instant(s, s.tick))

@@ -169,7 +169,7 @@ def _floats(cls: Any) -> frozenset[str]:
 
 
 # An intrinsic's first parameter is the compiler's own: callers see it without.
-#: Lent arrays carry no reference counts: counting at every call is atomic, and dearer than a step.
+#: Lent arrays carry no reference counts: counting at every call is atomic, and costs more than a step.
 lent: Any = _lent
 record_at: Any = _record_at
 call_plain: Any = _call_plain

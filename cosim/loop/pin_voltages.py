@@ -14,7 +14,7 @@ from mech.compiled import inner, inner_inlined
 #: (change of gain) x (change of input) x settling time / (12 x steps^2). The input changes within the ramp by
 #: its rate times the settling time: one step is enough for a ramp of at most this share of the period. Not so
 #: where contact is made, and gain and input jump together: the speed is off by up to 5e-6 of itself. A
-#: tolerance below this one [rad] asks for more steps, so that a twin sees what a run leaves.
+#: tolerance below this one [rad] takes more steps, so that a twin shows the error of a run.
 _RAMP, _SHORT = 2, 1e-3
 _CLOSE, _CLOSE_RAMP = 1e-8, 4
 

@@ -68,7 +68,7 @@ class Recorder:
         self.memory, self.simulator, self.report = memory, simulator, report
         self.folder, self.deck, self.person, self.nodes = folder, deck, person, tuple(nodes)
         self.failure: BaseException | None = None
-        self.running = True  # only a running analysis can be stopped; another would stop at once later
+        self.running = True  # stop only a running analysis: the next one would stop at its start
         opened = streams or (open(folder / ROWS, "wb"), open(folder / SAMPLES, "wb"))
         self.rows: BinaryIO = opened[0]
         self.samples: BinaryIO = opened[1]
@@ -134,7 +134,7 @@ class Recorder:
 
 
 def statistics(memory: Memory, wall_s: float, cpu_s: float) -> dict[str, Any]:
-    """Tell what the run cost and how wrong its coupling was."""
+    """Return the cost of the run and the error of its coupling."""
     s = memory.state[0]
     return {
         "wall_s": wall_s,

@@ -44,7 +44,7 @@ class RunRequest:
 
 @dataclass(frozen=True)
 class RunAnswer:
-    """What a run has to tell beside signals.raw and samples.f64, which are in the request's folder.
+    """Results of a run beside signals.raw and samples.f64, which are in the request's folder.
 
     Attributes
     ----------

@@ -233,7 +233,7 @@ def _put_steps(s: np.void, scene: Scene, grids: list[float]) -> None:
 
 
 def _put_component(s: np.void, component: ComponentGrid) -> None:
-    """Tell compiled code where component noise is, and to which sources it belongs."""
+    """Give compiled code the address of component noise, and its sources."""
     s["component"], s["component_rows"] = component.values.ctypes.data, len(component.values)
     s["component_dt"], s["component_inputs"] = component.dt, component.inputs
     names = [np.frombuffer(name.encode(), np.uint8) for name, _ in component.probes]
@@ -246,7 +246,7 @@ def _put_component(s: np.void, component: ComponentGrid) -> None:
 def shift_samples(memory: Memory, share: float) -> None:
     """Let every sample but the first, at power-up, come early by a share of the period, 0 to 1.
 
-    This varies when between two samples something happens, and nothing else. In place of a period jitter.
+    It changes only when an event happens between two samples. Used in place of a period jitter.
     """
     state = memory.state[0]
     late = np.full(int(state["last_tick"]) + 2, -share * float(state["c"]["period"]))

@@ -123,7 +123,7 @@ STATE = np.dtype(
         ("t_end", "f8"),
         ("delta_min", "f8"),
         ("most_points", "i8"),  # in one sampling period, before it counts as endless cutting of steps
-        # joints below `rest_speed` [rad/s] at the samples for `rest_time` [s] end our own loop; 0: never
+        # joints below `rest_speed` [rad/s] at the samples for `rest_time` [s] end the linear loop; 0: never
         ("rest_speed", "f8"),
         ("rest_time", "f8"),
         ("moved", "f8"),

@@ -1,4 +1,4 @@
-"""Classes of the user's own: found in a file, their words kept, their errors told as theirs.
+"""The user's own classes: loaded from a file, their prints kept, their errors reported as theirs.
 
 They run in the simulation's process, under all that guards it, and are trusted as any Python file is.
 """
@@ -62,7 +62,7 @@ def load_class(
     key, what, method
         Where the scene names it, what it is in words, and the method that it must have, as a person calls it.
     printed
-        Hears what the file prints.
+        Captures what the file prints.
 
     Raises
     ------

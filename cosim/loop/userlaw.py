@@ -110,8 +110,8 @@ class UserLaw:
     state : the `STATE` record that compiled code works on
     failed : called with what went wrong; must stop the run
     where : how errors call it, 'file.py:Class'
-    scene, board : what the law is told of the scene and of the board's constants
-    said : hears what the law prints
+    scene, board : the scene and the board's constants, as the law sees them
+    printed : captures what the law prints
     """
 
     def __init__(
@@ -125,15 +125,15 @@ class UserLaw:
         printed: PrintCapture,
     ) -> None:
         self.law, self.state, self.failed, self.where = law, state, failed, where
-        self.scene, self.board, self.said = scene, board, printed
+        self.scene, self.board, self.printed = scene, board, printed
         self.callback = ctypes.CFUNCTYPE(None)(self._sample)
         self.address = ctypes.cast(self.callback, ctypes.c_void_p).value
 
     def _sample(self) -> None:
         try:
             self._control()
-        except BaseException as error:  # ctypes would print it and go on
-            self.failed(in_users_words(self.where, error, float(self.state["x"]["time"]), self.said))
+        except BaseException as error:  # ctypes would print the exception and go on
+            self.failed(in_users_words(self.where, error, float(self.state["x"]["time"]), self.printed))
 
     def _control(self) -> None:
         n = int(self.state["n"])
@@ -157,7 +157,7 @@ class UserLaw:
             scene=self.scene,
             board=self.board,
         )
-        with self.said.listening():
+        with self.printed.listening():
             command = self.law.control(sample)
         if not isinstance(command, Command):
             raise TypeError(f"control(sample) returned {command!r} and no cosim.loop.userlaw.Command")

@@ -2,7 +2,7 @@
 
 A resistor, capacitor or inductor is one admittance between its nodes. A part's parameter arrives at several
 elements of its model: resistors, capacitors, inductors, linear controlled sources and current sources. What
-arrives anywhere else (an expression of voltages, a gain of voltages) is no such change, and said so.
+arrives anywhere else (an expression of voltages, a gain of voltages) is refused with the reason.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """The `ideal` or `linear` model of a board for many sets of values of its placed components.
 
-Every set is answered from the board as it is, never from the set before it: the order of the sets does not
-matter. Where all values are admittances, the paths follow from `DrawnNetwork` and are fitted with the poles'
-number of the board as it is; where that does not do, with as many as they need. Values of another kind, and
-boards without probes, are extracted anew from a deck of their own.
+Every set starts from the nominal board, never from the set before it, so the order of the sets does not
+matter. Where all values are admittances, the paths follow from `DrawnNetwork` and are fitted with the
+nominal board's number of poles; if that is not enough, with as many as they need. Values of another kind, and
+boards without probes, are extracted again from a deck of their own.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from cosim.types import Array
 __all__ = ["Draws"]
 
 
-#: How far off its design a board is looked at, to see all its poles; multiples of the ratio spread evenly.
+#: Relative detuning at which a board shows all its poles; multiples of the golden ratio spread evenly.
 _OFF, _GOLDEN = 0.01, 0.6180339887498949
 
 
@@ -60,7 +60,7 @@ class Draws:
     Attributes
     ----------
     why_slow
-        Why every set is extracted anew, if so.
+        Why every set is extracted again; empty where it is not.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""The linear network of a board with other admittances, from what ngspice says of the board as it is.
+"""The linear network of a board with other admittances, from ngspice's responses of the nominal board.
 
 An admittance y + d between two nodes adds u d v^T to the network's matrix G: the response of any node is then
-that of the board as it is, less a correction of as many equations as there are changed elements (Woodbury),
-exact but for rounding. ngspice is asked once: each source and each changed element's place is driven alone.
+that of the nominal board less a correction with one equation for each changed element (Woodbury), exact up
+to rounding. ngspice is asked once: each source and each changed element's place is driven alone.
 
 At rest the same holds of the operating point, about which the board is taken for linear: what offsets move is
 right to first order in them, and exact where only the multipliers are bent.

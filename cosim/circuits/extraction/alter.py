@@ -60,7 +60,7 @@ def altered(board: Deck, values: Mapping[str, str]) -> Deck:
     Raises
     ------
     InputError
-        For names that are nothing on the board, and values that are none.
+        For names that the board does not have, and for invalid values.
     """
     net = netlist(board)
     apply_overrides(net, net.blocks[board.board], values)
@@ -77,7 +77,7 @@ def handle(board: Deck, name: str) -> Handle:
     Raises
     ------
     InputError
-        For a name that is nothing on the board.
+        For a name that the board does not have.
     """
     altered(board, {name: "1"})
     key = name.strip().lower().removeprefix("xboard.")
@@ -170,7 +170,7 @@ def _used(block: Block, path: str, names: set[str]) -> list[str] | None:
         words = tokens(line.text)
         letter = line.keyword[0]
         if letter == "x":
-            continue  # what it hands on is looked at where it arrives
+            continue  # its parameters are checked in the subcircuit that uses them
         for place, word in enumerate(words[1:], 1):
             if not _says(word, names):
                 continue

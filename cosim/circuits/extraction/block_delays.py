@@ -6,8 +6,8 @@ spring of stiffness k takes k times its delay from the viscosity of its device, 
 
 A path is cut at an amplifier's output if all of it passes there: the response up to it times what moving that
 output alone does to the motor is then the response of the whole. Between two cuts the delays add up whatever
-stands there, leads included; amplifiers side by side, or in one loop, have no delays of their own and are
-told together.
+stands there, leads included; amplifiers in parallel, or in one loop, have no separate delays and are reported
+together.
 """
 
 from __future__ import annotations
@@ -117,9 +117,7 @@ def measure(payload: Mapping[str, Any], report: Callable[[dict[str, Any]], None]
         for i in [j] if own else range(1, bench.joints + 1):
             try:
                 paths.append(_Path(bench, amplifiers, i, j).told(name))
-            except (
-                InputError
-            ):  # nothing comes through: whoever asks for all that there is hears of it elsewhere
+            except InputError:  # nothing comes through: other figures of the check report that
                 if not own:
                     raise
             report({"stage": f"delay of ksp{i}{j}"})

@@ -31,10 +31,10 @@ __all__ = [
 
 #: Deviation of a gain from proportionality, as a share of full scale, at which `linear` is refused.
 WORST_NONLINEARITY = 0.02
-#: Difference between currents and their slope at rest, as a share of rated current, that is told:
+#: Difference between currents and their slope at rest, as a share of rated current, that is reported:
 #: five times what the shipped board's multipliers bend (0.43 %).
 BENT = 0.02
-#: The same beyond which `linear` is refused: what it says of the working range is wrong.
+#: The same beyond which `linear` is refused: it is wrong over the working range.
 WORST_LARGE_SIGNAL = 0.2
 
 

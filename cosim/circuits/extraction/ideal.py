@@ -18,7 +18,7 @@ __all__ = ["DC_SWEEP", "dc_gains", "ideal"]
 DC_SWEEP = f"dec 1 {LOW_HZ[0]} {LOW_HZ[1]}"
 #: Largest difference between the two that counts as agreement, relative to the path.
 _AGREE = 1e-3
-#: DC gain that is none beside what a damper shows at this rate of change [1/s]: bias paths of real op-amps.
+#: DC gain that is negligible beside a damper's at this rate of change [1/s]: bias paths of real op-amps.
 _SLOWEST = 1e-2
 
 

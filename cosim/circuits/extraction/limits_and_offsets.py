@@ -111,8 +111,8 @@ def offsets(session: Session) -> Offsets:
     """Measure the offsets of a board at its operating point.
 
     With a current k (X + x) (Y + y) behind each multiplier, d/dX at two control voltages gives k and y, d/dY
-    gives k x. Without probes x is what the current of the channel's own motor does at full scale, and y is
-    not told apart from a direct path.
+    gives k x. Without probes x is what the current of the channel's own motor does at full scale, and y
+    cannot be separated from a direct path.
     """
     return beyond_rounding(session, _offsets(session))
 

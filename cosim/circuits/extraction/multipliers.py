@@ -14,9 +14,9 @@ from cosim.types import Complex
 __all__ = ["LOW_HZ", "Multiplier", "find_multipliers"]
 
 
-#: A response below this is none [V/V]: parasitic paths of macro-models are far below, working paths above.
+#: Smaller responses count as zero [V/V]: parasitic paths of macro-models are far below, working paths above.
 _NONE = 1e-6
-#: Where wiring is found out and DC gains are read [Hz]: below every pole that matters, above rounding.
+#: Where wiring is identified and DC gains are read [Hz]: below every pole that matters, above rounding.
 LOW_HZ = (1e-5, 1e-4)
 _ONCE = f"lin 1 {LOW_HZ[1]} {LOW_HZ[1]}"
 #: Of the two ends of a driven source, one stays below the first, the other is above the second [V/V].

@@ -1,8 +1,8 @@
-"""What `.noise` tells of each element, where it has no number for some of them.
+"""Noise of each element by `.noise`, also where ngspice has no number for some of them.
 
 ngspice makes a noise of sqrt(4 k T / R) for a resistor, which is no number where R is negative (vendors fit
-output stages with such), and its sums are none either. Such an element is told apart and made silent, so that
-all others are heard.
+output stages with such); its sums are then NaN, too. Such an element is identified and made noiseless, so
+that all others are measured.
 """
 
 from __future__ import annotations

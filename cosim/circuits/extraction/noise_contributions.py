@@ -260,7 +260,7 @@ def extract_noise(board: Deck, report: Report | None = None) -> ComponentNoise:
 def _density(
     session: Session, maker: Element, response: Complex, heard: Sequence[dict[str, Array]]
 ) -> tuple[Array, bool]:
-    """Return the device's noise current [F] A/sqrt(Hz), and whether `.noise` could not tell it."""
+    """Return the device's noise current [F] A/sqrt(Hz), and whether `.noise` failed to give it."""
     reach = np.abs(response)
     if maker.warmed:  # what `.noise` makes of it depends on the version
         return np.full(len(reach), _at_operating_point(session, maker)), False
@@ -279,7 +279,7 @@ def _density(
         return size, False
     try:
         least = _at_operating_point(session, maker)
-    except CosimError:  # ngspice does not tell it; what is heard everywhere alike is believed
+    except CosimError:  # not known to ngspice: trust a density that is the same at every output
         if (worst & audible).any():
             raise
         return size, False

@@ -65,7 +65,7 @@ class Session(Testbench):
     ----------
     together
         Whether inputs of different joints are driven together: joint j's reach only the multipliers of joint
-        j, and motor i's multipliers only motor i, as far as it was looked at.
+        j, and motor i's multipliers only motor i, as far as that was measured.
     """
 
     def __init__(self, board: Deck, extra: Sequence[str] = ()) -> None:
@@ -88,9 +88,8 @@ class Session(Testbench):
         Parameters
         ----------
         gain
-            What is known of the multipliers from before [m], 1/V. Nothing is then looked at again that a
-            change of values leaves alone, cmd, vel are driven along with pot, u, and gain pins stay at
-            `v_fs`.
+            Known gains of the multipliers [m], 1/V. Then nothing is measured again that a change of values
+            does not affect, cmd and vel are driven together with pot and u, and gain pins stay at `v_fs`.
         """
         if not self.multipliers:
             return self._lumped(sweep)

@@ -1,9 +1,9 @@
 """The `linear` model of a board again after a change of values: known orders, few frequencies, one process.
 
-The first extraction tells which poles each path has. After a change of values ngspice measures all paths at
+The first extraction gives the poles of each path. After a change of values ngspice measures all paths at
 few frequencies over the whole range of these poles, so that a loop that became unstable outside the scene's
 band shows as well; every row of paths is fitted with as many poles as before, and checked at frequencies that
-it was not fitted to. What does not pass is extracted anew, and says so.
+it was not fitted to. A board that fails the check is extracted again, and its certificate says why.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from cosim.units import quantity
 
 __all__ = ["Reextraction", "circuits"]
 
-#: Parameters that the measurement itself goes by.
+#: Parameters that the measurement itself depends on.
 _OURS = ("v_fs", "dac_v")
-#: What the certificate takes over from the board as it is.
+#: Entries of the certificate that are taken over from the nominal board.
 _NOMINAL = (
     "control_nonlinearity",
     "control_nonlinearity_worst",

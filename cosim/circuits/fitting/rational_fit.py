@@ -1,8 +1,8 @@
 """Rational fit of frequency responses that share their poles, and its real, stable state space.
 
-AAA finds the poles (`aaa.py`); residues come from linear least squares, where a pole that no path
-needs shows and goes. Poles near to each other form a chain instead of having residues of their own, which
-would be large and cancel. A pole has as many states as its residue has rank.
+AAA finds the poles (`aaa.py`); residues come from linear least squares, and poles that no path needs are
+removed. Poles near to each other form a chain instead of having residues of their own, which would be large
+and cancel. A pole has as many states as its residue has rank.
 """
 
 from __future__ import annotations
@@ -29,10 +29,9 @@ from cosim.types import Array, Complex
 __all__ = ["GOOD", "WORST", "FitError", "Modes", "fit"]
 
 
-#: A fit as good as this leaves nothing to be said: 1e-9 is promised, also between the points.
+#: A fit this good needs no remark: 1e-9 is promised, also between the points.
 GOOD = 3e-10
-#: A fit worse than this is none. What lies between serves, with its error told: the parts are known to a
-#: percent.
+#: A worse fit is refused. One in between is used and its error reported: the parts are known to a percent.
 WORST = 1e-3
 #: A pole in the right half plane is believed when the fit with it is at least as good as this.
 _CERTAIN = 1e-5
@@ -190,7 +189,7 @@ def _needed(s: Complex, f: Complex, reweighted: bool) -> Complex:
     if f.shape[1] == 0:
         return np.empty(0, complex)
     every = poles_of(s, f, GOOD, reweighted)
-    # so far beyond the fastest point it cannot be told on which side of the axis a pole lies
+    # the side of the axis of a pole so far beyond the fastest point is not identifiable
     every = every[(every.real < 0.0) | (np.abs(every) < _SURE * np.abs(s).max())]
     poles = _with_powers(s, f, every[every.real < 0.0])
     misfit = _misfit(s, f, poles)
@@ -213,7 +212,7 @@ def _with_powers(s: Complex, f: Complex, poles: Complex) -> Complex:
     """Return the poles, and such far beyond the points that paths may grow towards their end as powers of s.
 
     A vendor's model whose common-mode gain has a zero and no pole makes such paths. AAA gives them poles far
-    away on either side, of which those on the right are none of the circuit's. What only grows is a
+    away on either side, of which those on the right do not belong to the circuit. What only grows is a
     differentiator, which no state space holds.
     """
     if (np.argmax(np.abs(f), axis=0) == len(s) - 1).all():

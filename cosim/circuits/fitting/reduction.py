@@ -31,12 +31,12 @@ _TIGHT = 0.02
 #: What a bound may be too large by besides, as a share of the worst path's error.
 _LOOSE = 1e-3
 _ROUNDS = 40
-#: Stands for a bound that there is none of.
+#: In place of a missing bound.
 _HUGE = 1e250
 #: Paths weaker than this share of the strongest to the same output are parasitic: their error counts
 #: relative to that share.
 _PARASITIC = 1e-4
-#: Error of a transformation that is nothing but rounding, relative to each path.
+#: Largest error of a transformation by rounding alone, relative to each path.
 _ROUNDING = 1e-12
 
 
@@ -261,7 +261,7 @@ def _difference(full: Modes, small: Modes) -> list[tuple[Array, Array, Array]]:
 
 
 def _keyed(modes: Modes) -> list[tuple[bytes, Array, Array, Array]]:
-    """Return A, B, C of each block behind what tells it from others."""
+    """Return each block's key, A, B and C."""
     parts = [
         (modes.a[i:j, i:j], modes.b[i:j], modes.c[:, i:j]) for i, j in pairwise(np.cumsum((0, *modes.blocks)))
     ]

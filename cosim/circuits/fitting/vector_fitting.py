@@ -84,7 +84,7 @@ def _closed(poles: Complex) -> Complex:
     """Return poles [R, N] that are real or have their conjugates exactly, the fastest first."""
     partner = np.argmin(np.abs(poles[:, :, None] - poles.conj()[:, None, :]), axis=2)
     poles = 0.5 * (poles + np.take_along_axis(poles.conj(), partner, axis=1))
-    # of a pair, the half with the positive imaginary part comes first, whatever rounding says of their sizes
+    # of a pair, the half with the positive imaginary part comes first, however their moduli round
     order = np.lexsort((poles.imag < 0.0, -np.abs(poles)), axis=1)
     out: Complex = np.take_along_axis(poles, order, axis=1)
     return out

@@ -18,7 +18,7 @@ from cosim.types import Array, Complex
 
 __all__ = ["HELD_OHM", "SWEEP", "Impedances", "alike", "count", "independent", "measure", "pivots", "winding"]
 
-#: Asks for the impedance matrix [F, N, N] over a sweep; returns it with its frequencies [Hz].
+#: Measures the impedance matrix [F, N, N] over a sweep; returns the frequencies [Hz] and the matrix.
 Ask = Callable[[str], tuple[Array, Complex]]
 
 #: Far beyond every pole on either side: behind both ends a response is a power of s.
@@ -26,7 +26,7 @@ SWEEP = "dec 4 1e-7 1e15"
 #: A port that shows less [Ohm] is held by a voltage source; one that keeps less of itself (relative) when
 #: the ports before it are grounded is tied to them.
 HELD_OHM, _TIED = 1e-13, 1e-9
-#: Phase [rad] and level [Np] may turn by so much between two points; more is looked at more closely.
+#: Phase [rad] and level [Np] may change by so much between two points; beyond, the sweep is refined.
 _TURN, _BEND = 0.7, 0.7
 #: Loops that change by less with the gains have the same poles on the right, but for rounding.
 _ALIKE = 0.01
@@ -84,7 +84,7 @@ def measure(ask: Ask, ports: list[int] | None = None) -> tuple[Impedances, list[
     ask
         Measures over a sweep such as ``dec 10 1 1meg`` or ``lin 4 1 2``.
     ports
-        Those that count; `independent` ones where nothing is said.
+        Those that count; the `independent` ones by default.
 
     Returns
     -------

@@ -28,10 +28,10 @@ __all__ = ["at_rest", "judge"]
 
 #: One frequency, to see what is held.
 _ONCE = "lin 1 1k 1k"
-#: Where a pole is looked for; agreement of two fits of different order.
+#: Sweep and band of the search for a pole; agreement of two fits of different order.
 _CLOSELY, _BAND_HZ, _AGREE = "dec 20 1m 10g", (1e-3, 1e10), 0.05
-#: Beyond that band nothing is a part's: there a vendor's model is what its last elements make of it, such as
-#: a common-mode gain that rises for ever. Where its poles are looked for [Hz].
+#: No real part behaves as modelled beyond that band: its last elements set the response there, such as a
+#: common-mode gain that keeps rising. Sweep and band [Hz] of the search for poles there.
 _BEYOND, _BEYOND_HZ = "dec 20 1g 100t", (1e9, 1e14)
 #: The kick: steps of this share of 1/|p|, so many times 1/Re p, the voltage that it makes at once [V].
 _STEP, _FOLDS, _KICK_V = 0.1, 6.0, 1e-4
@@ -137,7 +137,7 @@ class _Court:
     def _loops(
         self, seen: Impedances, chosen: list[int], condition: str, volts: Mapping[str, float]
     ) -> list[Instability]:
-        """Tell the loops apart: each is the set of ports any of which, grounded, calms what the others do."""
+        """Separate the loops: each is a set of ports any of which, grounded, stabilises the others."""
         winding = {port: count(seen.of([port])) for port in chosen}
         left = [port for port in chosen if winding[port] > 0]
         left = [port for port in left if self.ports[port].active] or left

@@ -1,4 +1,4 @@
-"""Instants at which a flank of a gear comes to carry, or ceases to: found in a step of our own loop."""
+"""Instants at which a gear's flank makes or loses contact, located within a step of the linear loop."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cosim.types import Record
 from mech.compiled import inner
 from mech.shaft import EDGE_RAD, margin
 
-#: The twist is looked at in this many points of a step: it is smooth, and a step short against its period.
+#: Points of a step at which the twist is checked: it is smooth, and a step is short against its period.
 _LOOKS = 8
 _BISECTIONS = 60
 

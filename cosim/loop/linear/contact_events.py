@@ -1,9 +1,9 @@
-"""Instants at which friction, an end stop or a gear's flank changes what it does: found, and dealt with.
+"""Instants at which friction, an end stop or a gear's flank changes state: located and processed.
 
 Between them every joint slips one way or is held, and touches its stops in one way (`mech.records.Touch`), so
 that the accelerations are smooth. A step on trial is searched with its own polynomials: angles of degree four
 in x = t/h, speeds of degree three, all their extremes and roots, so that two crossings inside one step are
-both found. What holds a joint at rest is looked at at the nodes and the end.
+both located. The torque that holds a joint at rest is checked at the nodes and the end.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from mech.shaft import engage
 from mech.stiction import bounds, impact, settle, touching
 
 _PUSHED, _INSIDE, _RESTING = int(Touch.PUSHED), int(Touch.INSIDE), int(Touch.RESTING)
-#: Where a held joint slips is found by halving.
+#: The instant at which a held joint slips is located by halving.
 _HALF = 0.75
 #: A joint rests on a stop that does not give when its next flight were shorter than this share of the period
-#: or than this time [s]: sixty-four and some thousand times what instants are found to
-#: (`stepper.py`). Two joints on their stops at once take turns for ever at flights of some twenty
-#: times it: each impact moves both, and comes late for the other.
+#: or than this time [s]: 64 and some thousand times the resolution of instants
+#: (`stepper.py`). Two joints on their stops at once would take turns for ever at flights of some twenty times
+#: it: each impact moves both, and comes late for the other.
 _FLIGHT, _FLIGHT_S = 2.0**-30, 1e-9
 _BISECTIONS = 60
 
@@ -58,7 +58,7 @@ def turns(c: Any, at: Any) -> int:
     under = b * b - 4.0 * a * d
     if under < 0.0 or (a == 0.0 and b == 0.0):
         return 0
-    # neither root by a difference of nearly equal numbers
+    # no cancellation in either root
     q = -0.5 * (b + math.copysign(math.sqrt(under), b))
     first = q / a if a != 0.0 else math.inf
     second = d / q if q != 0.0 else math.inf
@@ -176,7 +176,7 @@ def strike(s: Record, b: Any) -> bool:
     """Change what is due at the accepted point; whether there was anything.
 
     Angles are put on the surface of the stop that they crossed, speeds that crossed zero on zero: both are
-    off by the resolution of the instant. Accelerations are left to be found.
+    off by the resolution of the instant. Accelerations are not updated.
     """
     p, w = s.p, s.w
     changed = hits = False
@@ -232,7 +232,7 @@ def find(s: Record, b: Any) -> None:
     """Find the accelerations just behind the accepted point, the torques given, and who is held there."""
     settle(s.p, s.op, s.t, s.q, s.v, s.tau, s.a, s.w)
     shortest = max(_FLIGHT * s.c.period, _FLIGHT_S)
-    # once more for every joint that comes to rest: it changes what drives the others
+    # again for every joint that comes to rest: it changes the torques on the others
     for _ in range(s.n):
         again = False
         for j in range(s.n):

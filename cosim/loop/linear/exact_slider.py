@@ -80,8 +80,8 @@ def exact(
 ) -> tuple[Exact, Callable[[], None]]:
     """Return the memory of the exact path and the callback that must live as long as it is used.
 
-    `knots` are the times inside the run at which the operator's force has a kink. What goes wrong in the
-    callback ends the run and is left in `failures`. `linear`: see `is_linear_between_events`.
+    `knots` are the times inside the run at which the operator's force has a kink. An exception in
+    the callback ends the run and is kept in `failures`. `linear`: see `is_linear_between_events`.
     """
     op = state["op"]
     size = 2 + circuit.order
@@ -315,7 +315,7 @@ def leap(s: Record, k: Any, b: Any, x: Any, t: float, h: float, ramp: float) -> 
         return True
     for i in range(6):
         b.work[i] = 0.0
-    # Speeds at the nodes add up to the way, but for rounding: which at rest would do work for ever.
+    # Speeds at the nodes add up to the distance up to rounding, which at rest would do work for ever.
     late = (then[0] - s.q[0]) / h
     for node in range(3):
         late -= WEIGHTS[node] * then[size + 2 + 3 * node]

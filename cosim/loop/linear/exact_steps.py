@@ -1,6 +1,6 @@
 """From event to event by one matrix each, while a scene is linear between its events (`exact_slider.py`).
 
-Where nobody wants rows a step goes over the ramp of the DACs as well, which is a part of its matrix; where a
+Without rows a step goes over the ramp of the DACs as well, which is a part of its matrix; where a
 multiplier's gain ramps too, X times the gain is no linear system with constant coefficients, and the ramp is
 stepped over. With rows the interval is cut into binary fractions, so that a handful of matrices serves a run.
 """
@@ -56,7 +56,7 @@ def leaps(state: int, plan: int, step: int, exact: int, first: float) -> bool:
     """Go on while each step is one matrix; whether the run is over, by its end or a fault.
 
     Otherwise the scene stops being linear at the accepted point, or a motor comes near its limit: collocation
-    must go on from there. State and tables are told by their addresses; `first` [s] is the longest step
+    must go on from there. State and tables come by their addresses; `first` [s] is the longest step
     behind a jump of the DACs, 0 for none.
     """
     s = carray(record_at(state, STATE_KIND), 1)[0]

@@ -35,7 +35,7 @@ from mech.kernels import dynamics, solve, solve_held
 _SWEEPS = 12
 #: A parabola is good for a guess over this many times its own step.
 _REACH = 4.0
-#: Repetitions end when what is left is this share of the tolerance.
+#: Repetitions end when the remaining error is this share of the tolerance.
 _SHARE = 0.05
 #: Largest double integral of P3, the first term that the parabola of accelerations leaves out.
 _CUBIC = 1.0 / 113.0
@@ -123,9 +123,9 @@ def _move(s: Record, k: Any, b: StepMemory, t: float, h: float) -> None:
 
 @inner_inlined
 def guess(s: Record, b: StepMemory, h: float) -> None:
-    """Guess the accelerations at the nodes: the last step's parabola, or its end where that is of no use.
+    """Guess the accelerations at the nodes: the last step's parabola, or its end where that cannot help.
 
-    Of no use it is behind a jump, and far beyond the step that it was made for.
+    It cannot behind a jump, and far beyond the step that it was fitted on.
     """
     for j in range(s.coordinates):
         for i in range(3):
@@ -138,7 +138,7 @@ def guess(s: Record, b: StepMemory, h: float) -> None:
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _sweep(s: Record, k: Any, b: StepMemory, t: float, h: float, weight: float) -> float:
-    """Find the accelerations at the nodes anew; return by how much they have moved the angles [rad]."""
+    """Update the accelerations at the nodes; return by how much that has moved the angles [rad]."""
     n, m, motor = s.n, s.coordinates, s.motor
     _move(s, k, b, t, h)
     for i in range(3 * n):
@@ -245,8 +245,8 @@ def attempt(s: Record, k: Any, b: StepMemory, slot: int, t: float, h: float, tol
 
     The error of the angles within the step is that of the cubic term of the accelerations, found as the
     difference between the parabola and the equations of motion at the end; infinite when the repetitions do
-    not come together to `tol` [rad]. Angles carry an error of the speed for the rest of the period: so it is
-    weighted. Leaves the accelerations at the nodes in `b.a`, currents and circuit states in `b.results`, work
+    not converge to `tol` [rad]. Angles carry an error of the speed for the rest of the period, hence the
+    weight. Leaves the accelerations at the nodes in `b.a`, currents and circuit states in `b.results`, work
     in `b.work`, and the state at the end in `s.q_trial`, `s.v_trial`, `s.a_trial`.
     """
     n = s.n
@@ -276,7 +276,7 @@ def attempt(s: Record, k: Any, b: StepMemory, slot: int, t: float, h: float, tol
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def near(k: Any, joint: int, current: float) -> bool:
-    """Whether a motor current [A] is so near the driver's limit that steps must look for it."""
+    """Whether a motor current [A] is so near the driver's limit that steps must check for it."""
     low, high = k.limit[joint, 0], k.limit[joint, 1]
     return not (_WATCHED * low < current < _WATCHED * high)
 

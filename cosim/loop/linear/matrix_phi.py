@@ -1,7 +1,7 @@
 """Matrix exponential and its integrals for stiff real matrices.
 
-Well-conditioned eigenvectors are used where there are any. Otherwise: scaling and squaring loses the slow
-modes' digits where a fast mode makes the norm large. So slow and fast are taken apart first (Schur form
+Well-conditioned eigenvectors are used where they exist. Otherwise: scaling and squaring loses the slow
+modes' digits where a fast mode makes the norm large. So slow and fast are separated first (Schur form
 ordered by modulus, Sylvester equation), until each part is of one size: a slow part has a small norm, and
 in a fast one the integrals follow from the exponential without cancellation.
 """
@@ -18,14 +18,14 @@ from cosim.types import Array
 
 #: Eigenvectors conditioned better than this lose four digits at most, and are the quick way.
 _WELL = 1e4
-#: Moduli further apart than this are taken apart; up to this modulus a part counts as slow.
+#: Moduli further apart than this are separated; up to this modulus a part counts as slow.
 _GAP, _SLOW = 30.0, 30.0
-#: Matrices that are kept taken apart.
+#: Decompositions that are kept.
 _KEPT = 16
 
 
 class Modes:
-    """A real matrix [N, N], taken apart once for its phi functions at many times."""
+    """A real matrix [N, N], decomposed once for its phi functions at many times."""
 
     def __init__(self, a: Array) -> None:
         self._balanced, (scale, _) = scipy.linalg.matrix_balance(a, permute=False, separate=True)
@@ -48,7 +48,7 @@ class Modes:
 
 @lru_cache(maxsize=_KEPT)
 def _modes(a: bytes, n: int) -> Modes:
-    """Return a matrix, given by its bytes, taken apart; a run asks for few matrices, each at many times."""
+    """Return the decomposition of a matrix given by its bytes; a run needs few, each at many times."""
     return Modes(np.frombuffer(a).reshape(n, n))
 
 

@@ -150,7 +150,7 @@ def prepare(
     if record and dense:
         state["fresh"] = _SETTLED * _slowest(shifted_circuit.a_post)
         first = max(FIRST_ROW_SHARE * scene.computer.period_s, _FIRST_OF_FRESH * float(state["fresh"]))
-        if scene.solver.max_step_s < _USUAL_STEP_S:  # who asks for closer rows gets them here, too
+        if scene.solver.max_step_s < _USUAL_STEP_S:  # rows asked for closer than usual are closer here, too
             first *= scene.solver.max_step_s / _USUAL_STEP_S
             state["fresh"] = max(float(state["fresh"]), scene.computer.period_s)
     failures: list[Exception] = []
@@ -199,7 +199,7 @@ def _still(a: NDArray[np.float64], drive: NDArray[np.float64], name: str) -> NDA
 
 
 def simulate(request: RunRequest, report: Report) -> RunAnswer:
-    """Run one scene on the `ideal` or `linear` model; `report` is told simulated time and points so far."""
+    """Run one scene on the `ideal` or `linear` model; `report` gets simulated time and points so far."""
     scene, board, constants = request.scene, request.board, request.constants
     if request.recorded:
         fail(
@@ -219,16 +219,18 @@ def simulate(request: RunRequest, report: Report) -> RunAnswer:
     )
     component = component_grid(scene, board, report)
     folder = request.folder
-    said = PrintCapture()
-    with said.listening():  # a user's operator is loaded here
+    printed = PrintCapture()
+    with printed.listening():  # a user's operator is loaded here
         packed = prepare(scene, constants, circuit, record=True, component=component)
-    packed.memory.operator.listen(said.listening)
+    packed.memory.operator.listen(printed.listening)
     state = packed.memory.state[0]
     person = scene.operator.file if isinstance(scene.operator, PythonOperator) else "operator"
     recorder = Recorder(packed.memory, Clock(state), folder, report, deck=str(board.path), person=person)
     if scene.computer.law is not None:
         where = scene.computer.law
-        law = UserLaw(load_law(where, scene.file, said), state, recorder.fail, where, scene, constants, said)
+        law = UserLaw(
+            load_law(where, scene.file, printed), state, recorder.fail, where, scene, constants, printed
+        )
         state["law_address"] = law.address
     # a run of no length, without the user's law, loads the compiled loop before the clock starts
     warm = prepare(scene, constants, circuit, record=True, component=component)
@@ -249,7 +251,7 @@ def simulate(request: RunRequest, report: Report) -> RunAnswer:
         sample_columns=sample_columns(circuit.joints),
         stats=statistics(packed.memory, wall, cpu),
         ngspice=_version(circuit),
-        printed=said.lines,
+        printed=printed.lines,
         component_noise=component.about if component is not None else None,
         circuit=circuit,
     )

@@ -23,7 +23,7 @@ _WORST_CONDITION = 1e10
 
 @dataclass(frozen=True)
 class Modes:
-    """A = V diag(poles) W with W = V^-1, taken apart into states that do not touch one another.
+    """A = V diag(poles) W with W = V^-1, split into states that are not coupled.
 
     Attributes
     ----------
@@ -245,7 +245,7 @@ def plan(
         Whether the pins cmd and vel are driven.
     bent
         Whether the potentiometers see more of an angle than its polynomial (noise that depends on the angle):
-        then all their coefficients change between the sweeps of a step, and stand for themselves.
+        then all their coefficients change between the sweeps of a step, and are features themselves.
     noise
         [m] number of the noise voltage in series with X of each multiplier; none without component noise.
     shafts

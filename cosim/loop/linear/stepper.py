@@ -36,9 +36,9 @@ _WHOLE = 1 << _LEVELS
 _SAFETY, _GROWTH, _ORDER = 0.5, 8.0, 5.0
 #: Near a driver's limit steps are at most 1/64 of the period and are checked ...
 _WATCH_STEPS = 64.0
-#: ... and the instants at which a motor reaches or leaves its limit are found to 2^-_LOCATED of an interval.
+#: ... and the instants at which a motor reaches or leaves it are located to 2^-_LOCATED of an interval.
 _LOCATED = 18
-#: What friction and stops do is found to 2^-_FINEST of an interval, but not below _RESOLUTION_S.
+#: Changes of friction and stops are located to 2^-_FINEST of an interval, but not below _RESOLUTION_S.
 _FINEST, _RESOLUTION_S = 36, 1e-12
 #: Steps below this share of the period are no rows where they are below that of what their error allows:
 #: those on the way to such an instant and from it.
@@ -131,14 +131,14 @@ def _crosses(s: Record, k: Any, b: Any) -> bool:
 
 @inner
 def _right_hand(s: Record, k: Any, b: Any) -> None:
-    """Find currents and accelerations at the accepted point as they are just behind its events."""
+    """Compute currents and accelerations at the accepted point just behind its events."""
     present(s, k, b)
     _limit(s, k, b)
 
 
 @njit(cache=True, error_model="numpy")
 def _limit(s: Record, k: Any, b: Any) -> None:
-    """Clamp the currents at the accepted point, and find the accelerations."""
+    """Clamp the currents at the accepted point, and compute the accelerations."""
     for j in range(s.n):
         b.clamp[j] = _side(k, j, b.current[j])
         current = min(max(b.current[j], k.limit[j, 0]), k.limit[j, 1])
@@ -235,10 +235,10 @@ def _take(
 
 @inner_inlined
 def _wish(s: Record, error: float, h: float, wish: float) -> float:
-    """Return the step [s] that the error of the last one, of length `h`, lets one hope for."""
+    """Return the step [s] to try next after one of length `h` with this error."""
     share = error / (_SAFETY * s.tol)
     grow = _GROWTH if share * _GROWTH**_ORDER < 1.0 else share ** (-1.0 / _ORDER)
-    # a step that an event cut short says nothing against the longer ones before it
+    # an event that cuts a step short is no reason against the longer ones before it
     return float(h * grow if grow < 1.0 else max(wish, h * grow))
 
 
@@ -352,7 +352,7 @@ def run(tables: Tables, first: float) -> None:
     first
         Longest step [s] behind a jump of the DACs, for rows that show it; 0 for none.
     """
-    # apart from each other, so that neither is compiled for the other's sake
+    # separate calls, so that neither compiles because of the other
     over = False
     while not over:
         over = bool(tables.linear[0]) and leaps(*tables.addresses, first)

@@ -73,8 +73,8 @@ def source(voltage: Any, t: float, name: Any, ident: int, user: Any) -> int:
 def _within(t: float, h: float, end: float) -> float:
     """Return the step `h` [s], cut to the end of the run where it passes it.
 
-    ngspice (from 44 on) would cut it to 1.1 of its least step short of the end: then nothing is left for
-    a last step, or (47) what is left is halved for ever.
+    ngspice (from 44 on) would cut it to 1.1 of its least step short of the end: then no last step is
+    possible, or (47) the rest is halved for ever.
     """
     if t < end < t + h:
         h = end - t

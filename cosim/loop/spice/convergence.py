@@ -1,8 +1,8 @@
-"""What is tried, in this order, where ngspice finds no operating point, its steps vanish, or it crawls.
+"""Convergence aids, in their order, where ngspice finds no operating point, its steps vanish, or it crawls.
 
 Vendors' models are written for other simulators' tolerances: some stop at a relative tolerance of 1e-4 and
 run at 1e-3. ngspice steps its own sources from zero where Newton's method fails, but not the external ones,
-which it only asks for; so the operating point is also looked for with plain sources in their place.
+whose values it gets from outside; so the operating point is also tried with plain sources in their place.
 
 A model whose gains are far apart leaves rounding errors of the tolerance's size in Newton's method, which
 then fails at random and at any step: the run would end, in hours. An attempt's work is therefore bounded,
@@ -57,7 +57,7 @@ class Aid:
     tolerances
         Its error control.
     words
-        What is unlike what the scene asks for; empty where nothing is.
+        Settings that differ from the scene's, in words; empty where none does.
     plain
         Whether to start from the operating point that plain sources give.
     lines
@@ -88,7 +88,7 @@ def bound_work(memory: Memory, predicted_points: float, duration_s: float, coupl
 
 
 def aids(asked: Tolerances) -> Iterator[Aid]:
-    """Yield what is tried: first what the scene asks for, then each step together with those before it."""
+    """Yield the attempts: first the scene's own settings, then each aid together with those before it."""
     aid = Aid(asked)
     yield aid
     aid = replace(aid, plain=True, words=("the operating point found with plain sources, stepped from zero",))
@@ -105,7 +105,7 @@ def aids(asked: Tolerances) -> Iterator[Aid]:
 
 
 def aided(asked: Tolerances, attempt: Callable[[Aid], Result]) -> Result:
-    """Return what `attempt` does with the first aid that lets ngspice come to its end; the step is told.
+    """Return what `attempt` does with the first aid that lets ngspice finish; a warning names the aid.
 
     Raises
     ------
@@ -172,7 +172,7 @@ def plain_start(
     rows = ["cosim start", *(line.text for line in board.lines[1:]), *testbench(board, circuit, sources)]
     rows += [aid.tolerances.line(), *aid.lines, ".end"]
     simulator.load("\n".join(rows) + "\n", lines=board.lines, name=str(board.path))
-    # the board's probes may be external, for noise that begins at zero: ngspice 47 asks for them here as well
+    # the board's probes may be external, for noise that begins at zero: ngspice 47 reads them here as well
     simulator.attach(source=lambda name, t: 0.0)
     simulator.command("op")
     nodes = [name for name in simulator.vector_names() if "#" not in name]

@@ -98,7 +98,7 @@ def _at_trial(s: Record, t: float) -> None:
 
 @njit(cache=True, error_model="numpy")
 def present(s: Record, t: float) -> None:
-    """Find the accelerations at the accepted point `t`, friction as it is just behind."""
+    """Compute the accelerations at the accepted point `t`, with friction just behind it."""
     if not s.w.located:
         evaluate(s, t, s.q, s.v, s.a)
     elif friction_events.meet(s, t):
@@ -151,9 +151,9 @@ def advance(s: Record, t: float) -> None:
 def shortened(s: Record, h: float) -> float:
     """Return the step [s] with which the trial step `h` should be taken again; `h` where it is good.
 
-    What is nonlinear in the mechanics, a stop or friction, can make a step wrong that looked good from its
-    start. The circuit's torque at the end is not to be had before the point is accepted: it is extrapolated
-    along its last slope. Behind a jump the acceleration at the start is of no use, and the step short anyway.
+    A nonlinearity of the mechanics, a stop or friction, can spoil a step that looked good from its start. The
+    circuit's torque at the end is not available before the point is accepted: it is extrapolated along its
+    last slope. Behind a jump the acceleration at the start does not help, and the step is short anyway.
     """
     if s.p.shaft_on or s.history == 0:
         return h

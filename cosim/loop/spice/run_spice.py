@@ -67,9 +67,9 @@ def back_emf_viscosity(simulator: Simulator, circuit: Drive, state: np.void) -> 
 
 
 def simulate(request: RunRequest, report: Report) -> RunAnswer:
-    """Run one scene on the `spice` model, with what `convergence` does where ngspice comes to no end.
+    """Run one scene on the `spice` model, with the aids of `convergence` where ngspice does not converge.
 
-    `report` is told simulated time and points so far.
+    `report` gets simulated time and points so far.
     """
     attempts = 0
 
@@ -86,7 +86,7 @@ def _simulate(request: RunRequest, report: Report, aid: Aid) -> RunAnswer:
     scene, board, constants = request.scene, request.board, request.constants
     recorded, watched = request.recorded, request.watched
     nodes = recorded + tuple(node for node in watched if node not in recorded)
-    # ngspice itself tells the time when no point is accepted for long: steps cut endlessly are no progress
+    # ngspice itself reports the time when no point is accepted for long: cuts of the step are no progress
     moving = False
 
     def beat(reached: float) -> None:
@@ -169,7 +169,7 @@ def _transient(
     simulator: Simulator, scene: Scene, memory: Memory, named: Callable[[list[str]], None]
 ) -> tuple[float, float]:
     """Integrate in ngspice, the linkage in its callbacks; return wall and CPU time [s]."""
-    from cosim.loop.spice import callbacks  # compiled on import: not for the other loop's sake
+    from cosim.loop.spice import callbacks  # compiles on import, which the linear loop does not need
 
     simulator.attach(
         data=callbacks.accepted.address, init=named, source=callbacks.source.address,
@@ -182,7 +182,7 @@ def _transient(
 
 
 def _at_nodes(simulator: Simulator, circuit: Drive, nodes: tuple[str, ...], state: np.void) -> dict[str, Any]:
-    """Return what the nodes did over the run, and where all was at its end."""
+    """Return the nodes' peaks and times at their limits over the run, and the state at its end."""
     end: dict[str, Any] = {
         "nodes": dict(zip(nodes, state["node_volts"].tolist(), strict=False)),
         "pins": dict(zip(circuit.sources(), state["out"].tolist(), strict=False)),
@@ -199,7 +199,7 @@ def _at_nodes(simulator: Simulator, circuit: Drive, nodes: tuple[str, ...], stat
 
 
 def _called(component: ComponentGrid, simulator: Simulator) -> ComponentGrid:
-    """Return the noise with its probes under ngspice's names, by which compiled code hears of them."""
+    """Return the noise with its probes under the names that ngspice passes to compiled code."""
     return replace(component, probes=tuple((simulator.called(name), sign) for name, sign in component.probes))
 
 
@@ -264,7 +264,7 @@ def _with_probes(component: ComponentGrid, board: Deck) -> set[str]:
 
 
 def unknown_nodes(simulator: Simulator, text: str, board: Deck, missing: list[str]) -> InputError:
-    """Return the error that names the nodes asked for in vain, each with the nearest that the board has."""
+    """Return the error that names the missing nodes, each with the board's nearest name."""
     circuit = "\n".join(line for line in text.splitlines() if not line.startswith(".save"))
     simulator.load(circuit)
     simulator.attach(source=lambda name, t: 0.0)

@@ -1,4 +1,4 @@
-"""Surfaces of end stops that give, in lockstep: a step ends where a joint enters its stop or leaves it.
+"""Surfaces of compliant end stops in lockstep: a step ends where a joint enters its stop or leaves it.
 
 The stop's torque is continuous there and its slope is not, so that no polynomial fits across. Nothing behind
 an accepted point can be undone: the crossing is foreseen along the predictor of `adams.py`, and met in two
@@ -17,13 +17,13 @@ from cosim.types import Record
 _BEHIND_RAD = 1e-11
 #: A step goes this far towards an expected crossing, then to it: the second time it is known better.
 _APPROACH, _CLOSE = 0.98, 0.05
-#: Places at which the predicted path is looked at, so that a dip within the step is seen; and halvings.
+#: Points at which the predicted path is checked, so that a dip within the step is seen; and halvings.
 _LOOKS, _HALVINGS = 8, 50
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def inside(s: Record) -> int:
-    """Return a number that tells which joints are in which of their stops."""
+    """Return a number that encodes which joints are in which of their stops."""
     code = 0
     for j in range(s.n):
         code = 3 * code + (1 if s.q[j] < s.p.stop_low[j] else (2 if s.q[j] > s.p.stop_high[j] else 0))

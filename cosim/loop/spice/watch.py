@@ -1,8 +1,8 @@
 """A watch within a run on ngspice: outputs that hang at their limit while the device stands still.
 
 An output that latches later in a run, or an operating point that time integration has left, is no error of
-the simulation, and nothing before the run can see it. The watch only notes what the pins were; whether they
-ask for what was seen is judged when the run has ended (`cosim.stability_gate`).
+the simulation, and no check before the run can see it. The watch only records the pins; whether these command
+that output is judged after the run (`cosim.stability_gate`).
 """
 
 from __future__ import annotations
