@@ -25,7 +25,7 @@ HIGHEST_HZ = 1e8
 
 
 @dataclass(frozen=True)
-class Heard:
+class OutputNoise:
     """Noise of an output over a band.
 
     Attributes
@@ -111,7 +111,7 @@ class ProbedBoard(DrivenBoard):
         share = i2 - v1 + 2.0 * (v1 * i2 - i1 * v2)  # (Yaa + Ybb)/(Yaa + Yab + Yba + Ybb)
         return np.real(by_volt["frequency"]), 1.0 / share - 1.0
 
-    def noise(self, output: str, pin: str, sweep: str) -> Heard:
+    def noise(self, output: str, pin: str, sweep: str) -> OutputNoise:
         """Return the rms noise of an output over a band.
 
         A pin must be named as the input that ngspice refers the noise to; it makes none.
@@ -131,7 +131,7 @@ class ProbedBoard(DrivenBoard):
             )
             gain = out / referred if referred > 0.0 else 0.0
         elements = {name.partition(".")[2] or name: float(rms[0]) for name, rms in totals.items()}
-        return Heard(math.sqrt(sum(rms**2 for rms in elements.values())), elements, gain)
+        return OutputNoise(math.sqrt(sum(rms**2 for rms in elements.values())), elements, gain)
 
     def _swept(self, source: str, sweep: str, names: tuple[str, ...]) -> dict[str, Complex]:
         with self._excited({source: 1.0}):
