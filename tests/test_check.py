@@ -451,7 +451,7 @@ def test_a_point_that_is_not_found_at_rated_current_leaves_the_rest(monkeypatch)
     class Still:
         joints = 1
 
-        def hold(self, _values):
+        def hold_only(self, _values):
             pass
 
     def lost(*_):
