@@ -159,7 +159,7 @@ def test_stick_slip_of_a_dragged_mass(tmp_path: Path) -> None:  # 16
 def test_energy_lost_is_what_friction_takes(tmp_path: Path) -> None:
     tables = free(duration_s=1.0, **coulomb(0.03, start={"q_rad": [0.0], "v_rad_per_s": [3.0]}))
     made = go(tmp_path, tables)
-    assert made.bench.total[3] == pytest.approx(-0.5 * INERTIA * 9.0, rel=1e-9)
+    assert made.step.total[3] == pytest.approx(-0.5 * INERTIA * 9.0, rel=1e-9)
     assert made.memory.state[0]["q"][0] == pytest.approx(0.5 * INERTIA * 9.0 / 0.03, rel=1e-9)
 
 
@@ -309,7 +309,7 @@ def test_bouncing_ball(tmp_path: Path, period: float) -> None:  # 17
     assert (q >= 0.0).all()
     assert (q[t >= end] == 0.0).all()
     assert rows(made, "tau_stop1")[-1] == pytest.approx(MASS * g * RADIUS, rel=1e-12)
-    assert made.bench.total[4] == pytest.approx(-MASS * g * h, rel=1e-6)
+    assert made.step.total[4] == pytest.approx(-MASS * g * h, rel=1e-6)
 
 
 @pytest.mark.parametrize("side", [-1, 1])
@@ -340,7 +340,7 @@ def test_bouncing_on_any_stop(tmp_path: Path, period: float, e: float, stop: flo
     assert end == pytest.approx(over, abs=1e-7)
     assert (side * (q - stop) <= 0.0).all()
     assert (q[t >= end] == stop).all()
-    assert made.bench.total[4] == pytest.approx(-MASS * g * RADIUS * height * RADIUS, rel=1e-6)
+    assert made.step.total[4] == pytest.approx(-MASS * g * RADIUS * height * RADIUS, rel=1e-6)
 
 
 @pytest.mark.parametrize("speed", [1e-3, 1e-6, 1e-9])
@@ -430,7 +430,7 @@ def test_a_stop_that_gives_takes_what_hunt_and_crossley_say(tmp_path: Path, side
     assert (rows(made, "tau_stop1")[(t > entered) & (t < exited)] * -side > 0.0).all()
     depth = math.sqrt(2 * INERTIA / k * left(speed))
     assert np.abs(q).max() <= 0.5 + depth * (1 + 1e-9)
-    assert made.bench.total[4] == pytest.approx(-0.5 * INERTIA * (speed**2 - out**2), rel=1e-9)
+    assert made.step.total[4] == pytest.approx(-0.5 * INERTIA * (speed**2 - out**2), rel=1e-9)
 
 
 @pytest.mark.parametrize("e", [0.0, 0.6])
@@ -449,7 +449,7 @@ def test_the_ledger_closes_over_impacts_with_a_mass_at_the_tip(tmp_path: Path, e
     q, v = (np.stack([rows(made, f"{k}{j}") for j in (1, 2)], axis=1) for k in ("q", "v"))
     assert ((q[:, 1] == 0.1) | (q[:, 0] == 0.4)).any()
     held = [sum(energy(p, nobody, q[at], v[at])) for at in (0, -1)]
-    assert held[1] - held[0] == pytest.approx(made.bench.total.sum(), rel=1e-6, abs=1e-9)
+    assert held[1] - held[0] == pytest.approx(made.step.total.sum(), rel=1e-6, abs=1e-9)
 
 
 @pytest.mark.parametrize("e", [None, 0.0, 0.6, 1.0])
@@ -481,7 +481,7 @@ def test_an_arm_on_its_stops_never_gains_energy(tmp_path: Path, e: float | None)
         assert q.min(axis=0) == pytest.approx([-1.3, 0.1], abs=0)
     else:
         assert held[-1] < held[0]
-    lost = made.bench.total.sum()
+    lost = made.step.total.sum()
     assert held[-1] - held[0] == pytest.approx(lost, rel=1e-6)
 
 

@@ -112,7 +112,7 @@ def test_a_leap_over_a_ramp_is_the_ramp_stepped_over(tmp_path: Path) -> None:
         )
         made.run()
         state = made.memory.state[0]
-        ends.append(np.array([state["q"][0], state["v"][0], made.bench.current[0]]))
+        ends.append(np.array([state["q"][0], state["v"][0], made.step.current[0]]))
         points.append(int(state["points"]))
         assert (made.memory.samples[: int(state["samples_used"]), 2] == 1).all()
     assert points == [1 + 1 + 5 * 2, 1 + 6]  # no ramp at power-up
@@ -156,7 +156,7 @@ def test_subnormal_signals_give_the_same_answer_in_as_many_steps(tmp_path: Path,
             scene_of(tmp_path, tables), lagging(ideal(1), pole, pole), tol=1.0, rows=False, exact=exact
         )
         state = made.memory.state[0]
-        ends.append(np.array([state["q"][0], state["v"][0], made.bench.current[0]]) / size)
+        ends.append(np.array([state["q"][0], state["v"][0], made.step.current[0]]) / size)
         points.append(int(state["points"]))
     assert ends[1] == pytest.approx(ends[0], rel=1e-8)
     assert points[1] == points[0]

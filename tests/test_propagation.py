@@ -369,7 +369,7 @@ def test_cost_and_gain_do_not_depend_on_the_bandwidth(tmp_path: Path, gbw: float
         # work, not wall time: steps, maps and their size are the same for every bandwidth
         assert state["points"] <= 4001
         assert state["rejected"] <= 1
-        current = made.bench.current[0]
+        current = made.step.current[0]
         assert current == pytest.approx(9.81 * 0.2 * RADIUS / TORQUE, rel=1e-9)
 
 
@@ -551,9 +551,9 @@ def test_energy_account_closes(tmp_path: Path) -> None:
     state = made.memory.state[0]
     linkage, nobody = mechanism(scene, GEAR), NoOperator().pack()[0]
     held = sum(energy(linkage.pack()[0], nobody, state["q"], state["v"]))
-    turned = np.abs(made.bench.total).sum()
+    turned = np.abs(made.step.total).sum()
     assert turned > 0.02
-    assert abs(held - made.bench.total.sum()) < 1e-7 * turned
+    assert abs(held - made.step.total.sum()) < 1e-7 * turned
 
 
 def test_the_current_behind_an_event_is_the_limited_one(tmp_path: Path) -> None:
