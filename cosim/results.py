@@ -221,6 +221,8 @@ class Run:
             When the folder holds no result, or a damaged one.
         """
         place = Path(folder)
+        if not os.path.lexists(place):
+            fail("no such file or folder", file=str(place))
         if not os.path.isfile(place / RECORD):
             fail(
                 "is not a result folder: it holds no run.json" + results_below(place, (RECORD,)),

@@ -277,6 +277,8 @@ def test_loaded_run_can_be_saved_over_itself(run: Run, tmp_path: Path) -> None:
 def test_damaged_results_are_refused(run: Run, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no run\.json"):
         Run.load(tmp_path)
+    with pytest.raises(InputError, match="no such file or folder"):
+        Run.load(tmp_path / "never" / "made.toml")
     folder = run.save(tmp_path / "out")
     record = (folder / "run.json").read_text()
     for text, words in (

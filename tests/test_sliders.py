@@ -47,6 +47,11 @@ def test_a_moved_resistor_moves_measure_and_yield(tmp_path: Path) -> None:
         browser.screenshot(tmp_path / "sliders.png")
         browser.evaluate("document.getElementById('reset').click()")
         assert browser.evaluate(cell) == before
+        # paper is white, whatever the screen's scheme
+        dark = [{"name": "prefers-color-scheme", "value": "dark"}]
+        browser.call("Emulation.setEmulatedMedia", media="print", features=dark)
+        ground = "getComputedStyle(document.documentElement).backgroundColor"
+        assert browser.evaluate(ground) == "rgb(255, 255, 255)"
     assert (tmp_path / "sliders.png").stat().st_size > 0
 
 

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from cosim.commands.verbosity import bars, remark, verbose
 from cosim.terminal import printable
 
-COMPILING = "compiling, once, about 60 s"
+COMPILING = "compiling, once, one to two minutes"
 """What is said where the first run of an installation would look like a hang; seconds of CPU on 2 GHz."""
 
 
