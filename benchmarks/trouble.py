@@ -157,6 +157,8 @@ def drawn(seed: int, number: int) -> Drawn:
     if arm and twin == "turned":  # what a follower loses and a rounded scale adds goes by the angle
         effects["opamp"] = "ideal"
         changes["device.values.v_rad"] = repr(20.0 / math.radians(340.0))
+    for each in ("opamp_slew", "opamp_saturation"):
+        effects[each] &= effects["opamp"] != "ideal"
     effects["rotor_inertia"] |= effects["shaft"]
     effects["backlash"] &= effects["shaft"]
     changes |= {f"effects.{key}": value for key, value in effects.items()}

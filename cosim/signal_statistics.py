@@ -229,7 +229,8 @@ class Trace:
         inside = np.flatnonzero((self.t > begin) & (self.t < end))
         t = np.concatenate([[begin], self.t[inside], [end]])
         y = np.concatenate([[float(self.cubics(begin))], self.y[inside], [float(self.cubics(end))]])
-        step = np.clip(np.searchsorted(self.t, 0.5 * (t[:-1] + t[1:])) - 1, 0, len(self._jumped) - 1)
+        # by where a piece begins: the middle of a jump's step, one number long, rounds to either end of it
+        step = np.clip(np.searchsorted(self.t, t[:-1], side="right") - 1, 0, len(self._jumped) - 1)
         rates = None if self._slope is None else self.cubics.rate(t)
         kinks = np.concatenate([[False], self._kinks[inside], [False]])
         return Trace(t, y, self._jumped[step], kinks=kinks, slope=rates, bent=self._bent)

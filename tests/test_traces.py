@@ -169,6 +169,15 @@ def test_a_part_keeps_what_its_signal_is() -> None:
     assert bend.cut(0.5, 1.5).mean() == pytest.approx(-1 / 8 + 1 / 24, abs=1e-15)
 
 
+@pytest.mark.parametrize("step", [0.5, np.nextafter(0.5, 1.0)])  # the last bit of one is even, of one odd
+def test_a_part_jumps_where_its_signal_does(step: float) -> None:
+    """The middle of a jump's step, one number long, is one of its ends: by it a part knew no jump there."""
+    t = np.array([0.0, 0.25, step, step, 0.75, 1.0])
+    jump = Trace(t, np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0]), smooth(t))
+    assert jump.cut(0.3, 0.7).mean() == pytest.approx(0.5, abs=1e-15)
+    assert jump.cut(0.3, 0.7).mean_square() == pytest.approx(0.5, abs=1e-15)
+
+
 def test_the_peak_within_spans_is_that_of_their_rows_as_well() -> None:
     t, y = np.arange(5.0), np.array([0.0, 1.0, 5.0, 2.0, 9.0])
     trace = Trace(t, y, smooth(t), bent=True)

@@ -7,6 +7,7 @@ import pytest
 
 from benchmarks import trouble
 from benchmarks.trouble import Answer, Drawn, drawn, judged, twin_changes
+from cosim import effects
 from cosim.caution import collected
 from cosim.scene import load_scene
 
@@ -67,10 +68,10 @@ def test_the_ranges_are_those_of_the_search(scenes):
 
 
 def test_every_drawn_scene_and_twin_is_a_scene(scenes):
-    """What the generator draws is refused by no check of keys."""
+    """What the generator draws is refused by no check of keys or effects."""
     for number, scene in enumerate(scenes):
         with collected(forward=False):
-            load_scene(scene.file, scene.overrides({}))
+            effects.check(load_scene(scene.file, scene.overrides({})))
             load_scene(scene.file, scene.overrides(twin_changes(scene, 5, number)))
 
 
