@@ -6,7 +6,7 @@ import math
 import pytest
 
 from benchmarks import trouble
-from benchmarks.trouble import Answer, Drawn, drawn, judged, twin_changes
+from benchmarks.trouble import Answer, Drawn, _confirmed, drawn, growth, judged, twin_changes
 from cosim import effects
 from cosim.caution import collected
 from cosim.scene import load_scene
@@ -88,6 +88,21 @@ def test_a_turned_arm_has_the_same_distance_from_the_wall():
     assert before == pytest.approx(0.010, rel=1e-3)  # 10 mm off the wall, as the scene says
     assert after == pytest.approx(before, rel=1e-12)
     assert math.dist(tip, turned) > 1e-3
+
+
+def test_growth_is_that_of_a_sampled_spring():
+    """A mass on a sampled and held spring: z^2 - (2 - c/2) z + 1 + c/2 = 0 with c = K T^2/M = 0.25."""
+    off = ("rotor_inertia", "viscous", "gravity", "encoder", "dac", "dac_settling")
+    changes = {f"effects.{name}": False for name in off} | {
+        "effects.opamp": "ideal", "effects.vca": "ideal", "effects.driver_level": "ideal",
+        "effects.motor": "ideal", "effects.differentiator": "ideal", "computer.method": "discrete",
+        "computer.analog_stiffness_n_per_m": 0.0, "computer.discrete_stiffness_n_per_m": 500.0,
+        "computer.period_s": 0.01, "device.slider.mass_kg": 0.15, "operator.mass_kg": 0.05,
+    }  # fmt: skip
+    scene = Drawn(trouble.ROOT / "scenes" / "drop.toml", changes, "units")
+    # the board's constants are written with five digits
+    assert growth(scene, None) == pytest.approx(math.sqrt(1.125), rel=1e-5)
+    assert _confirmed({"outcome": "apart"}, scene, None)["outcome"] == "unstable"
 
 
 @pytest.mark.slow
