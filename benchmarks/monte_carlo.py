@@ -98,7 +98,8 @@ def yields(repetitions: int) -> list[Figure]:
     scene, measure = "drop", _SCENES["drop"][1]
     first = _prepared(scene, 8)
     draws = sampling("sobol", 2048, len(first.tolerances.variables), 7)
-    table = first.batch((measure,), "linear").measures(first.tolerances.values(draws.uniforms(0, draws.n)))
+    with first.batch((measure,), "linear") as batch:  # its process keeps what it has measured
+        table = batch.measures(first.tolerances.values(draws.uniforms(0, draws.n)))
     limit = float(np.nanquantile(table[:, 0], 1.0 - _RATE))
     prepared = _prepared(scene, _DEAR_OF_A_YIELD, (Spec(measure, high=limit),))
     levels = _levels(prepared)

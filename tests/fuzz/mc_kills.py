@@ -52,7 +52,7 @@ def kill_studies(project: Project, folder: Path, number: int, count: int) -> dic
     words = ["mc", str(scene), "--set", "solver.model=linear", "--set", "duration_s=0.3",
              "--measure", _MEASURE, "-n", str(_SAMPLES), "--chunk", str(_CHUNK)]  # fmt: skip
     begun = time.monotonic()
-    _ended(_start([*words, "--workers", "2"], folder / "whole", folder), "undisturbed")
+    _ended(_start([*words, "--workers", "2"], folder / "whole", folder), "undisturbed", folder)
     length = time.monotonic() - begun
     truth = (folder / "whole" / "samples.parquet").read_bytes()
     kinds = _LOCAL + (_CLUSTER if find_spec("distributed") else ())
@@ -68,7 +68,7 @@ def kill_studies(project: Project, folder: Path, number: int, count: int) -> dic
         marked = _mark(out) if turn % 2 else {}
         counts["samples kept"] += len(_parts(out)) * _CHUNK
         print(f"  turn {turn}, {kind}, after {wait_s:.2f} of {length:.2f} s", flush=True)
-        _ended(_start([*words, "--workers", "2"], out, folder), f"turn {turn}, {kind}")
+        _ended(_start([*words, "--workers", "2"], out, folder), f"turn {turn}, {kind}", folder)
         data = (out / "samples.parquet").read_bytes()
         if not marked and data != truth:
             raise Defect(f"turn {turn}, {kind}: other bytes than an undisturbed study")
@@ -89,7 +89,7 @@ def _local(kind: str, words: list[str], out: Path, folder: Path, wait_s: float) 
         workers = [int(pid) for pid in children if _is_worker(int(pid))]
         if workers:
             os.kill(random.Random(wait_s).choice(workers), signal.SIGKILL)
-        _ended(process, kind)
+        _ended(process, kind, folder)
         return bool(workers)
     process.send_signal(signal.SIGKILL if kind == "parent" else signal.SIGINT)
     _wait(process, kind)
@@ -188,11 +188,12 @@ def _wait(process: subprocess.Popen[bytes], what: str) -> None:
         raise Defect(f"{what}: still runs after {_LIMIT_S:g} s") from None
 
 
-def _ended(process: subprocess.Popen[bytes], what: str) -> None:
+def _ended(process: subprocess.Popen[bytes], what: str, folder: Path) -> None:
     """Wait for a command that is to succeed."""
     _wait(process, what)
     if process.returncode:
-        raise Defect(f"{what}: exit code {process.returncode}")
+        message = (folder / "said").read_text(errors="replace")
+        raise Defect(f"{what}: exit code {process.returncode}: {message}")
 
 
 def _parts(out: Path) -> list[Path]:
