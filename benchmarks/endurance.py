@@ -103,7 +103,7 @@ def drop(samples: int) -> tuple[Track, int]:
                        "tolerance": scene.solver.reduction_tolerance}, lambda _: None)  # fmt: skip
     # with rows, or no account is kept of energy
     packed = prepare(scene, request.constants, circuit, record=True)
-    state, total = packed.memory.state[0], packed.bench.total
+    state, total = packed.memory.state[0], packed.step.total
     nobody = NoOperator().pack()[0]
     told = sample_columns(scene.joints)
     track = Track(("samples", "ledger_j", "place_rad", "bytes"))

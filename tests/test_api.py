@@ -12,7 +12,7 @@ import pytest
 import cosim
 from cosim.assets import netlists_folder, scenes_folder
 from cosim.caution import Caution, Doubt, collected, warn
-from cosim.units import quantity
+from cosim.units import measured
 
 ROOT = Path(__file__).resolve().parents[1]
 PRESS = scenes_folder() / "press.toml"
@@ -184,7 +184,7 @@ def test_a_notebook_shows_summary_measures_and_picture(run):
     assert all(f"<td>{name}</td>" in html for name in run.measures)
     assert html.count("<img") == 1
     row = next(iter(run.measures.values()))
-    assert f"<td>{quantity(row['value'], row['unit'], 5)}</td>" in html
+    assert f"<td>{measured(row['value'], row['error'], row['unit'])}</td>" in html
 
 
 def test_python_says_what_the_command_says(capsys):

@@ -158,7 +158,7 @@ def test_what_can_be_compared(tmp_path, capsys):
         with pytest.raises(InputError):
             sides_of(boards, variants, last)
     assert main(["compare", DROP, "--last", str(tmp_path / "nothing"), "--out", str(tmp_path / "o")]) == 2
-    assert "not a result folder" in capsys.readouterr().err
+    assert "no such file or folder" in capsys.readouterr().err
 
 
 def test_a_stored_board_is_the_same_and_is_checked_like_any_netlist(tmp_path):

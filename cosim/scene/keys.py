@@ -69,8 +69,8 @@ def section(name: str) -> list[Key]:
     --------
     >>> [key.unit for key in section('computer.period_s')]
     ['s']
-    >>> [key.path for key in section('gravity')]
-    ['effects.gravity']
+    >>> [key.path for key in section('gravity')][-1]
+    'effects.gravity'
     """
     every = keys()
     chosen = [key for key in every if not name or key.path == name or key.path.startswith(f"{name}.")]

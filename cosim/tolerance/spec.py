@@ -100,7 +100,7 @@ def _without_unit(written: str, unit: str) -> tuple[str, float]:
     shown = pretty(unit)  # as results are printed
     if not unit or not written.endswith((unit, shown)):
         return written, 1.0
-    head = written.removesuffix(unit).removesuffix(shown)
+    head = written.removesuffix(unit if written.endswith(unit) else shown)
     if head[-1:] in PREFIXES and "^" not in unit and not head.lower().endswith("meg"):
         return head[:-1].strip(), PREFIXES[head[-1]]
     return head.strip(), 1.0
