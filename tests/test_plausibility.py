@@ -232,6 +232,12 @@ def test_an_open_ledger_is_told() -> None:
     result = _of(run, ledger={**run.ledger, "closes": False, "closure": 0.3})
     assert [caution.code for caution in result] == ["ledger-open"]
     assert "0.3 of the energy" in result[0].text
+    assert "max_step_s" in result[0].advice
+    # without velocity products a change of M(q) does work that no ledger has
+    run = press("solver.model=linear", "effects.coriolis=false")
+    assert [
+        "effects.coriolis = true" in each.advice for each in run.warnings if each.code == "ledger-open"
+    ] == [True]
 
 
 def _of(run: Run, **changed: object) -> list[Caution]:
