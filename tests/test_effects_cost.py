@@ -348,7 +348,8 @@ def closes(run: Any, bound: float = 3e-6) -> None:
     """
     ledger = run.ledger
     total = ledger["end_j"] - ledger["start_j"] - sum(ledger["work_j"].values())
-    assert total == pytest.approx(ledger["residual_j"], abs=1e-18)
+    # rounding of the sum, which Python adds in another way since 3.12
+    assert total == pytest.approx(ledger["residual_j"], abs=4e-16 * ledger["turnover_j"])
     print(f"closure {ledger['closure']:.1e} of {ledger['turnover_j']:.2e} J")
     assert ledger["closure"] < bound
 

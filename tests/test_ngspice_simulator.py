@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cosim.errors import CosimError, InputError, SimulationError
+from cosim.ngspice.allowed_commands import end_and_aim_s
 from cosim.ngspice.child import call
 from cosim.ngspice.deck import Deck, PartSwap, load_deck
 from cosim.ngspice.lines import Line
@@ -470,3 +471,20 @@ def test_a_data_callback_that_stays_is_not_exchanged() -> None:
     simulator._library.attach(None, None, None, None, None)
     simulator._library._stays = False
     simulator.attach()
+
+
+@pytest.mark.parametrize(
+    ("command", "end", "short"),
+    [
+        ("tran 1m 2", 2.0, True),
+        ("tran 1m 2 0 1m uic", 2.0, True),
+        (
+            "tran 1.2e-09 0.001 0.00099 1.2e-09 uic",
+            1e-3,
+            False,
+        ),  # least step 1.2e-20 s, four roundings 9e-19 s
+        ("op", math.inf, False),
+    ],
+)
+def test_a_last_step_aims_at_what_ngspice_takes_for_the_end(command: str, end: float, short: bool) -> None:
+    assert end_and_aim_s(command) == (end, end - 4 * 2.0**-52 * end if short else end)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import re
 
 from cosim.errors import fail
 from cosim.ngspice.aliases import Aliases
+from cosim.ngspice.lines import number
 
-__all__ = ["spelled"]
+__all__ = ["end_and_aim_s", "spelled"]
 
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?[a-z]{0,5}", re.IGNORECASE | re.ASCII)
 _WORD = re.compile(r"[a-z]\w*", re.IGNORECASE | re.ASCII)
@@ -153,3 +155,20 @@ _WRITERS = {
     "ac": _sweep, "alter": _alter, "alterparam": _alter_parameter, "dc": _dc, "noise": _noise,
     "print": _print, "save": _save, "tran": _transient,
 }  # fmt: skip
+
+
+def end_and_aim_s(command: str) -> tuple[float, float]:
+    """Return the time [s] at which a ``tran`` command ends and where its last step aims; infinity for others.
+
+    The aim is four roundings short, since ngspice 44's reading of the end may be one below ours; but not
+    where ngspice's least step, 1e-11 of its longest, is less: there it would not take that for the end.
+    """
+    words = command.split()
+    if len(words) < 3 or words[0].lower() != "tran":
+        return math.inf, math.inf
+    step, end, begin, longest = ([number(word) or 0.0 for word in words[1:5] if word != "uic"] + [0.0, 0.0])[
+        :4
+    ]
+    longest = longest or min(step, (end - begin) / 50.0)
+    short = 4.0 * 2.0**-52 * end
+    return end or math.inf, (end - short if short < 1e-11 * longest else end) or math.inf

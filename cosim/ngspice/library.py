@@ -29,8 +29,6 @@ STOP_COMMAND = b"stop when time > -1\0"
 
 _REFERENCE = re.compile(r"Reference value\s*:\s*(\S+)")
 _MOST_LINES = 20_000
-#: Share of an analysis that a last step may leave, four roundings.
-_SHORT = 4 * 2.0**-52
 """Lines of one command's output that are kept; the last words are kept apart."""
 
 Source = Callable[[str, float], float]
@@ -72,7 +70,7 @@ class Library:
         self.failure: BaseException | None = None
         self.exited = False
         self.loaded = False
-        self.end_s = math.inf  # of the transient analysis that runs
+        self.end_s = self.aim_s = math.inf  # of the transient analysis that runs, and of its last step
         self._stop_waits = False  # for the next step: ngspice 47 takes no command while it tells its words
         self._compiled_steps = False
         self.restore: Callable[[str], str] = str
@@ -204,14 +202,15 @@ class Library:
 
         With a step callback attached, ngspice 44 cuts such a step to 1.1 of its least step short of the end,
         and then stops with "timestep too small", since nothing is left. A step to the very end is not cut,
-        nor one that ends a few roundings before it, which ngspice takes for the end (up to a hundred). Four
-        are aimed at: its own reading of the end may be a rounding below ours.
+        nor one that ends less than its least step before it, which ngspice takes for the end.
         """
         if self._stop_waits:
             self._stop_waits = False
             self.stop()
         if time < self.end_s < time + delta[0]:
-            left = self.end_s * (1.0 - _SHORT) - time
+            left = self.aim_s - time
+            while time + left > self.end_s:  # the sum is rounded
+                left = math.nextafter(left, 0.0)
             if left > 0.0:
                 delta[0] = left
         return 0

@@ -5,7 +5,6 @@ isolation (every run does) goes through `cosim.ngspice.child`.
 """
 
 import contextlib
-import math
 import re
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -16,11 +15,11 @@ from numpy.typing import NDArray
 
 from cosim.errors import CosimError, InputError, SimulationError, StepTooSmall, fail, nearest
 from cosim.ngspice.aliases import Aliases
-from cosim.ngspice.allowed_commands import spelled
+from cosim.ngspice.allowed_commands import end_and_aim_s, spelled
 from cosim.ngspice.dcpath import has_dc_path, in_voltage_loop
 from cosim.ngspice.gate import admit
 from cosim.ngspice.library import OLDEST_VERSION, STOP_COMMAND, Init, Source, Sync, opened
-from cosim.ngspice.lines import Line, number
+from cosim.ngspice.lines import Line
 from cosim.ngspice.messages import is_error, load_problems, operating_point_problem, step_problem
 
 __all__ = ["OLDEST_VERSION", "STOP_COMMAND", "Simulator"]
@@ -341,7 +340,7 @@ class Simulator:
         library.lines.clear()
         library.recent.clear()
         library.failure = None
-        library.end_s = _end(command)
+        library.end_s, library.aim_s = end_and_aim_s(command)
         status = library.api.ngSpice_Command(command.encode())
         if library.failure is not None:
             failure, library.failure = library.failure, None
@@ -386,10 +385,3 @@ class Simulator:
             match = _STOP.match(line)
             if match:
                 library.api.ngSpice_Command(f"delete {match[1]}".encode())
-
-
-def _end(command: str) -> float:
-    """Return the time [s] at which a ``tran`` command ends, infinity for any other command."""
-    words = command.split()
-    end = number(words[2]) if len(words) > 2 and words[0].lower() == "tran" else None
-    return math.inf if end is None else end
