@@ -36,12 +36,12 @@ POINT_US = {
 #: A slew limit at level gbw stands inside the loop of its pole: so many times the Newton steps.
 SLEW_STEPS = 1.5
 #: Seconds for the matrices of a slider that is solved exactly, and for the maps of an interval of new length.
-EXACT_S = {"spice": 0.0, "linear": 0.020, "ideal": 0.012}
+EXACT_S = {"spice": 0.0, "linear": 0.0075, "ideal": 0.0045}
 INTERVAL_S = {"spice": 0.0, "linear": 1.4e-4, "ideal": 1.1e-5}
 #: The same where a slider is solved exactly: matrix exponentials for each new length.
-EXACT_INTERVAL_S = {"spice": 0.0, "linear": 1.9e-3, "ideal": 1.5e-3}
+EXACT_INTERVAL_S = {"spice": 0.0, "linear": 4.2e-4, "ideal": 3.3e-4}
 #: Seconds a sample for a control law in Python.
-LAW_S = 1.5e-4
+LAW_S = 7e-5
 #: Microseconds a point for an operator in Python: it is called some twice a point, at trials too.
 OPERATOR_US = {"spice": 15.0, "linear": 24.0, "ideal": 24.0}
 #: Seconds of processor time from the command to the first point, with everything compiled and extracted
