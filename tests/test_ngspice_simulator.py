@@ -3,12 +3,14 @@
 import ctypes
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from cosim.errors import CosimError, InputError, SimulationError
+from cosim.ngspice import library
 from cosim.ngspice.allowed_commands import end_and_aim_s
 from cosim.ngspice.child import call
 from cosim.ngspice.deck import Deck, PartSwap, load_deck
@@ -488,3 +490,20 @@ def test_a_data_callback_that_stays_is_not_exchanged() -> None:
 )
 def test_a_last_step_aims_at_what_ngspice_takes_for_the_end(command: str, end: float, short: bool) -> None:
     assert end_and_aim_s(command) == (end, end - 4 * 2.0**-52 * end if short else end)
+
+
+def test_a_library_that_pyspice_cannot_open_is_not_tried_under_another_name(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """PySpice has declared its functions by then: the second name would end in an error about these."""
+    tried: list[str] = []
+
+    def failing() -> None:
+        tried.append(failing.LIBRARY_PATH)  # type: ignore[attr-defined]
+        raise OSError("too many open files")
+
+    monkeypatch.setattr(library, "_candidates", lambda: ["libc.so.6", "libm.so.6"])
+    monkeypatch.setattr(library.ctypes, "CDLL", lambda name: SimpleNamespace(ngSpice_Init_Sync=None))
+    with pytest.raises(InputError, match="cannot be opened by PySpice: too many open files"):
+        library.Library._open(failing)
+    assert tried == ["libc.so.6"]

@@ -5,7 +5,6 @@ Its callbacks are replaced by our own, because they are Python functions called 
 iteration, lose exceptions, and take harmless notes for errors.
 """
 
-import contextlib
 import ctypes.util
 import math
 import os
@@ -100,12 +99,18 @@ class Library:
             path = ctypes.util.find_library("ngspice") if sys.platform != "linux" else None
             tried += [path] if path else []
         for name in tried:
+            # first without PySpice, which declares its functions before it looks, and can once
+            try:
+                there = ctypes.CDLL(name)
+            except OSError:
+                continue
+            if not hasattr(there, "ngSpice_Init_Sync"):
+                raise InputError(f"{name} is not the shared library of ngspice")
             opened.LIBRARY_PATH = name
-            with contextlib.suppress(OSError):
-                # first without PySpice, which declares its functions before it looks, and can once
-                if not hasattr(ctypes.CDLL(name), "ngSpice_Init_Sync"):
-                    raise InputError(f"{name} is not the shared library of ngspice")
+            try:
                 return opened()._ngspice_shared  # sets the C locale for numbers, as ngspice wants it
+            except OSError as error:
+                raise InputError(f"{name} cannot be opened by PySpice: {error}") from error
         raise InputError(
             "libngspice was not found (tried "
             + ", ".join(tried)
