@@ -90,7 +90,7 @@ def draw(ledger: "EffectsLedger", measure: str, title: str = "") -> "Figure":
     caption = (
         f"Left: how far an effect moves the {words}, put on alone over none and on top of all others; the "
         f"dashed line is {share}. An effect without a bar changes nothing here. Right: what it costs in "
-        "processor time; what is below the noise of the clock may be negative."
+        "processor time; negative is a run that takes longer without the effect, or the noise of the clock."
     )
     drawing.supxlabel("\n".join(wrap(caption, 118)), fontsize=9.0, ha="left", x=0.01)
     return Drawn(drawing, caption).figure
