@@ -9,11 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import SCENES
 
 from benchmarks.__main__ import write
 from benchmarks.figure import TARGETS, figure, interleaved
 from benchmarks.regression import BAND, BANDS, allowed, committed, worse
 from benchmarks.rig import CURRENTS, Outcome, error, instants, slope
+from benchmarks.same_results import SHORT, differences
 from benchmarks.stiff import System, sundials
 from benchmarks.suite import SUITE
 from benchmarks.table import show
@@ -66,6 +68,26 @@ def check_form(rows):
         assert row["command"] == f"python -m benchmarks {row['name']}"
         for key in ("error_ours", "error_peer"):
             assert row[key] is None or math.isfinite(row[key])
+
+
+def test_every_study_of_the_paper_has_a_short_form():
+    assert {path.stem for path in (SCENES / "paper").glob("*.toml")} - {"claims"} == set(SHORT)
+
+
+def test_one_bit_is_a_difference():
+    ones = np.ones(3)
+    case = {"signals.q1": ones, "measures.force": {"value": 0.1, "unit": "N"}}
+    assert differences(case, {"signals.q1": ones.copy(), "measures.force": {"value": 0.1, "unit": "N"}}) == []
+    assert differences(case, case | {"signals.q1": np.nextafter(ones, 2.0)}) == [
+        "signals.q1: by up to 2.22e-16 of 1"  # the spacing of doubles behind 1
+    ]
+    assert (
+        len(differences(case, case | {"measures.force": {"value": math.nextafter(0.1, 1.0), "unit": "N"}}))
+        == 1
+    )
+    assert differences(case, {"signals.q1": ones[1:]}) == [
+        "only one of them has measures.force", "signals.q1: 3 values -> 2"
+    ]  # fmt: skip
 
 
 def test_every_figure_has_its_target_and_its_measurement():

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_studies import FALL, PERIODS, first, small
 
+from benchmarks.same_results import SHORT, small
 from cosim.caution import collected
 from cosim.studies.grid import decimal, even, geometric, milli, steps
 from cosim.studies.study import StudyResult
@@ -29,31 +29,15 @@ def ragged(result: StudyResult) -> set[tuple[str, str]]:
     }
 
 
-#: Slow ones apart; studies that are missing here show no grid but poses, as places of the tip.
-SLOW: list[tuple[str, dict[str, Any]]] = [
-    ("0_2_passive", {"depths_m": (0.01,), "dampers_n_s_per_m": (2.0,), "seconds": 0.3}),
-    ("5_5_corner", {"corners_hz": (2.0, 1000.0)}),
-    ("8_maps", {**FALL, "periods_s": PERIODS, "dampings_n_s_per_m": (0.6,), "stiffness_shares": (0.6,),
-                "stiffness_n_per_m": (10.0,), "panels": first(1), "widths": first(1)}),
-]  # fmt: skip
-STUDIES: list[tuple[str, dict[str, Any]]] = [
-    ("1_fig13", {**FALL, "periods_s": PERIODS, "families": first(1)}),
-    ("3_fig16_18", {"runs": first(1)}),
-    ("5_2_rendering", {"cases": first(1), "stiffness_noticed": (0.07, 0.14), "force_noticed": (0.07, 0.29)}),
-    ("5_3_footnote", {"points": 5, "opamps": first(1), "corners_hz": first(1), "drivers_hz": first(1)}),
-    ("5_4_shift", {"periods_s": PERIODS, "cases": first(2), "gains": first(1)}),
-    ("6a_ceiling", {"boards": first(1), "noise_points": 5}),
-    ("6b_onset", {**FALL, "periods_s": PERIODS, "stiffness_n_per_m": (20.0, 25.0), "ways": first(1)}),
-]  # fmt: skip
+#: Those with other parameters show no grid but poses, as places of the tip.
+GRIDS = [(name, changes) for name, changes in SHORT.items() if changes]
+SLOW = ("0_2_passive", "5_5_corner", "8_maps")
 
 
 @pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("name", "changes"),
-    [
-        *(pytest.param(*each, id=each[0]) for each in STUDIES),
-        *(pytest.param(*each, id=each[0], marks=pytest.mark.slow) for each in SLOW),
-    ],
+    [pytest.param(*each, id=each[0], marks=[pytest.mark.slow] if each[0] in SLOW else []) for each in GRIDS],
 )
 def test_what_was_asked_for_stands_in_the_tables_as_it_was_asked(name: str, changes: dict[str, Any]) -> None:
     with collected(forward=False) as cautions:

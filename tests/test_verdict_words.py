@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from small_studies import PAPER, PERIODS, first, small
+from support import SCENES
 
 import cosim.studies
+from benchmarks.same_results import PERIODS, first, small
 from cosim.scene.parameters import Variation
 from cosim.studies.case_effects import holds_table
 from cosim.studies.claims import load_claims
@@ -70,7 +71,11 @@ def test_verdicts_are_plain_words() -> None:
 
 
 def test_claims_without_an_equation_of_the_paper_are_plain_words() -> None:
-    plain = [c for c in load_claims(PAPER).claims if not _OF_THE_PAPER.match(c.says) and "Fig" not in c.says]
+    plain = [
+        c
+        for c in load_claims(SCENES / "paper").claims
+        if not _OF_THE_PAPER.match(c.says) and "Fig" not in c.says
+    ]
     assert len(plain) >= 5
     assert [c.id for c in plain if _CODE.search(c.says + c.counts)] == []
 
@@ -129,7 +134,7 @@ def test_the_page_says_what_the_cases_hold(name: str, changes: dict[str, Any], t
 
 def test_every_case_is_told_with_its_own_levels() -> None:
     """The shift study's cases take away what their names say; one more adds what the scene has not."""
-    spec = load_study(PAPER / "5_4_shift.toml")
+    spec = load_study(SCENES / "paper" / "5_4_shift.toml")
     full = Variation(name="full", set=("solver.model=spice", "effects.opamp=full", "effects.coulomb=true"))
     table = holds_table(spec, (*spec.parameters.cases, full), "")
     circuit = dict(zip(table.columns["case"], table.columns["of the circuit"], strict=True))
