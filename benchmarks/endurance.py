@@ -105,7 +105,7 @@ def drop(samples: int) -> tuple[Track, int]:
     packed = prepare(scene, request.constants, circuit, record=True)
     state, total = packed.memory.state[0], packed.step.total
     nobody = NoOperator().pack()[0]
-    told = sample_columns(scene.joints)
+    names = sample_columns(scene.joints)
     track = Track(("samples", "ledger_j", "place_rad", "bytes"))
     wrong = seen = 0
 
@@ -117,7 +117,7 @@ def drop(samples: int) -> tuple[Track, int]:
     def look(rows: Any) -> None:
         nonlocal wrong, seen
         ticks = np.arange(seen, seen + len(rows))
-        wrong += int(np.count_nonzero(rows[:, told.index("time")] != ticks * period))
+        wrong += int(np.count_nonzero(rows[:, names.index("time")] != ticks * period))
         seen += len(rows)
         # the sample in hand is the present point: both sides of the ledger are of this very instant
         left = stored() - start - float(total.sum())
@@ -125,7 +125,7 @@ def drop(samples: int) -> tuple[Track, int]:
 
     nothing = Sink(len(columns(packed.memory.drive, ())), lambda _: None)
     recorder = Recorder(packed.memory, Clock(state), Path(), lambda _: None,
-                        streams=(nothing, Sink(len(told), look)))  # type: ignore[arg-type]  # fmt: skip
+                        streams=(nothing, Sink(len(names), look)))  # type: ignore[arg-type]  # fmt: skip
     packed.run()
     recorder.drain()
     if recorder.failure is not None:

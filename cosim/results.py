@@ -39,7 +39,9 @@ from cosim.units import heading, name_of, sample_unit, signal_unit
 RAW, SAMPLES, RECORD, SCENE = "signals.raw", "samples.csv", "run.json", "scene.toml"
 BOARD = "board.json"
 FORMATS = ("parquet", "csv")
-_FORMAT_VERSION = 2
+_FORMAT_VERSION = 3
+#: Versions that can be read; 2 has `printed` under the name "said".
+_READABLE = (2, _FORMAT_VERSION)
 #: What a result is checked for when it is loaded; the other forms of the signals are for other tools.
 _SEALED = (RAW, SAMPLES, SCENE, BOARD)
 #: Further forms of the signals, by which nothing is loaded.
@@ -76,7 +78,7 @@ class Run:
         Versions, seed and command, see `provenance`.
     warnings
         What a person should doubt about the result.
-    said
+    printed
         Lines that the user's own law and measures printed.
 
     Examples
@@ -99,7 +101,7 @@ class Run:
     stats: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     warnings: Sequence[Caution] = ()
-    said: Sequence[str] = ()
+    printed: Sequence[str] = ()
 
     def to_dataframe(self, of: str = "signals") -> Any:
         """Return the signals [one row a time point] or the samples [one row a sample] as a table.
@@ -202,7 +204,7 @@ class Run:
             "scene": self.scene.as_dict(),
             "scene_digest": self.scene.digest(),
             "warnings": [caution.as_dict() for caution in self.warnings],
-            "said": list(self.said),
+            "printed": list(self.printed),
             "plan": self.plan,
             "measures": self.measures,
             "ledger": self.ledger,
@@ -228,7 +230,9 @@ class Run:
                 "is not a result folder: it holds no run.json" + results_below(place, (RECORD,)),
                 file=str(place),
             )
-        record = read_sealed(place / RECORD, _FORMAT_VERSION)
+        record = read_sealed(place / RECORD, *_READABLE)
+        if "said" in record:
+            record["printed"] = record.pop("said")
         field_types.check(record, Record, str(place / RECORD))
         check_files(place, {**dict.fromkeys((RAW, SAMPLES, SCENE), ""), **record["files"]})
         try:
@@ -250,7 +254,7 @@ class Run:
             stats=record["stats"],
             provenance=record["provenance"],
             warnings=tuple(map(caution_of, record["warnings"])),
-            said=tuple(map(str, record["said"])),
+            printed=tuple(map(str, record["printed"])),
         )
 
 
@@ -276,7 +280,7 @@ def written_files(folder: Path) -> set[str]:
     Nothing of a folder whose record is missing, damaged or another version's can be proven.
     """
     try:
-        record = read_sealed(folder / RECORD, _FORMAT_VERSION)
+        record = read_sealed(folder / RECORD, *_READABLE)
     except InputError:
         return set()
     page = {f"{PAGE_FOLDER}/{name}" for name in listed(folder / PAGE_FOLDER)}

@@ -158,7 +158,7 @@ def _run(
             measures=chosen(measures, scene),
             ledger=ledger,
             stats=stats,
-            said=(*answer.printed, *own["said"]),
+            printed=(*answer.printed, *own["printed"]),
             warnings=tuple(cautions),
             provenance=provenance(
                 scene,
@@ -264,10 +264,10 @@ def _own(
     samples: Mapping[str, NDArray[np.float64]],
     child: Child | None,
 ) -> dict[str, Any]:
-    """Ask the user's own measures in the child, as it runs their laws: 'rows', and what they 'said'."""
+    """Ask the user's own measures in the child, as it runs their laws: 'rows', and what they 'printed'."""
     names = own_measures(plan.scene)
     if not names:
-        return {"rows": {}, "said": []}
+        return {"rows": {}, "printed": []}
     asked = {"scene": plan.scene, "constants": constants, "raw": raw, "samples": samples, "names": names}
     answer: dict[str, Any] = call(
         "cosim.loop.usermeasure:measured",

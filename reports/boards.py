@@ -75,7 +75,7 @@ def write_comparison(sides: "Sequence[Side]", rows: "Sequence[Row]", folder: Pat
         pictures=pictures,
         absent=[],
         tables=tables(sides, rows),
-        said=[],
+        printed=[],
         scene="",
     )
     return write_page(folder, html, pictures, manifest=MANIFEST)
@@ -136,8 +136,8 @@ def _summary(sides: "Sequence[Side]", rows: "Sequence[Row]") -> list[str]:
     lines += felt(rows) if rows else []
     if same and rows:
         lines.append(f"Nothing changed in: {'; '.join(title[0].lower() + title[1:] for title in same)}.")
-    for name in dict.fromkeys(name for side in sides for name, _ in side.said):
-        words = [(side.label, dict(side.said).get(name, "not known")) for side in sides]
+    for name in dict.fromkeys(name for side in sides for name, _ in side.findings):
+        words = [(side.label, dict(side.findings).get(name, "not known")) for side in sides]
         if len({text for _, text in words}) == 1:
             lines.append(f"{name[0].upper()}{name[1:]}, on all sides: {words[0][1]}.")
         else:

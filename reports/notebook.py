@@ -145,7 +145,7 @@ def study_html(result: "StudyResult") -> str:
     """Return a study's notes, verdicts, tables and pictures as HTML."""
     from reports.study_page import draw_study, text_table, verdict_word
 
-    verdicts = [[v.id, v.claim, v.expected, v.found, verdict_word(v)] for v in result.verdicts]
+    verdicts = [[v.id, v.claim, v.expected, v.outcome, verdict_word(v)] for v in result.verdicts]
     tables = [_table(["", "claim", "expected", "found", "verdict"], verdicts)] if verdicts else []
     for table in result.tables:
         shown = text_table(table, f"{table.name}.csv")

@@ -108,7 +108,7 @@ def write_report(
         compare=compare_table(trials) if len(trials) > 1 else None,
         compared=compared,
         inputs=inputs,
-        said=list(run.said),
+        printed=list(run.printed),
         scene=_scene_text(run),
         command=command_line(run.provenance.get("command")),
     )

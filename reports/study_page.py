@@ -48,7 +48,7 @@ class _Judged:
 
     claim: str
     expected: str
-    found: str
+    outcome: str
     holds: str
     place: str
     section: str
@@ -143,7 +143,7 @@ def _claims(results: Sequence[tuple[str, StudyResult]], asked: Sequence[Claim]) 
     by_id: dict[str, _Claim] = {claim.id: _Claim(claim.id, claim.says, claim.counts, []) for claim in asked}
     for name, result in results:
         for v in result.verdicts:
-            row = _Judged(v.claim, v.expected, v.found, verdict_word(v), name, result.title)
+            row = _Judged(v.claim, v.expected, v.outcome, verdict_word(v), name, result.title)
             by_id.setdefault(v.id, _Claim(v.id, "", "", [])).rows.append(row)
     return list(by_id.values())
 

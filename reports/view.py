@@ -64,7 +64,7 @@ class RunLike(Protocol):
         """What to doubt about the result."""
 
     @property
-    def said(self) -> Sequence[str]:
+    def printed(self) -> Sequence[str]:
         """Lines that the scene's own Python printed."""
 
 

@@ -82,7 +82,7 @@ def extract(deck: Deck, model: str = "linear", **more: Any) -> LinearCircuit:
     return circuit
 
 
-def whole_board(payload: dict[str, Any], report: Any) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
+def entire_board(payload: dict[str, Any], report: Any) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
     """In a child: imot_i of the whole board in one `.ac`, a pin driven, the others at given voltages.
 
     The deck is written out here; nothing of the extraction is used.
@@ -170,7 +170,7 @@ def differences(deck, circuit, volts):
     held = dict(zip(channel_names(n), volts.tolist(), strict=True))
     worst = []
     for k, pin in enumerate(pins):
-        hz, truth = in_child("extraction_boards:whole_board", {"board": deck, "volts": held, "driven": pin})
+        hz, truth = in_child("extraction_boards:entire_board", {"board": deck, "volts": held, "driven": pin})
         mine = circuit.response(2j * np.pi * hz, volts)[:, :, k]
         peak = np.abs(truth).max(axis=0)
         worst.append(float((np.abs(mine - truth).max(axis=0) / np.where(peak > 1e-12, peak, 1.0)).max()))

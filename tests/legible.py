@@ -16,29 +16,29 @@ def faults(figure: Figure) -> list[str]:
     figure.draw_without_rendering()
     width, height = figure.canvas.get_width_height()
     texts = [each for axes in figure.axes for each in _texts(axes)]
-    found = [fault for axes in figure.axes for fault in _of_axes(axes)]
+    problems = [fault for axes in figure.axes for fault in _of_axes(axes)]
     for (one, box), (other, second) in combinations(texts, 2):
         if _overlap(box, second, -_GAP):
-            found.append(f"{one!r} lies on {other!r}")
+            problems.append(f"{one!r} lies on {other!r}")
     for text, box in texts:
         if min(box.x0, box.y0) < -_SEEN or box.x1 > width + _SEEN or box.y1 > height + _SEEN:
-            found.append(f"{text!r} is cut off")
+            problems.append(f"{text!r} is cut off")
     for each in figure.findobj(Text):
         if _shown(each) and "$" in each.get_text() and not each.get_parse_math():
-            found.append(f"a formula is drawn as it is written: {each.get_text()}")
-    return found
+            problems.append(f"a formula is drawn as it is written: {each.get_text()}")
+    return problems
 
 
 def _texts(axes: Axes) -> list[tuple[str, Bbox]]:
     """Return titles, texts and the legend of axes, each with its box."""
     words = [*axes.texts, axes.title, axes._left_title, axes._right_title]
-    found = [(each.get_text(), each.get_window_extent()) for each in words if _shown(each)]
+    problems = [(each.get_text(), each.get_window_extent()) for each in words if _shown(each)]
     legend = axes.get_legend()
-    return [*found, (f"legend of {axes.get_ylabel()}", legend.get_window_extent())] if legend else found
+    return [*problems, (f"legend of {axes.get_ylabel()}", legend.get_window_extent())] if legend else problems
 
 
 def _of_axes(axes: Axes) -> list[str]:
-    found = []
+    problems = []
     for name, axis in (("x", axes.xaxis), ("y", axes.yaxis)):
         low, high = sorted(axis.get_view_interval())
         marks = zip(axis.get_majorticklocs(), axis.get_majorticklabels(), strict=False)
@@ -47,7 +47,7 @@ def _of_axes(axes: Axes) -> list[str]:
             continue
         boxes = [(label.get_text(), label.get_window_extent()) for label in labels]
         if all(label.get_rotation() % 90 == 0 for label in labels):
-            found += [
+            problems += [
                 f"ticks {a} and {b} of {name} overlap"
                 for (a, one), (b, other) in pairwise(boxes)
                 if _overlap(one, other)
@@ -55,8 +55,8 @@ def _of_axes(axes: Axes) -> list[str]:
         words = axis.get_label_text() or axes.get_title() or axes.get_title("left")
         speak = all(text[:1].isalpha() for text, _ in boxes)
         if not (words or speak or axes.get_label() == "<colorbar>"):
-            found.append(f"{name} axis without a name: {[text for text, _ in boxes]}")
-    return found
+            problems.append(f"{name} axis without a name: {[text for text, _ in boxes]}")
+    return problems
 
 
 def _shown(text) -> bool:

@@ -40,7 +40,7 @@ class SyntheticRun:
     stats: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     warnings: Sequence[Caution] = ()
-    said: Sequence[str] = ()
+    printed: Sequence[str] = ()
 
 
 def _elbow(x: Array, y: Array) -> tuple[Array, Array]:

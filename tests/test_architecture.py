@@ -45,11 +45,11 @@ def floor(name):
     return None, None
 
 
-FOUND = list(modules())
-NAMES = {name for name, _ in FOUND}
+MODULES = list(modules())
+NAMES = {name for name, _ in MODULES}
 
 
-@pytest.mark.parametrize(("name", "path"), FOUND, ids=[name for name, _ in FOUND])
+@pytest.mark.parametrize(("name", "path"), MODULES, ids=[name for name, _ in MODULES])
 def test_imports_point_down(name, path):
     here, room = floor(name)
     assert room is not None, f"{name} has no floor"
@@ -72,8 +72,8 @@ def targets(path):
 
 def test_functions_named_in_words_exist_and_lie_no_higher():
     """A child process imports them: to the floors it is an import like any other."""
-    homes = dict(FOUND)
-    named = [(name, *target) for name, path in FOUND for target in targets(path)]
+    homes = dict(MODULES)
+    named = [(name, *target) for name, path in MODULES for target in targets(path)]
     assert len(named) > 20
     for name, module, function in named:
         assert module in homes, f"{name} names {module}, which is no module"
@@ -85,13 +85,13 @@ def test_functions_named_in_words_exist_and_lie_no_higher():
 
 
 def test_mechanics_knows_no_circuit():
-    for name, path in FOUND:
+    for name, path in MODULES:
         if name.split(".")[0] == "mech":
             assert not [t for t in imports(name, path) if t.split(".")[0] in ("cosim", "reports")], name
 
 
 def test_circuits_know_no_mechanics():
-    for name, path in FOUND:
+    for name, path in MODULES:
         if name.startswith(("cosim.circuits", "cosim.ngspice")):
             assert not [t for t in imports(name, path) if t.split(".")[0] == "mech"], name
 
@@ -101,7 +101,7 @@ def test_circuits_know_no_mechanics():
     [("PySpice", "cosim.ngspice"), ("matplotlib", "reports"), ("pydantic", "cosim.scene")],
 )
 def test_a_library_has_one_home(library, home):
-    for name, path in FOUND:
+    for name, path in MODULES:
         if name == "cosim.storage.field_types":  # pydantic's second one: forms of what comes from disk
             continue
         if any(target.split(".")[0] == library for target in imports(name, path)):
@@ -120,7 +120,7 @@ def test_the_picture_of_the_floors_is_current():
 def test_no_module_name_occurs_twice():
     """A name says what is inside: twice the same says less. Commands have the name of their function."""
     places = {}
-    for name, _ in FOUND:
+    for name, _ in MODULES:
         if name.startswith("cosim.") and not name.startswith("cosim.commands."):
             places.setdefault(name.rpartition(".")[2], []).append(name)
     assert not {name: where for name, where in places.items() if len(where) > 1}
@@ -128,7 +128,7 @@ def test_no_module_name_occurs_twice():
 
 @pytest.mark.parametrize(("one", "other"), [("spice", "linear"), ("linear", "spice")])
 def test_the_two_loops_do_not_know_each_other(one, other):
-    for name, path in FOUND:
+    for name, path in MODULES:
         if name.startswith(f"cosim.loop.{one}."):
             assert not [t for t in imports(name, path) if t.startswith(f"cosim.loop.{other}")], name
 
@@ -136,7 +136,7 @@ def test_the_two_loops_do_not_know_each_other(one, other):
 def test_files_and_functions_are_short():
     """A file has at most 400 lines, a function 80 without its docstring."""
     long = []
-    for name, path in FOUND:
+    for name, path in MODULES:
         text = path.read_text(encoding="utf-8")
         if text.count("\n") > 400:
             long.append(name)
@@ -152,7 +152,7 @@ def test_files_and_functions_are_short():
 def test_no_import_cycles():
     graph = {
         name: {target for target in imports(name, path) if target in NAMES and target != name}
-        for name, path in FOUND
+        for name, path in MODULES
     }
     done, active = set(), []
 

@@ -64,7 +64,7 @@ def test_an_amount_in_another_unit_is_an_error(stated):
     assert caught.value.problems[0].key == "tolerance." + stated.partition("=")[0]
 
 
-def test_what_is_wrong_with_a_tolerance_is_told(capsys):
+def test_what_is_wrong_with_a_tolerance_is_reported(capsys):
     run_it = ["run", str(DROP), "--set", "effects=auto", "--set"]
     assert main([*run_it, "tolerance.max_force=0.01"]) == 2
     assert "nearest is peak_force" in capsys.readouterr().err

@@ -315,7 +315,7 @@ def test_a_swapped_part_is_checked_as_it_is(checked, tmp_path):
     assert angle.crossover_hz == pytest.approx(8e6, rel=1e-2)  # its GBW; 1 Ohm into 10 kOhm
 
 
-def test_a_vendors_model_is_checked_and_what_cannot_be_known_is_said(checked, tmp_path):
+def test_a_vendors_model_is_checked_and_what_cannot_be_known_is_reported(checked, tmp_path):
     vendor = Path(__file__).parent / "data" / "ngspice" / "vendor" / "boyle.lib"
     swap = {"file": str(vendor), "subckt": "TL072", "pins": "1 2 3 4 5", "dialect": "pspice"}
     result = checked(scene_of(tmp_path, slider(device={"parts": {"opamp": swap}})).file)
@@ -435,10 +435,10 @@ def test_command_prints_sections_and_counts(capsys):
 def test_strict_and_json(capsys):
     given = ["check", str(BOARD1), "--level", "ideal", "--json", "--set", "r_diff_fb=169k,171k"]
     assert main(given) == 0
-    as_found = json.loads(capsys.readouterr().out)["checks"]
-    assert [done["problems"] for done in as_found] == [0, 1]
+    first = json.loads(capsys.readouterr().out)["checks"]
+    assert [done["problems"] for done in first] == [0, 1]
     assert main([*given, "--strict"]) == 2
-    assert json.loads(capsys.readouterr().out)["checks"] == as_found
+    assert json.loads(capsys.readouterr().out)["checks"] == first
 
 
 def test_a_board_has_no_scene_keys():

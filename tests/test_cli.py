@@ -207,7 +207,7 @@ def test_export_looks_at_its_place_before_the_scene_runs(
 @pytest.mark.parametrize(
     "words", [["check", "{scene}"], ["run", "{scene}"], ["new", "x"], ["plan", "{scene}", "--json"]]
 )
-def test_a_folder_that_has_vanished_is_told(tmp_path, monkeypatch, capsys, words):
+def test_a_folder_that_has_vanished_is_reported(tmp_path, monkeypatch, capsys, words):
     gone = tmp_path / "gone"
     gone.mkdir()
     monkeypatch.chdir(gone)

@@ -110,7 +110,7 @@ def test_the_only_worker_killed_at_nine_tenths_leaves_what_it_finished(tmp_path:
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_dies_is_told_and_what_was_measured_is_kept(tmp_path: Path) -> None:
+def test_a_scheduler_that_dies_is_reported_and_what_was_measured_is_kept(tmp_path: Path) -> None:
     pytest.importorskip("distributed", reason="needs the extra: pip install 'cosim[cluster]'")
     run(job(tmp_path / "truth", N), tmp_path / "truth" / "mc", workers=1)
     folder = tmp_path / "far"
@@ -150,7 +150,7 @@ def test_the_scheduler_keeps_nothing_of_ten_thousand_chunks(tmp_path: Path) -> N
     assert seen[-1] - seen[0] <= 50.0
 
 
-def test_a_cluster_that_is_not_there_is_told(tmp_path: Path) -> None:
+def test_a_cluster_that_is_not_there_is_reported(tmp_path: Path) -> None:
     address = f"tcp://127.0.0.1:{free_port()}"
     with pytest.raises(InputError, match=r"pip install|no scheduler answers"):
         run(job(tmp_path, 5), tmp_path / "mc", cluster=address)

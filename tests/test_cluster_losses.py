@@ -98,7 +98,7 @@ def test_a_chunk_that_kills_its_worker_is_tried_sample_by_sample(study) -> None:
     ]  # fmt: skip
 
 
-def test_a_scheduler_that_is_gone_is_told_at_once(study) -> None:
+def test_a_scheduler_that_is_gone_is_reported_at_once(study) -> None:
     client = Client([OSError("connection closed")], [])
     client.status = "connecting"
     with pytest.raises(InputError, match="the same command goes on"):

@@ -62,7 +62,7 @@ def test_compare_shows_the_share_of_an_edited_resistor(tmp_path, edited, capsys)
     before, after = rows["crossover", "xsum1.xop (tl072)"]["values"]
     assert after > before
     assert result["boards"] == ["A netlists/board1", "B edited/board1"]
-    assert {"clips first at rated torque", "clips first in this scene"} <= set(result["said"][0])
+    assert {"clips first at rated torque", "clips first in this scene"} <= set(result["findings"][0])
     assert any(quantity.startswith("heat of the winding") for quantity, _ in rows)
     shown = [word for row in result["changed"] for word in (row["quantity"], *row["places"])]
     assert not [word for word in shown if "_" in word or "xboard" in word]  # names are for people

@@ -45,12 +45,12 @@ def warm(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     "damage",
     [
-        lambda whole: b"",
-        lambda whole: whole[: len(whole) // 2],
-        lambda whole: whole[:-1],
-        lambda whole: whole[:400] + bytes([whole[400] ^ 8]) + whole[401:],
-        lambda whole: b"\0" * len(whole),
-        lambda whole: whole + b"x",
+        lambda code: b"",
+        lambda code: code[: len(code) // 2],
+        lambda code: code[:-1],
+        lambda code: code[:400] + bytes([code[400] ^ 8]) + code[401:],
+        lambda code: b"\0" * len(code),
+        lambda code: code + b"x",
     ],
 )
 @pytest.mark.parametrize("ending", ["nbi", "nbc"])
@@ -59,8 +59,8 @@ def test_damaged_code_is_compiled_anew(warm: Path, tmp_path: Path, ending: str, 
     shutil.copytree(warm, cache)
     files = list(cache.rglob(f"*expm1*.{ending}"))
     assert len(files) == 1
-    whole = files[0].read_bytes()
-    files[0].write_bytes(damage(whole))
+    code = files[0].read_bytes()
+    files[0].write_bytes(damage(code))
     assert call(ROOT, cache) == (pytest.approx(math.expm1(1.0), rel=1e-15), 1)
     assert call(ROOT, cache)[1] == 0
 

@@ -38,7 +38,7 @@ SWEEP = "dec 20 0.1 100k"
 # ---- in a child: the whole board, without anything of the extraction
 
 
-def whole_lines(deck: Deck, volts: Mapping[str, float], more: list[str]) -> list[str]:
+def board_lines(deck: Deck, volts: Mapping[str, float], more: list[str]) -> list[str]:
     lines = ["whole board", *deck.text.splitlines()[1:], f"Xboard {' '.join(deck.pins)} {deck.board}"]
     supplies = {"vcc": 15.0, "vee": -15.0}
     for pin in deck.pins:
@@ -50,7 +50,7 @@ def whole_lines(deck: Deck, volts: Mapping[str, float], more: list[str]) -> list
 def noise_of(payload: dict[str, Any], report: Any) -> Array:
     """`.noise` density [F] V/sqrt(Hz) of a node of the whole board."""
     simulator = Simulator()
-    text = "\n".join(whole_lines(payload["board"], payload["volts"], payload.get("more", [])))
+    text = "\n".join(board_lines(payload["board"], payload["volts"], payload.get("more", [])))
     simulator.load(text + "\n", lines=payload["board"].lines)
     simulator.command(f"noise v({payload['node']}) v_pot1 {SWEEP} 1")
     simulator.command("setplot noise1")
@@ -62,7 +62,7 @@ def ac_of(payload: dict[str, Any], report: Any) -> NDArray[np.complex128]:
     deck = payload["board"]
     first, second = payload["nodes"]
     simulator = Simulator()
-    text = "\n".join(whole_lines(deck, payload["volts"], [f"Iin {first} {second} dc 0 ac 1"]))
+    text = "\n".join(board_lines(deck, payload["volts"], [f"Iin {first} {second} dc 0 ac 1"]))
     simulator.load(text + "\n", lines=deck.lines)
     simulator.command(f"ac {SWEEP}")
     return np.stack([np.asarray(simulator.vector(f"imot{i + 1}"), complex) for i in range(deck.joints)], 1)

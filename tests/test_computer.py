@@ -597,7 +597,7 @@ def test_errors_of_a_users_law_end_the_run(tmp_path: Path, name: str, words: str
     assert not (tmp_path / "run0").exists()  # nothing half-written
 
 
-def test_a_law_of_the_wrong_shape_or_without_method_is_told(tmp_path: Path) -> None:
+def test_a_law_of_the_wrong_shape_or_without_method_is_reported(tmp_path: Path) -> None:
     (tmp_path / "law.py").write_text(PAPER_LAW.replace("{tick}", "0"))
     with pytest.raises(SimulationError, match="stiffness"):
         quick(tmp_path, slider(computer={"law": "law.py:Shape"}))

@@ -476,7 +476,7 @@ def test_every_model_gets_the_stiffer_gains(tmp_path: Path, model: str) -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_an_inconsistent_initial_state_is_told_and_the_consistent_one_used(
+def test_an_inconsistent_initial_state_is_reported_and_the_consistent_one_used(
     tmp_path: Path, model: str
 ) -> None:  # 43
     """3 V on a capacitor and 5 V at a node contradict the circuit at rest, where both are at 0 V."""

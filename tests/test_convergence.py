@@ -38,7 +38,7 @@ def refused(aid: Aid) -> str:
     ],
 )
 @pytest.mark.parametrize("kind", [NoOperatingPoint, StepTooSmall, Crawl])
-def test_the_first_step_that_helps_is_told(enough, note, kind) -> None:
+def test_the_first_step_that_helps_is_reported(enough, note, kind) -> None:
     def attempt(aid: Aid) -> Aid:
         if not enough(aid):
             raise kind(Problem("no DC operating point: here") if kind is NoOperatingPoint else "steps vanish")
@@ -52,7 +52,7 @@ def test_the_first_step_that_helps_is_told(enough, note, kind) -> None:
     assert (aid.words == ()) == (not note)
 
 
-def test_what_no_step_helps_is_told_with_all_that_was_tried() -> None:
+def test_what_no_step_helps_is_reported_with_all_that_was_tried() -> None:
     with pytest.raises(NoOperatingPoint, match=r"here; tried in vain: .*plain sources.*rtol.*gear.*gmin"):
         aided(ASKED, refused)
 
@@ -198,28 +198,28 @@ def test_paths_to_ground(node: str, tied: bool) -> None:
     assert has_dc_path(DECK, node) is tied
 
 
-SAID = [
+LINES = [
     "Warning: singular matrix:  check node xboard.xop.12",
     "Warning: singular matrix:  check nodes v.xboard.vpx#branch and xboard.x",
     "doAnalyses: iteration limit reached",
 ]
 
 
-def test_a_floating_node_is_told_only_where_one_floats() -> None:
-    floating = operating_point_problem(SAID, lambda node: "12" not in node, lambda element: False)
+def test_a_floating_node_is_reported_only_where_one_floats() -> None:
+    floating = operating_point_problem(LINES, lambda node: "12" not in node, lambda element: False)
     assert "floating node: xboard.xop.12 has no DC path" in str(floating)
     assert not isinstance(floating, NoOperatingPoint)
-    lost = operating_point_problem(SAID, lambda node: True, lambda element: False)
+    lost = operating_point_problem(LINES, lambda node: True, lambda element: False)
     assert isinstance(lost, NoOperatingPoint)
     assert "floating" not in str(lost)
     assert "loop" not in str(lost)
     assert "singular at xboard.xop.12" in str(lost)
-    looped = operating_point_problem(SAID, lambda node: True, lambda element: element == "v.xboard.vpx")
+    looped = operating_point_problem(LINES, lambda node: True, lambda element: element == "v.xboard.vpx")
     assert "loop of voltage sources or inductors through v.xboard.vpx" in str(looped)
 
 
 def test_warnings_of_an_analysis_that_converged_are_none() -> None:
-    assert operating_point_problem(SAID[:2], lambda node: False, lambda element: True) is None
+    assert operating_point_problem(LINES[:2], lambda node: False, lambda element: True) is None
 
 
 LOOPS = """\

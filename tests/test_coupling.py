@@ -111,14 +111,14 @@ def test_forced_long_steps_tell_the_error_they_make(tmp_path: Path, step: float)
             record={"nodes": ["vel1"]},
         ),
     )
-    t, q, v, told_q, told_v = (np.asarray(run.signals[name]) for name in ("time", "q1", "v1", "pot1", "vel1"))
+    t, q, v, pot_q, vel_v = (np.asarray(run.signals[name]) for name in ("time", "q1", "v1", "pot1", "vel1"))
     inertia = 0.2 * RADIUS**2
     rate = np.array([[0, 1], [-100 * RADIUS**2 * SPRING_TRUE / K_FS / inertia, -EMF_TRUE / inertia]])
     wrong = 0.0
     for n in range(1, len(t)):
         h = t[n] - t[n - 1]
         true_q, true_v = expm(rate * h) @ [q[n - 1], v[n - 1]]
-        wrong = max(wrong, abs(told_q[n] - true_q) + h * abs(told_v[n] / GEAR - true_v))
+        wrong = max(wrong, abs(pot_q[n] - true_q) + h * abs(vel_v[n] / GEAR - true_v))
     estimate = run.stats["defect_max_rad"]
     print(f"{step}: told wrong by {wrong:.2e} rad, estimate {estimate:.2e}")
     assert estimate / 3 < wrong < 3 * estimate

@@ -362,7 +362,7 @@ def test_why_not(tmp_path, more, words):
         noise_covariance(at_wall(held(tmp_path, more), ideal(1)))
 
 
-def test_a_shallow_contact_is_told(tmp_path):
+def test_a_shallow_contact_is_reported(tmp_path):
     shallow = held(tmp_path, {"operator": {"waypoints_s_m": [[0.0, 0.0, -1e-4]]}})
     assert any("leaves the wall" in note for note in noise_covariance(at_wall(shallow, ideal(1))).notes)
 

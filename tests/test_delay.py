@@ -150,7 +150,7 @@ def own_board(folder, blocks, lines, driver="voltage"):
 @pytest.mark.few(4)
 @pytest.mark.parametrize("driver", ["voltage", "current"])
 @pytest.mark.parametrize("name", OWN)
-def test_own_topologies_are_told_right_or_together(tmp_path, name, driver):
+def test_own_topologies_are_resolved_or_lumped(tmp_path, name, driver):
     blocks, lines, expected = OWN[name]
     plain = spring_delays(shipped(1, "gbw", driver))[0]
     (path,) = spring_delays(own_board(tmp_path, blocks, lines, driver))

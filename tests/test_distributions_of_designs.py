@@ -78,7 +78,7 @@ def test_a_sweep_by_distributions(tmp_path: Path, capsys: pytest.CaptureFixture[
     ]
 
 
-def test_slips_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_slips_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = ["-o", str(tmp_path / "out")]
     assert "give their number" in call(capsys, "compare", PRESS, "--spec", "k_max > 5", *out, code=2)
     assert "no number of devices" in call(

@@ -183,15 +183,15 @@ set = ["computer.method=combined", "computer.analog_damping_n_s_per_m=0.11"]
         encoding="utf-8",
     )
     result = run_study(load_study(file), tmp_path / "out")
-    limits_found = result.table("limits").columns
-    assert limits_found["curve"] == ["plain"] * 3 + ["sprung"] * 3 + ["damped"] * 3
+    limits = result.table("limits").columns
+    assert limits["curve"] == ["plain"] * 3 + ["sprung"] * 3 + ["damped"] * 3
     held = {verdict.id: verdict.holds for verdict in result.verdicts}
     assert held["F13a"]
     assert held["F13c"]
     assert held["F14"]
     assert set(held) == {"F13a", "F13b", "F13c", "F14"}
     passive = result.table("passive").columns["stiffness [N/m]"]
-    exact = limits_found["exact, contact held [N/m]"][:3]
+    exact = limits["exact, contact held [N/m]"][:3]
     assert all(p < k for p, k in zip(passive, exact, strict=True))  # passive is stricter than stable
 
 
@@ -210,7 +210,7 @@ def test_friction_alone_takes_what_a_held_spring_gives():
 
 
 @pytest.mark.slow
-def test_a_curve_without_a_limit_is_told_and_the_others_go_on(tmp_path):
+def test_a_curve_without_a_limit_is_reported_and_the_others_go_on(tmp_path):
     """Coulomb friction alone: drops rest, linear theory knows no border; without it nothing rests."""
     file = tmp_path / "drop.toml"
     families = {"plain": (), "friction alone": FRICTION, "nothing": UNDAMPED}
@@ -246,7 +246,7 @@ ratio = 1.2
     for name in ("friction alone", "nothing"):
         verdict = by_name[f"the limit goes with one over the period: {name}"]
         assert verdict.holds is None
-        assert "linear theory knows no limit" in verdict.found
+        assert "linear theory knows no limit" in verdict.outcome
     from reports.studies import drop as pictures
 
     drawn = pictures.draw(result)

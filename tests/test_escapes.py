@@ -121,7 +121,7 @@ def test_odd_names_are_names(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["time", "frequency"])
-def test_a_node_of_the_name_of_a_scale_is_told_from_it(name: str) -> None:
+def test_a_node_of_the_name_of_a_scale_is_kept_apart_from_it(name: str) -> None:
     simulator = Simulator()
     simulator.load(f"t\nV1 {name} 0 dc 3 ac 2\nR1 {name} 0 1k\n")
     simulator.command("tran 1u 10u" if name == "time" else "ac lin 1 5 5")

@@ -157,7 +157,7 @@ def test_a_tolerance_chooses_model_and_steps(tmp_path: Path) -> None:
     assert apart <= loose.measures["peak_force"]["error"] + close.measures["peak_force"]["error"]
 
 
-def test_a_tolerance_out_of_reach_is_said(tmp_path: Path) -> None:
+def test_a_tolerance_out_of_reach_is_reported(tmp_path: Path) -> None:
     plan = resolve(scene_of(tmp_path, THROWN, "solver.model=ideal"))
     with collected(forward=False) as heard:
         run_within(
@@ -212,7 +212,7 @@ def test_the_page_shows_what_reltol_would_make_one_believe(tmp_path: Path) -> No
     assert result.measures["max_penetration"]["error"] > 0.0
 
 
-def test_another_sequence_of_contacts_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_sequence_of_contacts_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from cosim.accuracy import estimate
 
     row = {"value": 2.0, "unit": "N", "text": ""}

@@ -184,7 +184,7 @@ def test_slow_control_path_is_certified(tmp_path):
     assert circuit.certificate["control_error"] == pytest.approx(2 * np.pi * 1e3 * 1e-6, rel=1e-3)
 
 
-def test_multipliers_are_told_by_what_drives_them(tmp_path):
+def test_multipliers_are_recognised_by_what_drives_them(tmp_path):
     # the instances are named after the wrong pins, X and control change places in the subcircuit's names
     odd = ".subckt odd p q w\nvb p pi 0\nva q qi 0\nvc zi 0 dc 0\nBw w 0 V=v(pi)*v(qi)/10+v(zi)\n.ends odd"
     crossed = "xksd ksp11 x ws odd\nxksp y ksd11 wd mul"

@@ -356,7 +356,7 @@ NO_VISCOSITY = ("effects.motor=ideal", "effects.viscous=false")
         ("5_5_corner", '"c_der_in"', '"c_no"', (), "corner_parameter.*must be .params"),
     ],
 )
-def test_what_cannot_be_studied_is_said(tmp_path, file, old, new, overrides, reason):
+def test_what_cannot_be_studied_is_reported(tmp_path, file, old, new, overrides, reason):
     text = (PAPER / f"{file}.toml").read_text(encoding="utf-8").replace(old, new)
     path = tmp_path / "bad.toml"
     path.write_text(text.replace('"../', f'"{SCENES}/'), encoding="utf-8")

@@ -120,7 +120,7 @@ FORGED_RECORDS = {
     "points in words": put("stats.points", "many"),
     "a warning without advice": put("warnings", [{"code": "a", "text": "b"}]),
     "a command of tables": put("provenance.command", [{}, []]),
-    "what was said as a table": put("said", {"a": 1}),
+    "what was printed as a table": put("printed", {"a": 1}),
     "files that are a list": put("files", ["signals.raw"]),
     "no files at all": put("files", {}),
     "a scene of nothing": put("scene", {}),
@@ -366,7 +366,7 @@ def test_what_a_page_shows_of_a_forged_result_is_text(copy: Path, capsys: pytest
 
     def change(record: dict[str, Any]) -> None:
         record["title"] = record["scene"]["title"] = odd
-        record["said"] = [odd]
+        record["printed"] = [odd]
         record["warnings"] = [{"code": odd, "text": odd, "advice": odd}]
         record["measures"][odd] = {"value": 1.0, "unit": odd, "text": odd}
         record["provenance"]["command"] = [odd]
@@ -463,7 +463,7 @@ FORGED_STUDIES = {
     "cells that are tables": {"tables": [{**TABLE, "columns": {"source": [{}], "meant as": [[]]}}]},
     "a verdict of nothing": {"verdicts": [{"id": "F13"}]},
     "a verdict that holds by words": {
-        "verdicts": [{"id": "a", "claim": "b", "expected": "c", "found": "d", "holds": "yes", "own": False}]
+        "verdicts": [{"id": "a", "claim": "b", "expected": "c", "outcome": "d", "holds": "yes", "own": False}]
     },
     "another study": {"study": "maps"},
     "a module of no study": {"study": "../../os"},
@@ -475,12 +475,21 @@ FORGED_STUDIES = {
 def test_a_forged_record_of_a_study_is_refused(study: Any, name: str, tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()
-    record = {"format": 2, "study": "budget", "title": "t", "tables": [], "verdicts": [], "notes": [],
+    record = {"format": 3, "study": "budget", "title": "t", "tables": [], "verdicts": [], "notes": [],
               "seconds": 1.0, "digest": study.digest(), **FORGED_STUDIES[name]}  # fmt: skip
     (out / "study.json").write_text(json.dumps(sealed(record)))
     with pytest.raises(InputError, match=r"study\.json"):
         write_study_page([("study", run_study(study, out))], tmp_path / "page", "t", "cosim report")
     assert not (tmp_path / "page").exists()
+
+
+def test_a_study_of_the_version_before_is_read(study: Any, tmp_path: Path) -> None:
+    """Version 2 named the outcome of a verdict "found"."""
+    verdict = {"id": "a", "claim": "b", "expected": "c", "found": "d", "holds": True, "own": False}
+    record = {"format": 2, "study": "budget", "title": "t", "tables": [], "verdicts": [verdict], "notes": [],
+              "seconds": 1.0, "digest": study.digest()}  # fmt: skip
+    (tmp_path / "study.json").write_text(json.dumps(sealed(record)))
+    assert run_study(study, tmp_path).verdicts == (Verdict("a", "b", "c", "d", True),)
 
 
 def test_a_study_of_right_form_is_text_on_the_page() -> None:

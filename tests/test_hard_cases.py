@@ -45,7 +45,7 @@ def test_every_case_says_what_it_is() -> None:
         assert case.bound
 
 
-def test_a_miss_is_told_and_no_number_is_one() -> None:
+def test_a_miss_is_reported_and_no_number_is_one() -> None:
     case = CASES[0]
     (model,) = [next(iter(case.bound))]
     good = Outcome(case, model, case.expected + 0.5 * case.bound[model], "", 0.0)

@@ -51,7 +51,7 @@ def scene(folder: Path, effect: str, value: Any, keys: dict[str, Any]) -> Scene:
 
 
 @pytest.mark.parametrize("effect", VALUES)
-def test_keys_are_told_while_their_effect_is_off(tmp_path: Path, effect: str) -> None:
+def test_keys_are_reported_while_their_effect_is_off(tmp_path: Path, effect: str) -> None:
     value, keys = VALUES[effect]
     result = stated_in_vain(scene(tmp_path, effect, None, keys), EFFECTS)
     assert len(result) == len(keys)

@@ -38,7 +38,7 @@ def test_a_board_that_states_no_rated_current_is_not_judged(tmp_path):
     assert "large_signal_error" not in extract(board(tmp_path)).certificate
 
 
-def test_a_bent_board_is_told_of_and_one_that_is_far_off_refused(tmp_path):
+def test_a_bent_board_is_warned_of_and_one_that_is_far_off_refused(tmp_path):
     for cubic in (0.04, 0.06, 0.12):  # 1, 1.5 and 3 %
         result = cautions(extract(bent_board(tmp_path, cubic)).certificate)
         bent = [each for each in result if each.code == "not-linear"]

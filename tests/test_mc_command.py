@@ -83,7 +83,7 @@ def test_a_study_its_files_and_one_of_its_devices_again(
         (["--sampling", "sobol", "--sample", "100000"], "no sample of the study"),
     ],
 )
-def test_slips_are_told_at_once(words: list[str], reason: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_slips_are_errors_at_once(words: list[str], reason: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert reason in call(capsys, "mc", PRESS, *words, code=2)
 
 

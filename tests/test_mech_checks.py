@@ -16,7 +16,7 @@ def refused(make):
     return {problem.name: problem for problem in caught.value.problems}
 
 
-def test_everything_wrong_is_told_at_once_with_value_and_range():
+def test_all_that_is_wrong_is_reported_at_once_with_value_and_range():
     problems = refused(
         lambda: Chain(
             lengths_m=(0.1, -0.2),

@@ -165,7 +165,7 @@ def test_full_stretch_is_reached_and_has_infinite_mass_along_itself():
         (TWO, (0.1,), "2 finite numbers"),
     ],
 )
-def test_out_of_reach_is_said_with_the_reach(linkage, target, says):
+def test_out_of_reach_is_reported_with_the_reach(linkage, target, says):
     with pytest.raises(ParameterError, match=says) as caught:
         linkage.inverse(target)
     assert caught.value.problems[0].name == "r"

@@ -465,7 +465,7 @@ def test_values_that_are_none(value: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("line", "whole"),
+    ("line", "value"),
     [
         ("R1 a b 10 k", "10k"),
         ("c1 a b 1.5 nF tol=1", "1.5nF"),
@@ -482,10 +482,10 @@ def test_values_that_are_none(value: str) -> None:
         ("R1 u k 10", None),
     ],
 )
-def test_a_scale_behind_a_blank_is_told(line: str, whole: str | None) -> None:
+def test_a_scale_behind_a_blank_is_reported(line: str, value: str | None) -> None:
     problem = malformed(Line(line))
-    assert (problem is not None) == (whole is not None)
-    assert problem is None or f"write {whole}" in problem.message
+    assert (problem is not None) == (value is not None)
+    assert problem is None or f"write {value}" in problem.message
 
 
 @pytest.mark.parametrize("zero", ["0", "{0}", "{1k-1000}", "{r_sum_cmd-20k}", "0meg", "{-0}"])
@@ -505,7 +505,7 @@ def test_a_value_that_an_effect_sets_is_refused() -> None:
         shipped(offset, opamp_offset="1")
 
 
-def test_a_value_that_nothing_uses_is_told() -> None:
+def test_a_value_that_nothing_uses_is_reported() -> None:
     def warned(on: bool, **values: str) -> bool:
         with collected() as cautions:
             shipped((Feature("opamp_offset", on, ("opamp",)),), **values)

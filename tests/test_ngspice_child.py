@@ -319,7 +319,7 @@ def simulator_with(**environment: str) -> "subprocess.CompletedProcess[str]":
     )
 
 
-def test_missing_library_is_said_with_the_remedy(tmp_path: Path) -> None:
+def test_missing_library_is_reported_with_the_remedy(tmp_path: Path) -> None:
     output = simulator_with(NGSPICE_LIBRARY_PATH=str(tmp_path / "none.so")).stdout
     assert "libngspice was not found" in output
     assert "none.so" in output

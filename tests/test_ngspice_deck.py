@@ -172,7 +172,7 @@ def test_override_finds_board_elements_before_those_inside_parts() -> None:
     assert "R1 x 0 {opx_gain*1k}" in deck.text
 
 
-def test_wrong_overrides_are_told_at_once() -> None:
+def test_wrong_overrides_are_reported_at_once() -> None:
     wrong = {
         "r_fbb": "1k",
         "xdif1.r1": "1k",

@@ -151,7 +151,7 @@ def test_trust_lifts_the_rules(tmp_path: Path) -> None:
     assert "shell touch x" in deck.text
 
 
-def test_all_refusals_are_told_at_once(tmp_path: Path) -> None:
+def test_all_refusals_are_reported_at_once(tmp_path: Path) -> None:
     board = project(tmp_path, board="shell ls\n.write x\n", stage="system ls\n")
     with pytest.raises(InputError) as caught:
         load_deck(board)

@@ -244,7 +244,7 @@ def test_files_that_a_killed_call_left_are_its_own(tmp_path: Path, monkeypatch: 
     assert contents(tmp_path).keys() == {"a.csv", "b.csv", ".cosim-files.json"}
 
 
-def test_a_foreign_file_in_a_result_is_told_before_plan_and_verdict(
+def test_a_foreign_file_in_a_result_is_reported_before_plan_and_verdict(
     out: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (out / "thesis.txt").write_text("years of work")
@@ -347,7 +347,7 @@ def test_an_empty_file_may_be_written_and_a_link_leads_to_its_target(tmp_path: P
     ],
     ids=lambda given: given[0],
 )  # fmt: skip
-def test_a_place_that_cannot_be_written_is_told_before_anything_else(
+def test_a_place_that_cannot_be_written_is_reported_before_anything_else(
     given: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The scene does not even exist: the place is looked at first."""
@@ -359,7 +359,7 @@ def test_a_place_that_cannot_be_written_is_told_before_anything_else(
 
 
 @pytest.mark.parametrize("command", ["export", "device"])
-def test_a_file_that_cannot_be_written_is_told_at_once(
+def test_a_file_that_cannot_be_written_is_reported_at_once(
     command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene = str(SCENES / "press.toml")
@@ -424,7 +424,7 @@ def test_a_long_line_is_not_echoed_whole(tmp_path: Path, capsys: pytest.CaptureF
         (["hard-cases", "21"], "hard_cases.csv"),
     ],
 )
-def test_a_file_in_the_way_of_a_study_is_told_before_it_begins(
+def test_a_file_in_the_way_of_a_study_is_reported_before_it_begins(
     given: list[str], name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip

@@ -72,7 +72,7 @@ def test_what_a_law_prints_reaches_run_file_terminal_and_page(
         f"printed: {x}" for x in heard
     ]
     run = Run.load(tmp_path / "out")
-    assert list(run.said) == heard
+    assert list(run.printed) == heard
     page = write_report(run, tmp_path / "page").read_text()
     assert "Printed by the scene" in page
     assert "third tick" in page
@@ -95,7 +95,7 @@ class Hand:
 def test_what_an_operator_prints_is_heard_too(model: str, tmp_path: Path) -> None:
     (tmp_path / "hand.py").write_text(OPERATOR)
     operator = {"type": "python", "file": f"{tmp_path}/hand.py:Hand"}
-    assert list(quick(tmp_path, tables(tmp_path, model, law=None, operator=operator)).said) == [
+    assert list(quick(tmp_path, tables(tmp_path, model, law=None, operator=operator)).printed) == [
         "an operator is loaded", "first asked at 0.0",
     ]  # fmt: skip
 
@@ -148,7 +148,7 @@ def test_own_measures_are_measures(tmp_path: Path, capsys: pytest.CaptureFixture
         "value": float(np.min(run.signals["y"])), "unit": "m", "text": "lowest place of the tip",
     }  # fmt: skip
     assert run.measures["Plain"]["value"] == pytest.approx(K_FS * 0.025, rel=1e-12)
-    assert run.said[-1] == "asked with 8 samples"  # every 25 ms of 0.2 s; none at the very end
+    assert run.printed[-1] == "asked with 8 samples"  # every 25 ms of 0.2 s; none at the very end
     alone = simulate(scene_of(tmp_path, tables(tmp_path, measures={"names": ["m.py:Plain"]})), tmp_path / "b")
     assert set(alone.measures) > {"Plain", "peak_force", "ledger_closure"}  # on top of the standard set
 

@@ -40,7 +40,7 @@ def texts(name):
         for table in result.tables
         for row in list(zip(*table.columns.values(), strict=True))[:20]
     ]
-    return [verdict.found for verdict in result.verdicts] + rows
+    return [verdict.outcome for verdict in result.verdicts] + rows
 
 
 def value(match):

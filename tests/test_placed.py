@@ -192,6 +192,6 @@ def test_a_value_that_is_no_admittance_is_extracted_anew():
         ("xksp11", "not an element with one value"),
     ],
 )
-def test_unknown_components_are_told(key, words):
+def test_unknown_components_are_reported(key, words):
     with pytest.raises(InputError, match=words):
         Placed.of(shipped(2, "gbw"), [key])

@@ -88,7 +88,7 @@ def test_shipped_scenes_carry_no_warning(path: Path, model: str, tmp_path: Path)
         ("key-unused", "effects.dac_skew is off", ["computer.dac.skew_s=1e-3"]),
     ],
 )
-def test_a_slip_is_told(code: str, doubt: str, overrides: list[str]) -> None:
+def test_a_slip_is_reported(code: str, doubt: str, overrides: list[str]) -> None:
     with collected() as cautions, suppress(SimulationError):  # absurd values may make a device run away
         assert press("solver.model=linear", *overrides).warnings == tuple(cautions)
     rows = [str(c) for c in cautions if c.code == code]
@@ -134,7 +134,7 @@ def test_a_shunt_below_an_ohm_may_be_changed() -> None:
     assert [caution.code for caution in cautions] == []
 
 
-def test_a_capital_m_in_the_netlist_itself_is_told(tmp_path: Path) -> None:
+def test_a_capital_m_in_the_netlist_itself_is_reported(tmp_path: Path) -> None:
     board = tmp_path / "netlists" / "board1.cir"
     for folder in ("blocks", "parts"):
         (board.parent / folder).mkdir(parents=True)
@@ -150,7 +150,7 @@ def test_a_capital_m_in_the_netlist_itself_is_told(tmp_path: Path) -> None:
     assert "write 1meg for mega" in doubt.advice
 
 
-def test_degrees_for_radians_are_told_even_when_the_run_fails() -> None:
+def test_degrees_for_radians_are_reported_even_when_the_run_fails() -> None:
     with collected() as cautions:
         resolve(load_scene(PRESS, ["device.start.q_rad=[34.0,63.0]"]))
     (doubt,) = [caution for caution in cautions if caution.code == "angle-beyond-turn"]
@@ -163,7 +163,7 @@ def test_a_drum_may_turn(tmp_path: Path) -> None:
     assert not cautions
 
 
-def test_an_amplifier_that_clips_is_told_with_its_time() -> None:
+def test_an_amplifier_that_clips_is_reported_with_its_time() -> None:
     push = "operator.force_s_n=[[0.2,0.0,0.0],[0.7,0.0,-40.0]]"
     run = press("solver.model=spice", push, "effects.opamp=full")
     clipped = [c for c in run.warnings if c.code == "amplifier-clipped"]
@@ -188,7 +188,7 @@ def test_the_time_at_the_limit_is_that_of_the_recorded_node() -> None:
     assert again["clipped_s"] == pytest.approx(held, rel=1e-9)
 
 
-def test_current_beyond_the_driver_is_told_unless_it_is_limited(tmp_path: Path) -> None:
+def test_current_beyond_the_driver_is_reported_unless_it_is_limited(tmp_path: Path) -> None:
     # a wall of 2000 N/m under a force of 40 N wants 40 N x 0.1333 m / 0.32 N m/A = 16 A
     tables = slider(
         computer={"period_s": 1e-3, "analog_stiffness_n_per_m": 150.0},
@@ -204,7 +204,7 @@ def test_current_beyond_the_driver_is_told_unless_it_is_limited(tmp_path: Path) 
     assert "current-beyond-limit" not in codes(limited)
 
 
-def test_a_wall_that_pulls_is_told() -> None:
+def test_a_wall_that_pulls_is_reported() -> None:
     # the summing amplifier's input exchanged for one of the other sign is an edit of the netlist; here the
     # measured currents are turned round, which is what the check sees
     run = press("solver.model=linear")
@@ -217,7 +217,7 @@ def test_a_wall_that_pulls_is_told() -> None:
     assert [caution.code for caution in result] == ["stiffness-wrong-sign"]
 
 
-def test_a_push_out_of_contact_is_told() -> None:
+def test_a_push_out_of_contact_is_reported() -> None:
     run = press("solver.model=linear", "wall.point_m=[0.07,0.1]", "duration_s=0.5")
     # 0.05 N at the reach of 0.1333 m are 0.02 A; the brake of the back-EMF goes with the speed, no offset
     for offset, each in ((0.0, False), (0.015, False), (0.03, True)):
@@ -227,7 +227,7 @@ def test_a_push_out_of_contact_is_told() -> None:
         assert ("force-out-of-contact" in names) is each, offset
 
 
-def test_an_open_ledger_is_told() -> None:
+def test_an_open_ledger_is_reported() -> None:
     run = press("solver.model=linear")
     result = _of(run, ledger={**run.ledger, "closes": False, "closure": 0.3})
     assert [caution.code for caution in result] == ["ledger-open"]
@@ -271,7 +271,7 @@ def test_cautions_cross_the_process_and_nest() -> None:
     warn(Caution("a", "nobody listens", "c"))
 
 
-def test_many_of_a_kind_are_told_in_short() -> None:
+def test_many_of_a_kind_are_reported_in_short() -> None:
     many = [Caution("a", f"t{k}", "do") for k in range(10)] + [Caution("b", "t", "do")]
     assert [(len(each), more) for each, more in grouped(many)] == [(3, 7), (1, 0)]
 

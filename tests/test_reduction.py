@@ -70,7 +70,7 @@ def test_noise_makes_no_poles():
     assert result.poles == pytest.approx([-1e3], rel=1e-9)
 
 
-def test_unstable_pole_is_told():
+def test_unstable_pole_is_reported():
     h = sum_of_poles(SWEEP, [-1e3 + 0j, 50 + 0j], [np.ones((1, 1)), 0.1 * np.ones((1, 1))], np.zeros((1, 1)))
     with pytest.raises(FitError) as caught:
         fit(SWEEP, h)
@@ -253,7 +253,7 @@ def test_paths_that_grow_as_powers_of_s_are_fitted_and_not_called_unstable():
     assert sorted(np.abs(result.poles[near])) == pytest.approx([c, d], rel=1e-3)
 
 
-def test_a_pole_on_the_right_beside_powers_of_s_is_told():
+def test_a_pole_on_the_right_beside_powers_of_s_is_reported():
     hz = np.logspace(-3, 9, 241)
     s = 2j * np.pi * hz
     h = (1.0 / (1.0 - s / 1e6) + 1e-13 * s)[:, None, None]

@@ -92,7 +92,7 @@ def test_one_instance_alone():
     assert after[1, 3] == pytest.approx(before[1, 3], rel=1e-9)
 
 
-def test_unstable_values_are_told_with_the_pole(tmp_path):
+def test_unstable_values_are_reported_with_the_pole(tmp_path):
     # s = (k - 1)/1 ms for a loop gain k = r/1k
     stage = (
         "Bs s 0 V=v(u1)\nR9 f 0 {rloop}\nGf 0 f a 0 1m\nR1 f2 a 1k\nEf f2 0 f 0 1\nC1 a 0 1u\n"

@@ -92,13 +92,13 @@ def archives(tmp_path_factory):
 @pytest.mark.slow
 def test_archives_hold_what_they_need_and_no_more(archives):
     sdist, wheel = archives
-    with zipfile.ZipFile(wheel) as found:
-        names = found.namelist()
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
     assert "cosim/data/docs/index.html" in names
     assert "cosim/data/netlists/board2.cir" in names
     assert {"cosim/py.typed", "mech/py.typed", "reports/py.typed"} <= set(names)  # types are for users, too
     assert not [name for name in names if name.startswith(("tests/", "benchmarks/", "examples/"))]
-    assert sum(found.getinfo(name).file_size for name in names) < 30e6
+    assert sum(archive.getinfo(name).file_size for name in names) < 30e6
     with tarfile.open(sdist) as archive:
         held = {name.partition("/")[2] for name in archive.getnames()}
     assert {"README.md", "CITATION.cff", "SECURITY.md", "docs/index.md", "site/index.html"} <= held

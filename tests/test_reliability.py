@@ -133,7 +133,7 @@ def test_the_parent_survives(
     assert "board2.cir" in result
 
 
-def test_a_hang_is_told_from_slow_work(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hang_is_distinguished_from_slow_work(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without progress for a while it hangs, however long the run may take in all."""
     from cosim import runner as runs
     from cosim.plan import resolve

@@ -462,10 +462,10 @@ def test_what_cannot_be_read_is_seen() -> None:
         axes[0, 1].set_xticks([0.0, 0.001], ["0.000", "0.001"])
         axes[0, 1].set_xlim(0.0, 0.02)
         axes[0, 1].set_ylabel("$k^2$ [N/m]").set_parse_math(False)
-        found = " ".join(faults(drawing))
-    assert "lies on 'another one'" in found
-    assert "ticks 0.000 and 0.001 of x overlap" in found
-    assert "a formula is drawn as it is written: $k^2$ [N/m]" in found
+        words = " ".join(faults(drawing))
+    assert "lies on 'another one'" in words
+    assert "ticks 0.000 and 0.001 of x overlap" in words
+    assert "a formula is drawn as it is written: $k^2$ [N/m]" in words
 
 
 def test_every_figure_of_the_page_has_words(page: Path) -> None:

@@ -11,6 +11,7 @@ import sys
 import tracemalloc
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -91,7 +92,7 @@ def test_one_point_may_be_a_plain_row(tmp_path: Path) -> None:
     assert read_raw(tmp_path / "a.raw").table.tolist() == [[0, 1, 2, 3, 4]]
 
 
-def test_spicelib_reads_it_without_being_told_whose_it_is(tmp_path: Path) -> None:
+def test_spicelib_reads_it_without_a_dialect(tmp_path: Path) -> None:
     raw(tmp_path / "a.raw", points=1234)
     read = RawRead(tmp_path / "a.raw")
     assert read.dialect == "ngspice"
@@ -226,6 +227,20 @@ def test_run_comes_back_whole(run: Run, tmp_path: Path) -> None:
     assert not leftovers(tmp_path)
 
 
+def test_a_run_of_the_version_before_is_read(run: Run, tmp_path: Path) -> None:
+    """Version 2 named what the user's code printed "said"."""
+    folder = replace(run, printed=("one line", "another")).save(tmp_path / "out")
+    record = json.loads((folder / "run.json").read_text())
+    del record["seal"]
+    record = {
+        "format": 2,
+        "said": record.pop("printed"),
+        **{k: v for k, v in record.items() if k != "format"},
+    }
+    (folder / "run.json").write_text(json.dumps(sealed(record)))
+    assert Run.load(folder).printed == ("one line", "another")
+
+
 def test_csv_and_parquet_hold_the_same_numbers(run: Run, tmp_path: Path) -> None:
     folder = run.save(tmp_path / "out", formats=FORMATS)
     parquet, text = pq.read_table(folder / "signals.parquet"), read_csv(folder / "signals.csv")
@@ -288,9 +303,10 @@ def test_damaged_results_are_refused(run: Run, tmp_path: Path) -> None:
         ('{"format": 99}', "another version"),
         ('{"format": 1}', "another version"),
         ('{"format": 2}', "is damaged"),
-        ('{"format": 2, "seal": NaN}', "NaN is not a finite number"),
+        ('{"format": 3}', "is damaged"),
+        ('{"format": 3, "seal": NaN}', "NaN is not a finite number"),
         (record.replace("0.0043", "0.0044"), "is damaged"),
-        (json.dumps(sealed({"format": 2, "plan": {}})), "does not hold what a result holds"),
+        (json.dumps(sealed({"format": 3, "plan": {}})), "does not hold what a result holds"),
     ):
         (folder / "run.json").write_text(text)
         with pytest.raises(InputError, match=words):
@@ -423,7 +439,7 @@ def test_full_disk(run: Run, tmp_path: Path) -> None:
         subprocess.run(["umount", str(disk)], check=True)
 
 
-def test_unwritable_places_are_told_before_a_simulation_starts(tmp_path: Path) -> None:
+def test_unwritable_places_are_reported_before_a_simulation_starts(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written") as caught:
         Staging(tmp_path / "file" / "out", "run.json")

@@ -64,17 +64,15 @@ def test_rows_ten_times_denser_are_within_the_printed_errors(
 ) -> None:
     """At T = 0.1 s rows of 2 ms are all there is between samples: what they miss is in the error."""
     name, changes = VARIANTS[variant]
-    found = []
+    runs = []
     for step in (2e-3, 2e-4):
         asked = (*changes, f"solver.model={model}", f"solver.max_step_s={step}", "computer.period_s=0.1")
         if model == "ideal":
             asked = (*without_dynamics(load_scene(SCENES / f"{name}.toml")), *asked)
         plan = resolve(load_scene(SCENES / f"{name}.toml", asked))
         errors = estimator(plan, shared_child())
-        found.append(
-            run(plan, tmp_path / f"{step}", formats=(), child=shared_child(), errors=errors).measures
-        )
-    sparse, dense = found
+        runs.append(run(plan, tmp_path / f"{step}", formats=(), child=shared_child(), errors=errors).measures)
+    sparse, dense = runs
     assert sparse.keys() == dense.keys()
     assert len(sparse) >= 12
     for measure, row in sparse.items():
@@ -90,7 +88,7 @@ def test_the_error_covers_the_density_of_rows_alone(tmp_path: Path, model: str) 
 
     Not so with an encoder, where a last digit may move a reading by a whole count, nor over a ramp of gains.
     """
-    found = []
+    runs = []
     for step in (2e-3, 2e-5):
         asked = (
             f"solver.model={model}",
@@ -103,8 +101,8 @@ def test_the_error_covers_the_density_of_rows_alone(tmp_path: Path, model: str) 
             asked = (*without_dynamics(load_scene(SCENES / "drop.toml")), *asked)
         plan = resolve(load_scene(SCENES / "drop.toml", asked))
         errors = estimator(plan, shared_child()) if step == 2e-3 else None
-        found.append(run(plan, tmp_path / f"{step}", formats=(), child=shared_child(), errors=errors))
-    sparse, dense = found
+        runs.append(run(plan, tmp_path / f"{step}", formats=(), child=shared_child(), errors=errors))
+    sparse, dense = runs
     t = np.asarray(sparse.signals["time"])
     both = np.isin(np.round(np.asarray(dense.signals["time"]) / 1e-9), np.round(t / 1e-9))
     # exact: the same force at the instants that both have
@@ -121,16 +119,14 @@ def test_the_error_covers_the_density_of_rows_alone(tmp_path: Path, model: str) 
 @pytest.mark.parametrize("period", [0.01, 0.1])
 def test_the_error_covers_a_ramp_of_gains_in_one_step(tmp_path: Path, period: float) -> None:
     """DACs settle in 10 us, one step of the run; steps of 0.5 us follow gain and input over the ramp."""
-    found = []
+    runs = []
     for step in (2e-4, 5e-7):
         asked = ("solver.model=linear", f"solver.max_step_s={step}", f"computer.period_s={period}",
                  "effects.encoder=false", "duration_s=0.3")  # fmt: skip
         plan = resolve(load_scene(SCENES / "drop.toml", asked))
         errors = estimator(plan, shared_child()) if step == 2e-4 else None
-        found.append(
-            run(plan, tmp_path / f"{step}", formats=(), child=shared_child(), errors=errors).measures
-        )
-    rough, close = found
+        runs.append(run(plan, tmp_path / f"{step}", formats=(), child=shared_child(), errors=errors).measures)
+    rough, close = runs
     for measure in ("max_penetration", "contact_share", "peak_force", "heat"):
         apart = abs(rough[measure]["value"] - close[measure]["value"])
         assert apart <= rough[measure]["error"], measure

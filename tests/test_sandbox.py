@@ -211,7 +211,7 @@ def test_a_link_that_a_child_leaves_is_not_collected(tmp_path: Path) -> None:
     assert not list((tmp_path / "results").iterdir())
 
 
-def test_a_kernel_that_gives_less_is_told() -> None:
+def test_a_kernel_that_gives_less_is_reported() -> None:
     """Where Landlock or the filter is missing, the other holds, and the words say so."""
     code = (
         "from cosim.ngspice import sandbox\n"

@@ -64,7 +64,7 @@ def test_the_library_without_the_program_is_enough(bare: Path, tmp_path: Path, n
     assert setup(bare, "chromium").returncode == 0
 
 
-def test_a_named_library_that_is_not_there_is_told(bare: Path, tmp_path: Path) -> None:
+def test_a_named_library_that_is_not_there_is_reported(bare: Path, tmp_path: Path) -> None:
     done = setup(bare, library=tmp_path / "nowhere.so")
     assert done.returncode == 1
     assert "names no file" in done.stderr

@@ -76,7 +76,7 @@ def agrees(folder, seed):
     assert value.stable == (not unstable), f"seed {seed}: {result}: {value}"
     if unstable:  # the first gains that show it are told
         pole = next(filter(grows, poles))
-        rows = [complex(each.real, each.imag) for each in value.found]
+        rows = [complex(each.real, each.imag) for each in value.instabilities]
         assert min(abs(each - pole) for each in rows) <= 0.05 * abs(pole)  # as well as two fits must agree
     return unstable
 
@@ -130,7 +130,7 @@ def test_the_shipped_boards_are_stable(tmp_path, joints, drive, level):
     levels = {role: "full" for role in FINITE} if level == "full" else FINITE
     result = judged(load_deck(path, levels={**levels, "driver": drive}))
     assert result.stable, result
-    assert not result.found
+    assert not result.instabilities
 
 
 @pytest.mark.few(7)
@@ -145,8 +145,8 @@ def test_a_declared_latch_or_oscillator_passes(tmp_path, name, kind):
     result = judged(board)
     assert result.stable
     assert not result.refused
-    assert all(each.declared for each in result.found)
-    assert result.found
+    assert all(each.declared for each in result.instabilities)
+    assert result.instabilities
 
 
 @pytest.mark.parametrize(
@@ -218,7 +218,7 @@ def test_whoever_allows_it_may_look(tmp_path):
     )
     done = run(resolve(scene_of(tmp_path, tables)), tmp_path / "out", formats=(), child=shared_child())
     assert not done.plan["stability"]["stable"]
-    assert done.plan["stability"]["found"][0]["loop"] == ["xboard.xsum1.xop"]
+    assert done.plan["stability"]["instabilities"][0]["loop"] == ["xboard.xsum1.xop"]
 
 
 def test_check_says_the_same_and_fails(tmp_path, capsys):
@@ -303,19 +303,19 @@ def test_a_pole_where_no_part_is_what_its_model_says_condemns_no_board(tmp_path)
     assert right.size > 0
     assert right.min() > 2.0 * np.pi * 1e10
     result = judged(board)
-    assert result.found == ()
+    assert result.instabilities == ()
     assert result.stable
 
 
 def test_such_a_part_hides_no_slip(tmp_path):
     result = judged(rising(tmp_path, "2 1 3 4 5"))  # its inputs swapped
     assert not result.stable
-    value = result.found[0]
+    value = result.instabilities[0]
     # as a follower: the gain of 1 MHz at its whole output on the right
     assert 2e6 < value.real < 2.0 * np.pi * 30e6
 
 
-def test_a_stuck_output_at_rest_is_said(tmp_path):
+def test_a_stuck_output_at_rest_is_reported(tmp_path):
     """Hard case 49: Newton finds an output at its limit, where the loop has no gain and nothing grows."""
     board, _ = swapped(tmp_path, "summer", "xop 0 sum", "xop sum 0")
     result = Verdict(latched=(Latched("xboard.xsum1.xop", 13.4),))
@@ -331,7 +331,7 @@ def test_a_stuck_output_at_rest_is_said(tmp_path):
     assert "xboard.xsum1.xop" in stuck or "no DC operating point" in at_rest.cautions()[0].text
 
 
-def test_an_output_that_hangs_at_the_end_of_a_run_is_said(tmp_path):
+def test_an_output_that_hangs_at_the_end_of_a_run_is_reported(tmp_path):
     """The summing amplifier asks for -10k/20k of the command: -2 V at 4 V, and 13.4 V is not that."""
     plan = resolve(scene_of(tmp_path, slider(effects=FULL)))
     node = next(a.out_node for a in plan.board.amplifiers if a.path == "xboard.xsum1.xop")
@@ -351,8 +351,8 @@ def test_a_verdict_survives_its_file():
     result = Verdict((known,), (Latched("d", 12.0),), gains_matter=True)
     assert Verdict.of(result.as_dict()) == result
     again = Verdict.of(Verdict((odd,)).as_dict())
-    assert np.isnan(again.found[0].real)
-    assert again.found[0].loop == ("a", "b")
+    assert np.isnan(again.instabilities[0].real)
+    assert again.instabilities[0].loop == ("a", "b")
     assert not again.refused
     assert again.cautions()
 

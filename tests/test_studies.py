@@ -65,7 +65,7 @@ def test_an_interrupted_study_goes_on_at_its_points(tmp_path):
     assert json.loads(path.read_text().splitlines()[0]) == {"digest": "b"}
 
 
-def test_all_that_is_wrong_with_a_study_file_is_said(tmp_path):
+def test_all_that_is_wrong_with_a_study_file_is_reported(tmp_path):
     path = tmp_path / "bad.toml"
     path.write_text('study = "congruense"\nscene = 3\ntittle = "x"\n', encoding="utf-8")
     assert is_study(path)

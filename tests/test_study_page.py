@@ -172,7 +172,7 @@ def test_it_in_a_browser(page: Path, tmp_path: Path) -> None:
     assert (tmp_path / "page.pdf").read_bytes().startswith(b"%PDF")
 
 
-def test_what_is_wrong_with_the_claims_is_said(tmp_path: Path) -> None:
+def test_what_is_wrong_with_the_claims_is_reported(tmp_path: Path) -> None:
     assert load_claims(tmp_path).claims == ()
     claim = '[[claims]]\nid = "A"\nsays = "x"\ncounts = "y"\n'
     file = tmp_path / "claims.toml"

@@ -98,7 +98,7 @@ def test_two_ranges_make_a_grid(tmp_path, counted, capsys):
     assert out["values"][:4] == [["0.01", "1"], ["0.01", "2"], ["0.01", "3"], ["0.02", "1"]]
 
 
-def test_slips_are_told_before_anything_runs(tmp_path, counted, capsys):
+def test_slips_are_reported_before_anything_runs(tmp_path, counted, capsys):
     out = ["--out", str(tmp_path / "out")]
     for words, each in (
         (["computer.period_s=-3:-1:3"], "out of range"),

@@ -227,7 +227,7 @@ def ishigami_shares() -> Array:
     return np.array([0.5 * (1 + b * pi**4 / 5) ** 2, a**2 / 8, 0.0]) / variance
 
 
-def test_without_the_extra_rough_shares_are_said_to_be_rough(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_extra_rough_shares_are_marked_as_rough(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cosim.tolerance.sensitivity.available", lambda: False)
     findings = find(study(parts([1e3] * 3, UNIFORM), ishigami, 256), ())
     surface = findings.surfaces[NAME]
@@ -300,7 +300,7 @@ def test_the_bill_names_what_to_buy() -> None:
     assert lines[0].loosest == 0.01  # what it is: any looser one costs yield
 
 
-def test_where_no_pair_helps_it_is_said() -> None:
+def test_where_no_pair_helps_it_is_reported() -> None:
     """All of the yield is lost by a component that is no resistor: two resistors at 0.1 % change nothing."""
     tolerances = parts([1e3] * 3, GAUSS)
     winding = replace(tolerances.components[1], key="xm:motor_r")
@@ -382,7 +382,7 @@ def test_an_extreme_within_the_box_and_one_that_takes_two_together() -> None:
     assert (least.value, most.value) == (-1.0, 1.0)
 
 
-def test_bad_specifications_are_told_together() -> None:
+def test_bad_specifications_are_reported_together() -> None:
     with pytest.raises(InputError) as caught:
         parse_specs(["k_maxx > 3", "k_max in 5..5", "k_max about 3", "rest_force < 5 mm", "headroom > 9 V"])
     assert len(caught.value.problems) == 5

@@ -204,7 +204,7 @@ def test_values_that_may_be_changed_become_preferred_ones(tmp_path: Path) -> Non
     assert result.components[result.keys.index("xdiff1.r12")].nominal == 169e3
 
 
-def test_all_that_is_wrong_is_told_with_file_and_line(tmp_path: Path) -> None:
+def test_all_that_is_wrong_is_reported_with_file_and_line(tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         read(
             tmp_path,

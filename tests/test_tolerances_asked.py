@@ -57,7 +57,7 @@ def test_each_point_of_a_sweep_is_within_the_tolerance(tmp_path, capsys):
     assert again["measures"]["max_penetration"] != values
 
 
-def test_what_cannot_be_reached_is_said_of_its_point(tmp_path):
+def test_what_cannot_be_reached_is_reported_of_its_point(tmp_path):
     plan = resolve(scene_of(tmp_path, THROWN, "solver.model=ideal"))
     wanted = Wanted({"headroom": Tolerance(1e-3, True)})
     result = measurer_within(wanted)(plan, ["headroom"], child=shared_child())

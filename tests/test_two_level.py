@@ -141,7 +141,7 @@ def test_one_place_alone_misses_the_other_region():
     assert truth > 0.0
 
 
-def test_what_cannot_fail_within_its_tolerances_is_said_so():
+def test_what_cannot_fail_within_its_tolerances_is_reported_so():
     def cut(u):  # every value is cut at three standard deviations: the sum stays below
         return 9.1 - np.clip(u, -3.0, 3.0)[:, :3].sum(axis=1)
 

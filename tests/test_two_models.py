@@ -181,6 +181,6 @@ def command(capsys, *words):
         (["--rare"], "give one"),
     ],
 )
-def test_slips_are_told(words, reason, tmp_path, capsys):
+def test_slips_are_reported(words, reason, tmp_path, capsys):
     assert reason in command(capsys, *WORDS, *words, "-o", str(tmp_path / "mc"))
     assert not (tmp_path / "mc" / "samples.parquet").exists()

@@ -50,7 +50,7 @@ def test_other_statements_stay(text):
     assert put_right(Line(text)).text == text
 
 
-def test_a_table_that_was_put_right_is_told_and_has_its_values(tmp_path):
+def test_a_table_that_was_put_right_is_reported_and_has_its_values(tmp_path):
     note = put_right(Line("G1 a 0 TABLE {V(a)} (0,0)(1,1m))")).note
     assert "parentheses" in note
     simulator = Simulator()

@@ -87,7 +87,7 @@ def verdict_text(errors: list[float], eta: list[float], dampings: tuple[float, .
     for kind in ("position", "peak_to_peak", "white"):
         at[f"force noise, {kind} [N rms]"] = [0.01] * len(errors)
         at[f"holds, {kind}"] = [True] * len(errors)
-    return verdicts(FootnoteParameters(dampings_n_s_per_m=dampings), at, "")[-1].found
+    return verdicts(FootnoteParameters(dampings_n_s_per_m=dampings), at, "")[-1].outcome
 
 
 def test_whether_the_op_amp_decides_is_judged_from_the_numbers() -> None:
@@ -132,7 +132,7 @@ def test_the_page_says_what_the_cases_hold(name: str, changes: dict[str, Any], t
     assert "opamp gbw, vca gbw" in answer
 
 
-def test_every_case_is_told_with_its_own_levels() -> None:
+def test_every_case_is_reported_with_its_own_levels() -> None:
     """The shift study's cases take away what their names say; one more adds what the scene has not."""
     spec = load_study(SCENES / "paper" / "5_4_shift.toml")
     full = Variation(name="full", set=("solver.model=spice", "effects.opamp=full", "effects.coulomb=true"))

@@ -64,7 +64,7 @@ def test_a_study_comes_out_again_and_a_changed_number_is_found(
         assert expected in call(capsys, "verify", str(out), code=2)
 
 
-def test_slips_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_slips_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "holds neither a run" in call(capsys, "verify", str(tmp_path), code=2)
     assert "no number of samples" in call(capsys, "verify", str(tmp_path), "--samples", "0", code=2)
 

@@ -40,7 +40,7 @@ def run(folder: Path, amps: float, mass_kg: float, duration_s: float) -> Run:
     return simulate(scene_of(folder, tables))
 
 
-def test_an_output_that_latches_within_a_run_is_said(tmp_path: Path) -> None:
+def test_an_output_that_latches_within_a_run_is_reported(tmp_path: Path) -> None:
     """1.4 mA through the 10k of the feedback ask for 14 V, more than the amplifier has, after the kick.
 
     The kick is at 50 ms. The carriage is so heavy that it stands still for a while, and moves at the end.
@@ -53,7 +53,7 @@ def test_an_output_that_latches_within_a_run_is_said(tmp_path: Path) -> None:
     assert 50.0 <= float(since) <= 75.0
 
 
-def test_an_operating_point_that_is_left_is_said(tmp_path: Path) -> None:
+def test_an_operating_point_that_is_left_is_reported(tmp_path: Path) -> None:
     """0.8 mA ask for 8 V: no limit is reached, but the circuit without a past stands at 0 V."""
     result = run(tmp_path, 0.8e-3, mass_kg=1e3, duration_s=0.15)
     rows = [c.text for c in result.warnings if c.code == "operating-point-left"]

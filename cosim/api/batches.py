@@ -72,8 +72,8 @@ def monte_carlo(
     Examples
     --------
     >>> from cosim.assets import scenes_folder
-    >>> found = monte_carlo(scenes_folder() / "press.toml", ["eta < 0.1"], samples=3)
-    >>> {spec: share.value for spec, share in found.yields.items()}
+    >>> batch = monte_carlo(scenes_folder() / "press.toml", ["eta < 0.1"], samples=3)
+    >>> {spec: share.value for spec, share in batch.yields.items()}
     {'eta <= 0.1': 1.0}
     """
     from cosim.tolerance.scene_study import Asked, Processes, check_folder, prepare
@@ -126,8 +126,8 @@ def study(
     Examples
     --------
     >>> from cosim.assets import scenes_folder
-    >>> found = study(scenes_folder() / "paper/0_2_passive.toml")
-    >>> [verdict.id for verdict in found.verdicts if verdict.holds is False]
+    >>> paper = study(scenes_folder() / "paper/0_2_passive.toml")
+    >>> [verdict.id for verdict in paper.verdicts if verdict.holds is False]
     []
     """
     from cosim.studies.study import load_study, run_study

@@ -116,8 +116,8 @@ def stability(scene: ContactLike, *, trust: bool = False, child: Child | None = 
     Examples
     --------
     >>> from cosim.assets import scenes_folder
-    >>> found = stability(scenes_folder() / "press.toml")
-    >>> found.stability.stable, found.border.value > found.stiffness  # N/m
+    >>> theory = stability(scenes_folder() / "press.toml")
+    >>> theory.stability.stable, theory.border.value > theory.stiffness  # N/m
     (True, True)
     """
     from cosim.analysis.stiffness_limits import limits
@@ -170,8 +170,8 @@ def device(scene: ContactLike, *, trust: bool = False, child: Child | None = Non
     Examples
     --------
     >>> from cosim.assets import scenes_folder
-    >>> found = device(scenes_folder() / "press.toml")
-    >>> found.as_dict()["model"], found.as_dict()["continuous_n"] > 0
+    >>> rating = device(scenes_folder() / "press.toml")
+    >>> rating.as_dict()["model"], rating.as_dict()["continuous_n"] > 0
     ('linear', True)
     """
     from cosim.studies.device import device_numbers
@@ -210,8 +210,8 @@ def check(
     Examples
     --------
     >>> from cosim.assets import netlists_folder
-    >>> found = check(netlists_folder() / "board1.cir")
-    >>> found.subject.board.joints, found.as_dict()["problems"]
+    >>> judged = check(netlists_folder() / "board1.cir")
+    >>> judged.subject.board.joints, judged.as_dict()["problems"]
     (1, 0)
     """
     from cosim.checking.check import check as measured

@@ -189,8 +189,8 @@ def sweep(
     Examples
     --------
     >>> from cosim.assets import scenes_folder
-    >>> found = sweep(scenes_folder() / "press.toml", {"computer.period_s": [0.001, 0.002]}, ["k_max"])
-    >>> found.values, min(found.measures["k_max"]) > 0.0  # N/m
+    >>> grid = sweep(scenes_folder() / "press.toml", {"computer.period_s": [0.001, 0.002]}, ["k_max"])
+    >>> grid.values, min(grid.measures["k_max"]) > 0.0  # N/m
     ((('0.001',), ('0.002',)), True)
     """
     from cosim.comparisons.sweep import parse_range
@@ -247,8 +247,8 @@ def compare(
     --------
     >>> from cosim.assets import scenes_folder
     >>> scene = load_scene(scenes_folder() / "press.toml").with_values({"duration_s": 0.05})
-    >>> found = compare(scene, values={"computer.period_s": [0.001]})
-    >>> [side.label for side in found.sides]
+    >>> comparison = compare(scene, values={"computer.period_s": [0.001]})
+    >>> [side.label for side in comparison.sides]
     ['A as it stands', 'B computer.period_s=0.001']
     """
     from cosim.comparisons.compare_boards import changes, sides_of

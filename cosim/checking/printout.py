@@ -63,10 +63,10 @@ def _stability(check: Check) -> list[str]:
     judged = check.stability
     if judged.unjudged:
         return ["stability: nobody knows"]
-    declared = [f"  as declared, {each}" for each in judged.found if each.declared]
+    declared = [f"  as declared, {each}" for each in judged.instabilities if each.declared]
     if judged.stable:
         return ["stability: stable, with all gains at zero, at full scale and as commanded", *declared]
-    return ["stability: NOT STABLE", *(f"  {each}" for each in (*judged.found, *judged.latched))]
+    return ["stability: NOT STABLE", *(f"  {each}" for each in (*judged.instabilities, *judged.latched))]
 
 
 def _constants(check: Check) -> list[str]:

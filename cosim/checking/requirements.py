@@ -71,7 +71,7 @@ def of_stability(judged: Verdict) -> Iterable[Finding]:
     """Tell the verdict on the circuit's stability, the same that a run waits for."""
     if judged.unjudged:
         yield _warning("stability", f"not judged: {judged.unjudged}")
-    for each in judged.found:
+    for each in judged.instabilities:
         if each.declared:
             continue
         yield _problem("stability", str(each)) if each.confirmed else _warning("stability", str(each))

@@ -87,7 +87,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     result = {
         "boards": [side.label for side in sides],
         "measures": [dict(side.run.measures) for side in sides],
-        "said": [dict(side.said) for side in sides],
+        "findings": [dict(side.findings) for side in sides],
         "changed": [vars(row) for row in rows],
         "page": str(page),
     }
@@ -158,10 +158,10 @@ def _table(sides: "Sequence[Side]", rows: "Sequence[Row]", most: int) -> list[st
 
 
 def _descriptions(sides: "Sequence[Side]") -> list[str]:
-    """Return what is said in words, once where all sides say the same."""
+    """Return the results in words, once where all sides agree."""
     lines = [""]
-    for name in dict.fromkeys(name for side in sides for name, _ in side.said):
-        words = [dict(side.said).get(name, "not known") for side in sides]
+    for name in dict.fromkeys(name for side in sides for name, _ in side.findings):
+        words = [dict(side.findings).get(name, "not known") for side in sides]
         if len(set(words)) == 1:
             lines.append(f"{name}: {words[0]} (all)")
         else:

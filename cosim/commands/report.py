@@ -171,7 +171,7 @@ def _report_studies(args: argparse.Namespace, files: list[Path]) -> tuple[dict[s
     judged = {verdict.id for verdict in verdicts}
     left = [claim.id for claim in claims.claims if claim.id not in judged]
     marks = {True: "ok  ", False: "NOT ", None: "    "}
-    lines = [f"{marks[v.holds]} {v.id:6} {v.claim}: {v.found}{' (own check)' * v.own}" for v in verdicts]
+    lines = [f"{marks[v.holds]} {v.id:6} {v.claim}: {v.outcome}{' (own check)' * v.own}" for v in verdicts]
     lines += [f"     {name:6} not judged" for name in left]
     lines.append(f"wrote {page}")
     data = {"page": str(page), "verdicts": [vars(v) for v in verdicts], "not_judged": left}
@@ -188,12 +188,14 @@ def _within(specs: "list[StudyFile]", tolerances: list[str]) -> "list[StudyFile]
     """
     from cosim.errors import fail
 
-    untold = {spec.study.name: spec.study.untold for spec in specs if spec.study.untold}
-    words = [f'a study "{name}" has no tolerance to choose: {why}' for name, why in untold.items()]
-    if all(spec.study.untold for spec in specs):
+    reasons = {spec.study.name: spec.study.no_tolerance for spec in specs if spec.study.no_tolerance}
+    words = [f'a study "{name}" has no tolerance to choose: {why}' for name, why in reasons.items()]
+    if all(spec.study.no_tolerance for spec in specs):
         fail("; ".join(words), file=str(specs[0].file), key="--tol", value=tolerances)
     warn(*(Caution("no-tolerance", text, "its page states what its numbers rest on") for text in words))
-    return [spec if spec.study.untold else replace(spec, tolerances=tuple(tolerances)) for spec in specs]
+    return [
+        spec if spec.study.no_tolerance else replace(spec, tolerances=tuple(tolerances)) for spec in specs
+    ]
 
 
 def result_folders(folder: Path) -> list[Path]:

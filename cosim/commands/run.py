@@ -197,7 +197,7 @@ def _json(finished: "list[tuple[Variant, Path, Run]]") -> dict[str, Any]:
                 "measures": dict(run.measures),
                 "ledger": dict(run.ledger),
                 "stats": dict(run.stats),
-                "said": list(run.said),
+                "printed": list(run.printed),
                 "warnings": [caution.as_dict() for caution in run.warnings],
             }
             for variant, out, run in finished
@@ -221,7 +221,7 @@ def _text(finished: "list[tuple[Variant, Path, Run]]") -> str:
             lines += choice_lines(run.plan["choice"])
         lines += _certified(run)
         lines += [f"  note: {note}" for note in run.plan["notes"]]
-        lines += [f"  printed: {line}" for line in run.said]
+        lines += [f"  printed: {line}" for line in run.printed]
     table = measure_table([(v.label, r.measures) for v, _, r in finished])
     return "\n".join([*lines, "", table, *_estimated(finished)])
 

@@ -68,7 +68,7 @@ class Side:
     check : what `cosim check` measures
     circuit : its small-signal model with all poles; ``None`` where there is none
     figures : every number
-    said : what is told in words: (quantity, text)
+    findings : results in words: (quantity, text)
     """
 
     label: str
@@ -77,7 +77,7 @@ class Side:
     check: Check
     circuit: LinearCircuit | None
     figures: tuple[Figure, ...]
-    said: tuple[tuple[str, str], ...]
+    findings: tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,7 @@ def measured(payload: dict[str, Any], report: Callable[[dict[str, Any]], None]) 
     Returns
     -------
     dict
-        'rows': class -> {value, unit, text}; 'said': lines that were printed
+        'rows': class -> {value, unit, text}; 'printed': its lines
 
     Raises
     ------
@@ -81,4 +81,4 @@ def measured(payload: dict[str, Any], report: Callable[[dict[str, Any]], None]) 
             raise SimulationError(f"{where}: the measure is not finite: {value}")
         unit, text = str(getattr(made, "unit", "")), str(getattr(made, "text", "") or "own measure")
         rows[where.rpartition(":")[2]] = {"value": value, "unit": unit, "text": text}
-    return {"rows": rows, "said": printed.lines}
+    return {"rows": rows, "printed": printed.lines}

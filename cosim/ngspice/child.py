@@ -157,7 +157,7 @@ class Child:
                 (folder / name).mkdir()
             (work / ".spiceinit").write_text("* empty: keeps ngspice from looking further\n")
             env = _environment(folder)
-            with open(folder / "said", "wb") as output:
+            with open(folder / "output", "wb") as output:
                 process = subprocess.Popen(
                     _command(send, self._modules, _allowed(folder, env, self._reads)),
                     stdin=subprocess.PIPE,
@@ -311,7 +311,7 @@ class Child:
 
     def _last_words(self) -> str:
         try:
-            output = (self._folder / "said").read_bytes()[-8000:].decode("utf-8", "replace")
+            output = (self._folder / "output").read_bytes()[-8000:].decode("utf-8", "replace")
         except OSError:
             return ""
         words, _, _ = output.partition(

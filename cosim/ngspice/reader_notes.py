@@ -40,7 +40,7 @@ def notes(net: Netlist, blocks: list[Block]) -> list[str]:
         + (f" and {len(names) - 8} more" if len(names) > 8 else "")
         for file, names in outside.items()
     ]
-    lines += _untold(blocks)
+    lines += _unlisted_amplifiers(blocks)
     lines += [
         f"{block.header.file}: in {block.name} only one terminal touches node {node}"
         for block in blocks
@@ -50,7 +50,7 @@ def notes(net: Netlist, blocks: list[Block]) -> list[str]:
     return lines
 
 
-def _untold(blocks: list[Block]) -> list[str]:
+def _unlisted_amplifiers(blocks: list[Block]) -> list[str]:
     """Say of each amplifier that the board includes itself why no table of loops or headroom has it.
 
     What has supplies among five pins or more and sources of its own, and instantiates nothing, is taken for

@@ -125,8 +125,8 @@ def read_object(file: Path) -> dict[str, Any]:
     return value
 
 
-def read_sealed(file: Path, form: int) -> dict[str, Any]:
-    """Read a sealed record of one form; its seal is taken off.
+def read_sealed(file: Path, *forms: int) -> dict[str, Any]:
+    """Read a sealed record of one of `forms`; its seal is taken off.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def read_sealed(file: Path, form: int) -> dict[str, Any]:
         As `read_object`; for a record of another version, and one that was changed since it was written.
     """
     record = read_object(file)
-    if record.get("format") != form:
+    if record.get("format") not in forms:
         fail("was written by another version of cosim: run the scene again", file=str(file))
     seal = record.pop(_SEAL, None)
     if seal != _content_sum(record):

@@ -96,6 +96,6 @@ class Record(TypedDict):
     provenance: _Provenance
     events: list[_Event]
     warnings: list[CautionFields]
-    said: list[str]
+    printed: list[str]
     files: dict[str, str]
     forms: dict[str, str]

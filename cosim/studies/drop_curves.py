@@ -12,7 +12,7 @@ from cosim.scene.parameters import Field, Variation
 from cosim.scene.quantities import Period
 from cosim.studies.study import Verdict
 
-__all__ = ["REFINED", "Family", "Found", "compared", "curve", "slope", "verdicts"]
+__all__ = ["REFINED", "Family", "Limits", "compared", "curve", "slope", "verdicts"]
 
 #: Bisections of the last step of the scan.
 REFINED = 6
@@ -28,15 +28,15 @@ class Family(Variation):
     phases: int | None = Field(default=None, ge=1, le=1024)
 
 
-Found = Mapping[tuple[str, float], Mapping[str, Any]]
+Limits = Mapping[tuple[str, float], Mapping[str, Any]]
 
 
-def curve(limits: Found, name: str, key: str = "first_n_per_m") -> dict[float, float]:
+def curve(limits: Limits, name: str, key: str = "first_n_per_m") -> dict[float, float]:
     """Return a curve: limit by period, where there is one."""
     return {period: row[key] for (other, period), row in limits.items() if other == name and row[key]}
 
 
-def compared(limits: Found, first: str, other: str) -> list[float]:
+def compared(limits: Limits, first: str, other: str) -> list[float]:
     """Return the periods, shortest first, at which two curves have limits dropped and exact."""
     keys = ("first_n_per_m", "exact_n_per_m")
     return sorted(
@@ -50,14 +50,14 @@ def slope(values: Mapping[float, float]) -> float:
 
 
 def verdicts(
-    limits: Found, families: Sequence[Family], scenes: Mapping[str, Scene], ideal: Mapping[str, float],
+    limits: Limits, families: Sequence[Family], scenes: Mapping[str, Scene], ideal: Mapping[str, float],
     shown: Mapping[str, Mapping[float, float]], ratio: float,
 ) -> list[Verdict]:  # fmt: skip
     """Judge F13a on every curve, F13b, F13c and F14 on those that add a spring or damper to the first.
 
     Parameters
     ----------
-    found, families, scenes
+    limits, families, scenes
         What every curve gave.
     ideal
         What a damper adds to the exact limit with an ideal circuit [N/m], by curve.

@@ -36,7 +36,7 @@ from cosim.scene.parameters import Field, Parameters, Unit
 from cosim.scene.quantities import Period
 from cosim.storage.checkpoint import Points
 from cosim.studies import table_columns as col
-from cosim.studies.drop_curves import REFINED, Family, Found, compared, curve, verdicts
+from cosim.studies.drop_curves import REFINED, Family, Limits, compared, curve, verdicts
 from cosim.studies.grid import milli
 from cosim.studies.study import Study, StudyFile, StudyResult, Table
 from cosim.types import Array
@@ -370,7 +370,7 @@ def displayed(job: Job, stiffness: float) -> float:
     return float((2j * np.pi * _SLOW_HZ * force_over_speed).real)
 
 
-def _ideal_gain(spec: StudyFile, family: Family, drops: Found) -> float:
+def _ideal_gain(spec: StudyFile, family: Family, drops: Limits) -> float:
     """Return what a curve adds to the first one's exact limit at the shortest period, both circuits ideal."""
     first = spec.parameters.families[0]
     period = compared(drops, first.name, family.name)[0]
@@ -387,5 +387,5 @@ STUDY = Study(
     "drop test: largest discrete stiffness over the sampling period",
     DropParameters,
     analyse,
-    untold="it asks of each run whether it comes to rest, which is yes or no",
+    no_tolerance="it asks of each run whether it comes to rest, which is yes or no",
 )

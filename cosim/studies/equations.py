@@ -282,5 +282,5 @@ STUDY = Study(
     "what is commanded is what the arm renders, (1) to (13)",
     AcceptanceParameters,
     analyse,
-    untold="it takes differences between the ends of two runs, which are no measures",
+    no_tolerance="it takes differences between the ends of two runs, which are no measures",
 )

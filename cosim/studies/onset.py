@@ -319,5 +319,5 @@ STUDY = Study(
     "analog wall switched on at samples: jump, energy, rest, remedies",
     OnsetParameters,
     analyse,
-    untold="it asks of each run whether it comes to rest, which is yes or no",
+    no_tolerance="it asks of each run whether it comes to rest, which is yes or no",
 )

@@ -267,5 +267,5 @@ STUDY = Study(
     "footnote 2: stiffness under a preload",
     CongruenceParameters,
     analyse,
-    untold="it takes differences between the ends of two runs, which are no measures",
+    no_tolerance="it takes differences between the ends of two runs, which are no measures",
 )

@@ -189,11 +189,11 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     return spec.result(*tables, widths, walls, verdicts=verdicts(columns, given))
 
 
-Found = Mapping[tuple[str, str, float], Mapping[str, Any]]
+Columns = Mapping[tuple[str, str, float], Mapping[str, Any]]
 
 
 def _plane(
-    plane: str, across: str, name: str, title: str, columns: Found, given: MapParameters
+    plane: str, across: str, name: str, title: str, columns: Columns, given: MapParameters
 ) -> tuple[Table, Table]:
     """Return the limits of a plane, and its simulated points."""
     mine = {(panel, x): row for (which, panel, x), row in columns.items() if which == plane}
@@ -273,7 +273,7 @@ def _widths(spec: StudyFile) -> tuple[Table, Table]:
     )
 
 
-def verdicts(columns: Found, given: MapParameters) -> list[Verdict]:
+def verdicts(columns: Columns, given: MapParameters) -> list[Verdict]:
     """Judge passivity against the exact border, and the simulated points against both."""
     out = []
     worst = max(
@@ -320,5 +320,5 @@ STUDY = Study(
     "stability maps: K-T and K-B planes, Z-width",
     MapParameters,
     analyse,
-    untold="its borders are theory's, and its runs are asked whether they come to rest",
+    no_tolerance="its borders are theory's, and its runs are asked whether they come to rest",
 )

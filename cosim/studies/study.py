@@ -35,7 +35,9 @@ __all__ = ["STUDIES", "Parameters", "Study", "StudyFile", "StudyResult", "Table"
            "load_study", "run_study"]  # fmt: skip
 
 RECORD, POINTS = "study.json", "points.jsonl"
-_FORMAT_VERSION = 2
+_FORMAT_VERSION = 3
+#: Versions that can be read; 2 has the outcome of a verdict under the name "found".
+_READABLE = (2, _FORMAT_VERSION)
 #: The analyses by name, and the module of each; its `STUDY` says the rest.
 STUDIES = {
     "acceptance": "cosim.studies.equations",
@@ -82,15 +84,15 @@ class Verdict:
     Attributes
     ----------
     id : row of the acceptance table, such as ``F13a``
-    claim, expected, found : in words with numbers and units
-    holds : None where the claim is a question that `found` answers
+    claim, expected, outcome : in words with numbers and units
+    holds : None where the claim is a question that `outcome` answers
     own : whether it judges a closed form or a model of this program, which is no verdict on the paper
     """
 
     id: str
     claim: str
     expected: str
-    found: str
+    outcome: str
     holds: bool | None
     own: bool = False
 
@@ -138,7 +140,7 @@ class StudyResult:
 class Study:
     """An analysis: its name, a line of help, what it takes, and what it does.
 
-    `analyse` gets the study file and `Points`, in which it keeps what took long. `untold` says why no
+    `analyse` gets the study file and `Points`, in which it keeps what took long. `no_tolerance` says why no
     tolerance can be asked of it; empty where its runs have measures that can be within one.
     """
 
@@ -146,7 +148,7 @@ class Study:
     help: str
     parameters: type[Parameters]
     analyse: Callable[[StudyFile, Points], StudyResult]
-    untold: str = "it is made of theory on the extracted circuit, and runs nothing"
+    no_tolerance: str = "it is made of theory on the extracted circuit, and runs nothing"
 
 
 @dataclass(frozen=True)
@@ -329,7 +331,11 @@ def _load(folder: Path) -> StudyResult | None:
     file = folder / RECORD
     if not os.path.isfile(file):
         return None
-    data = read_sealed(file, _FORMAT_VERSION)
+    data = read_sealed(file, *_READABLE)
+    rows = data.get("verdicts")
+    for row in rows if isinstance(rows, list) else []:
+        if isinstance(row, dict) and "found" in row:
+            row["outcome"] = row.pop("found")
     result: StudyResult = field_types.made(data, StudyResult, str(file))
     for table in result.tables:
         if (

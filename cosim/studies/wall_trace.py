@@ -266,4 +266,6 @@ def _everything(one: Traced, mine: Mapping[str, float], plain: Mapping[str, floa
     )
 
 
-STUDY = Study("trace", "a hand traces the wall: methods side by side", TraceParameters, analyse, untold="")
+STUDY = Study(
+    "trace", "a hand traces the wall: methods side by side", TraceParameters, analyse, no_tolerance=""
+)

@@ -35,7 +35,7 @@ _CORNER = 6.0
 #: Nearest that a uniform number comes to 0 and 1.
 _END = 2.0**-53
 #: Components of the most probable failing device that are told.
-_TOLD = 8
+_LISTED = 8
 
 
 @dataclass(frozen=True)
@@ -196,6 +196,6 @@ def _device(tolerances: Tolerances, places: Places) -> dict[str, float]:
     by_key: dict[str, float] = {}
     for j in np.argsort(-np.abs(nearest)):
         for place in tolerances.members(int(j)):
-            if len(by_key) < _TOLD:
+            if len(by_key) < _LISTED:
                 by_key[tolerances.components[place].key] = float(values[place])
     return by_key

@@ -68,7 +68,7 @@ class _Reader:
         self._problems: list[Problem] = []
         self._variables: dict[str, int] = {}
         self._members: dict[str, list[tuple[str, str, int]]] = {}
-        self._found: dict[str, Component] = {}
+        self._components: dict[str, Component] = {}
         self._used: set[str] = set()
         table = scene.tolerance if scene is not None else Tolerance()
         self._classes = self._of_scene(table.classes, "")
@@ -94,7 +94,7 @@ class _Reader:
         if self._problems:
             raise InputError(self._problems)
         idle = tuple(name for name in self._classes if name not in classes)
-        return Tolerances(tuple(self._found.values()), tuple(self._variables), idle)
+        return Tolerances(tuple(self._components.values()), tuple(self._variables), idle)
 
     def _add(self, written: NetlistComponent) -> str:
         """Take a component of the board, if it varies; return its class."""
@@ -110,7 +110,7 @@ class _Reader:
         if written.network is not None and param.stated is not None and not param.stated.match:
             param = replace(param, stated=merged(written.network, param.stated))
         origin = _outermost(param)
-        if not origin or written.key in self._found:
+        if not origin or written.key in self._components:
             return kind
         recipe = self._recipe(written, param, kind)
         if recipe is not None:
@@ -160,7 +160,7 @@ class _Reader:
         variables = list(self._variables)
         used = dict.fromkeys(variables[term.variable] for term in recipe.used())
         shared = tuple(name for name in used if name.startswith(_SHARED))
-        self._found[key] = Component(
+        self._components[key] = Component(
             key, recipe.nominal, unit, recipe.text(unit), shared, *where, recipe, names
         )
 

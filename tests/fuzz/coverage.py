@@ -30,7 +30,7 @@ def main() -> None:
     files = [netlists / "board2.cir", *sorted((netlists / "blocks").glob("*.cir"))]
     for number, path in enumerate(files):
         (corpus / path.name).write_bytes(bytes([number]) + path.read_bytes())
-    wholes = {path: path.read_bytes() for path in files}
+    originals = {path: path.read_bytes() for path in files}
     warnings.simplefilter("error")
 
     def one(data: bytes) -> None:
@@ -44,7 +44,7 @@ def main() -> None:
         except CosimError:
             pass
         finally:
-            path.write_bytes(wholes[path])
+            path.write_bytes(originals[path])
 
     given = sys.argv if any(not word.startswith("-") for word in sys.argv[1:]) else [*sys.argv, str(corpus)]
     atheris.Setup([given[0], "-max_len=20000", "-len_control=0", "-timeout=10", *given[1:]], one)

@@ -127,7 +127,7 @@ def _cluster(kind: str, words: list[str], out: Path, folder: Path, wait_s: float
         else:
             another()
             _wait(process, kind)
-            message = (folder / "said").read_text(errors="replace")
+            message = (folder / "output").read_text(errors="replace")
             # a study that begins between two workers says so at once
             between = process.returncode == 2 and "the scheduler has no workers" in message
             if process.returncode and not between:
@@ -172,7 +172,7 @@ def _until_up(address: str) -> None:
 
 
 def _start(words: list[str], out: Path, folder: Path) -> subprocess.Popen[bytes]:
-    with (folder / "said").open("wb") as log:
+    with (folder / "output").open("wb") as log:
         return subprocess.Popen(
             [sys.executable, "-m", "cosim", *words, "-o", str(out)], cwd=folder, stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL, stderr=log, env={**os.environ, "TMPDIR": str(folder)},
@@ -192,7 +192,7 @@ def _ended(process: subprocess.Popen[bytes], what: str, folder: Path) -> None:
     """Wait for a command that is to succeed."""
     _wait(process, what)
     if process.returncode:
-        message = (folder / "said").read_text(errors="replace")
+        message = (folder / "output").read_text(errors="replace")
         raise Defect(f"{what}: exit code {process.returncode}: {message}")
 
 

@@ -225,8 +225,8 @@ def _hangs(amps: float, code: str, words: str, runner: CaseRunner, model: str) -
         effects={"opamp": "full", "vca": "gbw", "driver": "voltage", "driver_level": "gbw", "motor": "full"},
         solver={"coupling_tolerance_rad": 1e-7},
     )  # fmt: skip
-    said = runner.run(tables, model, _KICK).warnings
-    return float(any(each == code and words in text and "xsum1.xop" in text for each, text in said))
+    warnings = runner.run(tables, model, _KICK).warnings
+    return float(any(each == code and words in text and "xsum1.xop" in text for each, text in warnings))
 
 
 def _in_band(interval: float, runner: CaseRunner, model: str) -> float:

@@ -114,14 +114,14 @@ def _pin_error(step: float, runner: CaseRunner, model: str) -> float:
         solver={"max_step_s": step, "coupling_tolerance_rad": 1e-3}, record={"nodes": ["vel1"]},
     )  # fmt: skip
     ran = runner.run(tables, model)
-    t, q, v, told_q, told_v = (np.asarray(ran.signals[name]) for name in ("time", "q1", "v1", "pot1", "vel1"))
+    t, q, v, pot_q, vel_v = (np.asarray(ran.signals[name]) for name in ("time", "q1", "v1", "pot1", "vel1"))
     stiffness = 100 * RADIUS**2 * _SPRING / _STATED
     rate = np.array([[0, 1], [-stiffness / _INERTIA, -_EMF / _INERTIA]])
     wrong = 0.0
     for n in range(1, len(t)):
         h = t[n] - t[n - 1]
         true_q, true_v = expm(rate * h) @ [q[n - 1], v[n - 1]]
-        wrong = max(wrong, abs(told_q[n] - true_q) + h * abs(told_v[n] / 8.0 - true_v))
+        wrong = max(wrong, abs(pot_q[n] - true_q) + h * abs(vel_v[n] / 8.0 - true_v))
     return math.log(wrong / float(ran.stats["defect_max_rad"]))
 
 

@@ -31,7 +31,7 @@ MOTOR = "motor"
 _FIRST_HZ, _PHASE, _LEAST_HZ = 0.1, 1e-3, 1e-9
 #: Products of responses and sums of delays agree to this share where all of a path passes an output: what
 #: leaks past it matters no more. Weaker shares of a path, and weaker loops, are leaks themselves.
-_WHOLE, _LEAK = 1e-2, 1e-3
+_COMPLETE, _LEAK = 1e-2, 1e-3
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def measure(payload: Mapping[str, Any], report: Callable[[dict[str, Any]], None]
     for j in range(1, bench.joints + 1):
         for i in [j] if own else range(1, bench.joints + 1):
             try:
-                paths.append(_Path(bench, amplifiers, i, j).told(name))
+                paths.append(_Path(bench, amplifiers, i, j).spring_delay(name))
             except InputError:  # nothing comes through: other figures of the check report that
                 if not own:
                     raise
@@ -139,7 +139,7 @@ class _Passed:
     h : response of its output to the potentiometer, through the spring alone
     onward : response of the motor to its output, through the spring alone
     moved : response of every amplifier's output to its output
-    whole : whether all of the path passes there
+    complete : whether all of the path passes there
     """
 
     place: int
@@ -147,7 +147,7 @@ class _Passed:
     h: complex
     onward: complex
     moved: tuple[complex, ...]
-    whole: bool
+    complete: bool
 
 
 class _Path:
@@ -197,10 +197,10 @@ class _Path:
             ):
                 share = h * onward / self.through
                 if abs(share) > _LEAK:
-                    complete = abs(share - 1.0) < _WHOLE and self._adds_up(h, onward)
+                    complete = abs(share - 1.0) < _COMPLETE and self._adds_up(h, onward)
                     out.append(_Passed(place, behind, h, onward, tuple(moved[:-1].tolist()), complete))
-        inner = [a for a in out if a.whole and any(self._looped(a, b) for b in out if b.whole)]
-        return [replace(p, whole=False) if p in inner else p for p in out]
+        inner = [a for a in out if a.complete and any(self._looped(a, b) for b in out if b.complete)]
+        return [replace(p, complete=False) if p in inner else p for p in out]
 
     def _looped(self, a: _Passed, b: _Passed) -> bool:
         """Whether `a` stands in a loop that `b` closes further down the path."""
@@ -210,27 +210,27 @@ class _Path:
     def _adds_up(self, h: complex, onward: complex) -> bool:
         parts = _late(h, self.hz), _late(onward, self.hz)
         total = _late(self.through, self.hz)
-        return abs(sum(parts) - total) <= _WHOLE * max(*map(abs, parts), abs(total))
+        return abs(sum(parts) - total) <= _COMPLETE * max(*map(abs, parts), abs(total))
 
     def _before(self, a: _Passed, b: _Passed) -> bool:
         """Whether all that comes from `a` passes `b`, which is whole."""
         if a.behind != b.behind:
             return b.behind
-        return a.place != b.place and abs(a.moved[b.place] * b.onward / a.onward - 1.0) < _WHOLE
+        return a.place != b.place and abs(a.moved[b.place] * b.onward / a.onward - 1.0) < _COMPLETE
 
-    def told(self, name: Mapping[str, str]) -> SpringDelay:
+    def spring_delay(self, name: Mapping[str, str]) -> SpringDelay:
         """Return the delays between cuts; amplifiers side by side or in one loop make one step."""
-        complete = [p for p in self.passed if p.whole]
+        complete = [p for p in self.passed if p.complete]
         rank = {id(p): sum(self._before(p, q) for q in complete) for p in self.passed}  # cuts still to come
         last, steps = complex(1.0), []
         for level in sorted({rank[id(p)] for p in complete}, reverse=True):
             group = [p for p in complete if rank[id(p)] == level]
             end = max(group, key=lambda p: _late(p.h, self.hz))
-            beside = [p for p in self.passed if not p.whole and rank[id(p)] == level + 1]
+            beside = [p for p in self.passed if not p.complete and rank[id(p)] == level + 1]
             steps.append(self._step(name, [*beside, *group], _late(end.h / last, self.hz)))
             last = end.h
         rest = _late(self.through / last, self.hz)
-        beside = [p for p in self.passed if not p.whole and rank[id(p)] == 0]
+        beside = [p for p in self.passed if not p.complete and rank[id(p)] == 0]
         if beside:
             alone = self._step(name, beside, rest)
             steps.append(Step(f"{alone.block} and {MOTOR}", alone.instance, rest))

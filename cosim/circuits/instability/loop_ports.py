@@ -56,7 +56,7 @@ def loop_ports(board: Deck, inside: Collection[str] = ()) -> list[Port]:
         Paths of amplifiers whose output is held by a voltage source, where no current shows anything: all
         nodes that the active elements inside them touch take its place.
     """
-    ports = _Walk(board, inside).found.values()
+    ports = _Walk(board, inside).ports.values()
     return sorted(ports, key=lambda port: not port.resonant)
 
 
@@ -69,7 +69,7 @@ class _Walk:
         #: What closes no loop whatever is connected to it.
         self.passive = {part.name for part in board.parts if part.role in ("motor", "potentiometer")}
         self.fixed = {"0", "vcc", "vee"}
-        self.found: dict[str, Port] = {}
+        self.ports: dict[str, Port] = {}
         self._block(self.net.blocks[board.board], "xboard", {pin: pin for pin in board.pins})
 
     def _block(self, block: Block, path: str, nets: Mapping[str, str], quiet: bool = False) -> None:
@@ -107,13 +107,13 @@ class _Walk:
     def _add(self, node: str, owner: str, inductor: bool = False) -> None:
         if node in self.fixed:
             return
-        known = self.found.get(node)
+        known = self.ports.get(node)
         if known is None:
-            self.found[node] = Port(node, owner, not inductor, inductor)
+            self.ports[node] = Port(node, owner, not inductor, inductor)
         elif inductor:
-            self.found[node] = replace(known, resonant=True)
+            self.ports[node] = replace(known, resonant=True)
         elif not known.active:
-            self.found[node] = Port(node, owner, resonant=True)
+            self.ports[node] = Port(node, owner, resonant=True)
 
 
 def _touched(line: Line) -> list[str]:

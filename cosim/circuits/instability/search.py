@@ -52,7 +52,7 @@ def judge(payload: Mapping[str, Any], report: Report) -> Verdict:
             verdict = _Court(board, report).verdict(question.commanded)
             if not verdict.stable:
                 break
-        if verdict.latched and not verdict.found and question.plain is not None:
+        if verdict.latched and not verdict.instabilities and question.plain is not None:
             plain = _Court(question.plain, report).verdict(question.commanded)
             verdict = replace(plain, latched=verdict.latched)
     except CosimError as reason:  # whoever runs the board meets the reason again and names it fully

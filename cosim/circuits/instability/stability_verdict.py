@@ -22,7 +22,7 @@ from cosim.units import quantity, signed
 __all__ = ["Instability", "Latched", "Question", "Verdict", "keep", "known"]
 
 #: To be raised with every change that may change a verdict.
-_VERSION = 2
+_VERSION = 3
 
 
 @dataclass(frozen=True)
@@ -75,11 +75,11 @@ class Latched:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What was found about a board.
+    """What is known about the stability of a board.
 
     Attributes
     ----------
-    found, latched
+    instabilities, latched
         Loops whose disturbances grow, and amplifiers that are stuck at rest.
     gains_matter
         Whether some loop passes a multiplier, so that its poles move with the commanded gains.
@@ -87,7 +87,7 @@ class Verdict:
         Why nobody knows, if so.
     """
 
-    found: tuple[Instability, ...] = ()
+    instabilities: tuple[Instability, ...] = ()
     latched: tuple[Latched, ...] = ()
     gains_matter: bool = False
     unjudged: str = ""
@@ -95,12 +95,12 @@ class Verdict:
     @property
     def refused(self) -> tuple[Instability, ...]:
         """Those for which a run is refused."""
-        return tuple(each for each in self.found if each.confirmed and not each.declared)
+        return tuple(each for each in self.instabilities if each.confirmed and not each.declared)
 
     @property
     def stable(self) -> bool:
         """Whether nothing grows or is stuck that the netlist does not declare."""
-        return not self.unjudged and not self.latched and all(each.declared for each in self.found)
+        return not self.unjudged and not self.latched and all(each.declared for each in self.instabilities)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the verdict as JSON-ready fields."""
@@ -108,12 +108,12 @@ class Verdict:
             asdict(each)
             | {"loop": list(each.loop), "text": str(each)}
             | ({} if np.isfinite(each.real) else {"real": None, "imag": None})
-            for each in self.found
+            for each in self.instabilities
         ]
         return {
             "stable": self.stable,
             "refused": bool(self.refused),
-            "found": rows,
+            "instabilities": rows,
             "latched": [asdict(each) for each in self.latched],
             "gains_matter": self.gains_matter,
             "unjudged": self.unjudged,
@@ -131,7 +131,7 @@ class Verdict:
                 number(row["real"]), number(row["imag"]), tuple(map(str, row["loop"])),
                 str(row["condition"]), bool(row["confirmed"]), bool(row["declared"]),
             )
-            for row in stored["found"]
+            for row in stored["instabilities"]
         )  # fmt: skip
         latched = tuple(Latched(str(row["path"]), float(row["volts"])) for row in stored["latched"])
         return cls(instabilities, latched, bool(stored["gains_matter"]), str(stored["unjudged"]))
@@ -166,7 +166,7 @@ class Verdict:
                 f"the board is {each}" + ("" if each.confirmed else " (no transient confirms it)"),
                 "implicit steps may hide what grows there: believe nothing before the loop is mended",
             )
-            for each in self.found
+            for each in self.instabilities
             if not each.declared
         ]
         stuck = [

@@ -73,17 +73,17 @@ def turns(c: Any, at: Any) -> int:
 @njit(cache=True, error_model="numpy")
 def roots(c: Any, pieces: Any, count: int, at: Any) -> int:
     """Fill `at` with the sign changes in (0, 1) of a polynomial with extremes `pieces[:count]`; count."""
-    found = 0
+    crossings = 0
     low = 0.0
     before = _value(c, 0.0)
     for i in range(count + 1):
         high = pieces[i] if i < count else 1.0
         now = _value(c, high)
         if before * now < 0.0:
-            at[found] = _root(c, low, high)
-            found += 1
+            at[crossings] = _root(c, low, high)
+            crossings += 1
         low, before = high, now
-    return found
+    return crossings
 
 
 @njit(cache=True, error_model="numpy")

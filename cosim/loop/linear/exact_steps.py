@@ -23,7 +23,7 @@ from cosim.types import Record
 
 #: An interval is cut into 2^_LEVELS parts at most.
 _LEVELS = 40
-_WHOLE = 1 << _LEVELS
+_PARTS = 1 << _LEVELS
 #: Steps grow at most so much from one to the next.
 _GROWTH = 8.0
 
@@ -97,16 +97,16 @@ def leaps(state: int, plan: int, step: int, exact: int, first: float) -> bool:
                     length, ramp = behind - s.t, s.settle
         level, h = 0, length
         if position != 0 or h > longest * (1 + 1e-9):
-            while position & ((_WHOLE >> level) - 1) != 0 or h > longest * (1 + 1e-9):
+            while position & ((_PARTS >> level) - 1) != 0 or h > longest * (1 + 1e-9):
                 level += 1
                 h = math.ldexp(length, -level)
         if not rests(x, s.t + 0.5 * h) or not leap(s, k, b, x, s.t, h, ramp) or near(k, 0, b.results[3]):
             return False
-        position += _WHOLE >> level
+        position += _PARTS >> level
         if ramp > 0.0:  # over, and no event any more
             s.ramping = 0
             s.t_event = next_event(s)
-        land(s, k, b, x, float(s.t_event) if position == _WHOLE else t0 + length * position / _WHOLE)
+        land(s, k, b, x, float(s.t_event) if position == _PARTS else t0 + length * position / _PARTS)
         wish = max(wish, _GROWTH * h)
         check(s)
         record(s)

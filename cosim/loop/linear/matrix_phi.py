@@ -88,8 +88,8 @@ def _functions(z: Array, count: int) -> list[Array]:
         chain[:n, :n] = z
         for r in range(count):
             chain[n * r : n * (r + 1), n * (r + 1) : n * (r + 2)] = np.eye(n)
-        whole = scipy.linalg.expm(chain)
-        return [whole[:n, n * r : n * (r + 1)] for r in range(count + 1)]
+        exponential = scipy.linalg.expm(chain)
+        return [exponential[:n, n * r : n * (r + 1)] for r in range(count + 1)]
     out = [scipy.linalg.expm(z)]
     factorial = 1.0
     for r in range(count):

@@ -31,7 +31,7 @@ from mech.compiled import inner, inner_inlined
 _COLLAPSED = Fault.STEP_COLLAPSED
 #: The shortest step is the interval over 2^_LEVELS.
 _LEVELS = 40
-_WHOLE = 1 << _LEVELS
+_PARTS = 1 << _LEVELS
 #: The next step aims at this share of the tolerance and grows at most so much; the error is of fifth order.
 _SAFETY, _GROWTH, _ORDER = 0.5, 8.0, 5.0
 #: Near a driver's limit steps are at most 1/64 of the period and are checked ...
@@ -161,16 +161,16 @@ def _interval(s: Record) -> _Interval:
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _time(s: Record, interval: _Interval, position: int) -> float:
-    if position == _WHOLE:
+    if position == _PARTS:
         return float(s.t_event)
-    return float(interval.start + interval.length * position / _WHOLE)
+    return float(interval.start + interval.length * position / _PARTS)
 
 
 @inner_inlined
 def _level(interval: _Interval, position: int, longest: float) -> int:
     """Return the level of the largest step that lies on the grid and is at most `longest` [s]."""
     level = 0
-    while position & ((_WHOLE >> level) - 1) != 0 or math.ldexp(interval.length, -level) > longest * (
+    while position & ((_PARTS >> level) - 1) != 0 or math.ldexp(interval.length, -level) > longest * (
         1 + 1e-9
     ):
         level += 1
@@ -322,7 +322,7 @@ def _steps(state: int, plan: int, step: int, exact: int, first: float) -> bool:
         trial = _take(s, k, b, interval, level, watch, wish, until)
         if s.fault != 0:
             break
-        position += _WHOLE >> trial.level
+        position += _PARTS >> trial.level
         accept(s, k, b, _time(s, interval, position), trial.h)
         _note_error(s, trial.error)
         shown = trial.h > _ROW_SHARE * s.c.period or trial.h > _CUT_SHORT * min(trial.wish, s.h_max)
@@ -335,7 +335,7 @@ def _steps(state: int, plan: int, step: int, exact: int, first: float) -> bool:
         struck = False
         if s.w.located and trial.level >= interval.finest and _switch_contacts(s, k, b):
             struck, until = True, _NEVER
-        if struck or position == _WHOLE or shown:
+        if struck or position == _PARTS or shown:
             record(s)
         else:
             s.points += 1
