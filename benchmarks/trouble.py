@@ -13,7 +13,8 @@ unstable  apart, or ended by an error, and the held contact grows by the exact e
 refused, failed   with a clear error
 apart, no number, crashed   trouble, and exit code 1
 
-A scene is drawn from seed and number alone: `--seed S --only K` runs one again.
+A scene is drawn from seed and number alone: `--seed S --only K` runs one again. `--resume` leaves out what
+the file of results holds already.
 """
 
 from __future__ import annotations
@@ -353,6 +354,17 @@ def _confirmed(seen: dict[str, Any], scene: Drawn, child: Child | None) -> dict[
     return seen
 
 
+def _kept(file: Path, seed: int) -> dict[int, str]:
+    """Return the outcomes that a file holds of a seed by number; a last line that was cut off is dropped."""
+    if not file.exists():
+        return {}
+    *lines, cut = file.read_text(encoding="utf-8").split("\n")
+    if cut:
+        file.write_text("".join(line + "\n" for line in lines), encoding="utf-8")
+    rows = [json.loads(line) for line in lines]
+    return {row["number"]: row["outcome"] for row in rows if row["seed"] == seed}
+
+
 def main() -> int:
     """Draw, run, tell and keep; 1 where there is trouble."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.trouble", description=__doc__,
@@ -361,12 +373,16 @@ def main() -> int:
     parser.add_argument("-n", type=int, default=100, help="how many scenes")
     parser.add_argument("--only", type=int, metavar="K", help="this one of them alone")
     parser.add_argument("--out", type=Path, default=Path("out/trouble.jsonl"))
+    parser.add_argument("--resume", action="store_true", help="go on with what --out holds of this seed")
     args = parser.parse_args()
-    counts: Counter[str] = Counter()
     args.out.parent.mkdir(parents=True, exist_ok=True)
+    done = _kept(args.out, args.seed) if args.resume else {}
+    counts = Counter(done.values())
     child = start_early("cosim.loop.early_imports", reads=[ROOT / "scenes"])
-    with args.out.open("w", encoding="utf-8") as stream:
+    with args.out.open("a" if args.resume else "w", encoding="utf-8") as stream:
         for number in range(args.n) if args.only is None else [args.only]:
+            if number in done:
+                continue
             if not child.alive:
                 child = start_early("cosim.loop.early_imports", reads=[ROOT / "scenes"])
             scene = drawn(args.seed, number)

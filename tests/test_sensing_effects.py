@@ -5,11 +5,15 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 from support import POT_V, V_RAD, Array, merge, quick, slider
 
 from cosim.loop.noise import no_noise, potentiometer_noise, with_errors
+from cosim.loop.pin_voltages import position_noise
+from cosim.loop.state import STATE
 
 MODELS = ("ideal", "linear", "spice")
 TURN = 2 * math.pi
@@ -28,8 +32,27 @@ def errors(noise: Any = None, seed: int = 3, joints: int = 2, **more: float) -> 
 
 
 def shown(noise: Any, q: Array, joint: int) -> Array:
-    """What a table adds to the angle, as the kernels read it: linear between its points."""
-    return np.interp(q, noise.lo + noise.step * np.arange(len(noise.table)), noise.table[:, joint])
+    """What a table adds to the angle: Hermite's cubics with the slopes of the points beside each."""
+    at, values = noise.lo + noise.step * np.arange(len(noise.table)), noise.table[:, joint]
+    return CubicHermiteSpline(at, values, np.gradient(values, noise.step))(np.clip(q, at[0], at[-1]))
+
+
+@numba.njit
+def _read(states: Any, q: Array, out: Array) -> None:
+    s = states[0]
+    for k in range(len(q)):
+        out[k] = position_noise(s, q[k], 0)
+
+
+def read(table: Array, lo: float, step: float, q: Array) -> Array:
+    """What the kernels make of one joint's table at the angles q."""
+    state = np.zeros(1, STATE)
+    table = np.ascontiguousarray(table, float)
+    state["n"], state["position_noise"], state["position_points"] = 1, table.ctypes.data, len(table)
+    state["position_lo"], state["position_step"] = lo, step
+    out = np.zeros(len(q))
+    _read(state, q, out)
+    return out
 
 
 def bytes_of(run: Any) -> str:
@@ -54,8 +77,8 @@ def test_linearity_is_the_largest_distance_from_the_straight_line() -> None:
     result = errors(linearity_rad=0.006)
     q = np.linspace(-TURN, TURN, 20_001)
     for joint in range(2):
-        # the largest value is at a point of the table; 20001 angles miss it by half a spacing at most:
-        # (pi / 2)^2 / 8 (1 / 1600)^2 of it
+        # the curve turns within a spacing of 1/64 rad, which sixteen places and these 20001 angles divide by
+        # 16 and by 25: (1/16)^2 / 8 of how far it bends there, which is less than 3 pi/2 / 64 of the largest
         assert np.abs(shown(result, q, joint)).max() == pytest.approx(0.006, rel=1e-4)
     assert np.abs(np.diff(result.table[:, 0])).max() < 0.006 * math.pi / 2 * 3 / 64  # varies over a radian
 
@@ -94,6 +117,37 @@ def test_errors_and_position_noise_add_up_point_by_point() -> None:
     every = errors(noise, linearity_rad=2e-3)
     total = noise.table[:, 0] + shown(curve, at, 0)
     np.testing.assert_allclose(shown(every, at, 0), total, atol=1e-13)
+
+
+def test_the_angle_that_is_shown_has_no_kinks() -> None:
+    """A differentiator makes a jump of a kink: 2e-5 of a current stayed hidden in steps of a quarter period.
+
+    Broken once: with the straight line of before, the slope jumps by a third of its largest.
+    """
+    noise = potentiometer_noise("position", 1, 3, 0.1, 1e-3, 100.0, 0.1, TURN)
+    points = noise.lo + noise.step * np.arange(len(noise.table))
+    got = read(noise.table, noise.lo, noise.step, points)
+    np.testing.assert_allclose(got[:-1], noise.table[:-1, 0], atol=1e-15)
+    apart = 1e-6 * noise.step  # slopes beside a point, of differences over a millionth of the spacing
+    inside = points[2:-2]
+    before, at, behind = (
+        read(noise.table, noise.lo, noise.step, inside + shift) for shift in (-apart, 0.0, apart)
+    )
+    left, right = (at - before) / apart, (behind - at) / apart
+    # curvature: at most 4 x (largest second difference)/step^2 times the distance; and rounding of q
+    bend = 4.0 * np.abs(np.diff(noise.table[:, 0], 2)).max() / noise.step**2 * apart
+    rounding = 4e-16 * TURN * np.abs(left).max() / apart + 4e-16 * np.abs(at).max() / apart
+    assert np.abs(right - left).max() < bend + rounding
+    assert bend + rounding < 1e-3 * np.abs(left).max()
+
+
+def test_a_parabola_and_a_line_to_the_last_point_are_kept() -> None:
+    """Catmull and Rom's cubic is exact for a parabola within, and for a line up to either end."""
+    at = 0.1 * np.arange(12)
+    q = np.linspace(0.1, 0.99, 57)
+    np.testing.assert_allclose(read((at * at)[:, None], 0.0, 0.1, q), q * q, atol=1e-15)
+    q = np.linspace(-1.0, 1.0, 57)
+    np.testing.assert_allclose(read(np.array([[-2.0], [2.0]]), -1.0, 2.0, q)[:-1], 2.0 * q[:-1], atol=1e-15)
 
 
 @pytest.mark.parametrize("zero", [{}, {"linearity_rad": 0.0}, {"gain_error": 0.0, "zero_rad": 0.0}])

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 _INTERPOLATED_RMS = np.sqrt(2.0 / 3.0)
 #: Points of the table of position noise in one period.
 _POINTS_PER_PERIOD = 64
+#: Places between two points at which a curve's largest value is looked for.
+_PER_POINT = 16
 #: A linearity error is drawn for a turn either way; a calibration holds wherever a scene's joints may be.
 _TURN_RAD, _FARTHEST_RAD = 2.0 * np.pi, 100.0
 
@@ -27,7 +29,7 @@ class Noise:
     ----------
     grid : [ticks, n] values at multiples of `dt`, empty without grid noise
     dt : s, spacing of the grid (0 without)
-    table : [points, n] values over angle, empty without position noise
+    table : [points, n] values over angle, empty without position noise; a cubic between them
     lo, step : rad, first angle and spacing of the table
     draws : how many random numbers were drawn
     """
@@ -140,7 +142,8 @@ def with_errors(
         streams = [stream(seed, "potentiometer/linearity", j) for j in range(joints)]
         curve, knots = _over_angle(streams, period_rad, _TURN_RAD)
         turn = int(np.ceil(2 * _TURN_RAD / period_rad * _POINTS_PER_PERIOD)) + 1
-        curve *= linearity_rad / np.abs(curve[:turn]).max(axis=0)
+        within = np.linspace(0.0, turn - 1.0, _PER_POINT * (turn - 1) + 1)
+        curve *= linearity_rad / np.abs(_values(within, curve)).max(axis=0)
         lo, step, table = _sum(lo, step, table, -_TURN_RAD, period_rad / _POINTS_PER_PERIOD, curve)
         draws += knots * joints
     if gain_error != 0.0 or zero_rad != 0.0:
@@ -154,7 +157,7 @@ def _sum(
     lo: float, step: float, table: NDArray[np.float64], other_lo: float, other_step: float,
     other: NDArray[np.float64],
 ) -> tuple[float, float, NDArray[np.float64]]:  # fmt: skip
-    """Add two functions of the angle, each linear between its points and constant beyond them.
+    """Add two functions of the angle, each a cubic between its points and constant beyond them.
 
     The sum stands at the points of the finer one, continued over the span of both.
     """
@@ -165,10 +168,18 @@ def _sum(
     last = max(lo + (len(table) - 1) * step, other_lo + (len(other) - 1) * other_step)
     before = int(np.ceil((fine_lo - first) / fine - 1e-9))
     at = fine_lo + fine * np.arange(-before, int(np.ceil((last - fine_lo) / fine - 1e-9)) + 1)
-    parts = [
-        np.column_stack(
-            [np.interp(at, start + width * np.arange(len(values)), column) for column in values.T]
-        )
-        for start, width, values in ((lo, step, table), (other_lo, other_step, other))
-    ]
-    return float(at[0]), fine, parts[0] + parts[1]
+    return float(at[0]), fine, _values((at - lo) / step, table) + _values((at - other_lo) / other_step, other)
+
+
+def _values(x: NDArray[np.float64], table: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what a table [points, n] says at places x, counted in its spacing.
+
+    The cubics are those of `cosim.loop.pin_voltages.position_noise`.
+    """
+    x = np.clip(x, 0.0, len(table) - 1.0)
+    i = np.minimum(x.astype(int), len(table) - 2)
+    x = (x - i)[:, None]
+    slope = np.gradient(table, axis=0)
+    left, right, rise = table[i], table[i + 1], table[i + 1] - table[i]
+    bent = x * (1.0 - x) * ((1.0 - x) * (slope[i] - rise) - x * (slope[i + 1] - rise))
+    return np.asarray((1.0 - x) * left + x * right + bent)

@@ -80,33 +80,36 @@ def component(s: Record, t: float, place: int) -> float:
 
 @inner
 def position_noise(s: Record, q: float, joint: int) -> float:
-    """Noise of a potentiometer [rad] that belongs to its angle."""
+    """Noise of a potentiometer [rad] that belongs to its angle.
+
+    A cubic between the points of its table, whose slope at a point is that of the line through the two beside
+    it (Catmull and Rom, 1974): a differentiator makes a jump of the current of every kink.
+    """
     if s.position_noise == 0:
         return 0.0
     table = carray(doubles_at(s.position_noise), (s.position_points * s.n,))
     x = min(max((q - s.position_lo) / s.position_step, 0.0), s.position_points - 1.000001)
     i = int(x)
+    x -= i
     at = i * s.n + joint
-    return float(table[at] + (x - i) * (table[at + s.n] - table[at]))
+    left, right = table[at], table[at + s.n]
+    before = table[at - s.n] if i > 0 else 2.0 * left - right
+    behind = table[at + 2 * s.n] if i + 2 < s.position_points else 2.0 * right - left
+    square = before - 2.5 * left + 2.0 * right - 0.5 * behind
+    cube = 1.5 * (left - right) + 0.5 * (behind - before)
+    return float(left + x * (0.5 * (right - before) + x * (square + x * cube)))
 
 
 @inner
 def noise_at(s: Record, t: float, joint: int) -> float:
-    """Return what the potentiometer of a joint adds to its angle [rad]: linear in time, then in angle."""
+    """Return what the potentiometer of a joint adds to its angle [rad]: linear in time, then by the angle."""
     value = 0.0
     if s.noise != 0:
         table = carray(doubles_at(s.noise), (s.noise_rows * s.n,))
         x = t / s.noise_dt - s.noise_tick
         at = s.noise_tick * s.n + joint
         value += table[at] + x * (table[at + s.n] - table[at])
-    if s.position_noise != 0:
-        table = carray(doubles_at(s.position_noise), (s.position_points * s.n,))
-        x = (s.q_trial[joint] - s.position_lo) / s.position_step
-        x = min(max(x, 0.0), s.position_points - 1.000001)
-        k = int(x)
-        at = k * s.n + joint
-        value += table[at] + (x - k) * (table[at + s.n] - table[at])
-    return value
+    return value + position_noise(s, s.q_trial[joint], joint)
 
 
 @njit(cache=True, error_model="numpy")
