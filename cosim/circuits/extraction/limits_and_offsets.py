@@ -22,6 +22,9 @@ _STEPS = 40
 _NEARER = (_BEYOND, 2.0, 1.0)
 #: Offsets below this are rounding: volts relative to full scale, and amperes of a motor.
 _ROUNDING, _ROUNDING_A = 1e-12, 1e-12
+#: A point of a sweep is as wrong as ngspice's tolerance allows, 1e-6 at a knee, and otherwise on either side
+#: of rest. Newton's method halves the digits that are wrong with each start from the point before.
+_AGAIN, _BESIDE = 8, 1e-10
 #: Slope relative to that at rest, below which the current no longer rises.
 _FLAT = 0.01
 #: Control voltages at which the gain is compared with its value at full scale.
@@ -77,34 +80,50 @@ def current_limits(session: Testbench) -> Array:
     """
     out = np.tile([-np.inf, np.inf], (session.joints, 1))
     for i in range(session.joints):
-        current = _swept(session, f"cmd{i + 1}", f"imot{i + 1}")
+        volts, current = _swept(session, f"cmd{i + 1}", f"imot{i + 1}")
         slope = np.diff(current)
         middle = _STEPS // 2
         flat = np.abs(slope) < _FLAT * np.abs(slope[middle])
         # beside the knee: far beyond it, what the command sends past the driver counts as well
-        knees = [current[middle + np.argmax(flat[middle:])]] if flat[-1] else []
-        knees += [current[middle - np.argmax(flat[middle - 1 :: -1])]] if flat[0] else []
+        knees = [middle + int(np.argmax(flat[middle:]))] if flat[-1] else []
+        knees += [middle - int(np.argmax(flat[middle - 1 :: -1]))] if flat[0] else []
         for knee in knees:
-            out[i, int(knee > current[middle])] = knee
+            side = int(current[knee] > current[middle])
+            at = float(volts[knee]), float(current[knee])
+            out[i, side] = _settled(session, f"cmd{i + 1}", f"imot{i + 1}", *at)
     return out
 
 
-def _swept(session: Testbench, pin: str, output: str) -> Array:
-    """Sweep a command from far below the converters' range to far above it [_STEPS + 1].
+def _swept(session: Testbench, pin: str, output: str) -> tuple[Array, Array]:
+    """Sweep a command from far below the converters' range to far above it: volts and currents [_STEPS + 1].
 
     Where ngspice does not find the first point, which is far from rest, it goes from rest to either end, and
     where vendors' models have no operating point so far out, less far.
     """
     full = session.simulator.constant("dac_v")
     try:
-        return session.sweep(pin, -_BEYOND * full, _BEYOND * full, _STEPS, output)
+        reach = _BEYOND * full
+        return np.linspace(-reach, reach, _STEPS + 1), session.sweep(pin, -reach, reach, _STEPS, output)
     except NoOperatingPoint:
         for share in _NEARER:
-            ends = (-share * full, share * full)
+            reach = share * full
             with contextlib.suppress(NoOperatingPoint):
-                low, high = (session.sweep(pin, 0.0, end, _STEPS // 2, output) for end in ends)
-                return np.concatenate([low[::-1], high[1:]])
+                low, high = (session.sweep(pin, 0.0, end, _STEPS // 2, output) for end in (-reach, reach))
+                return np.linspace(-reach, reach, _STEPS + 1), np.concatenate([low[::-1], high[1:]])
         raise
+
+
+def _settled(session: Testbench, pin: str, output: str, volts: float, current: float) -> float:
+    """Return the current [A] at a command [V], of which a sweep says `current`, to ten digits.
+
+    Where ngspice finds no point but from its neighbours: the sweep's.
+    """
+    with contextlib.suppress(NoOperatingPoint):
+        end = volts * (1.0 + _AGAIN * _BESIDE)
+        again = float(session.sweep(pin, volts, end, _AGAIN, output)[-1])
+        if abs(again - current) < _FLAT * abs(current):  # not another solution
+            return again
+    return current
 
 
 def offsets(session: Session) -> Offsets:
