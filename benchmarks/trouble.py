@@ -9,7 +9,9 @@ agreed    all measures within the sum of the bounds that both runs print, and no
 bounded   within that sum, but some apart by more than `APART`: the printed bounds say so
 nearly    beyond the sum, but within three times it: of bounds that hold in 95 % a few are
 flagged   apart, but both runs' cautions doubt the result, or the measure is printed as not estimable
-unstable  apart, or ended by an error, and the held contact grows by the exact eigenvalue of its period map
+unstable  apart, or ended by an error, and the held contact grows by the exact eigenvalue of its period map;
+          or a board with a slip that all models refuse, with a pole that the eigenvalues of an independent
+          nodal analysis have; a board that only one of both calls unstable is apart
 refused, failed   with a clear error
 apart, no number, crashed   trouble, and exit code 1
 
@@ -25,15 +27,14 @@ import math
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from benchmarks.rig import ROOT
+from benchmarks.trouble_boards import growing, is_told
+from benchmarks.trouble_scenes import Drawn, drawn, twin_changes
 from cosim.accuracy.estimate import estimator
 from cosim.accuracy.solver_settings import MODELS, carries
 from cosim.analysis.held_contact import HeldContact
@@ -44,6 +45,7 @@ from cosim.ngspice.child import Child, start_early
 from cosim.plan import resolve
 from cosim.runner import run
 from cosim.scene import load_scene
+from cosim.stability_gate import question
 from cosim.storage.staging import scratch_folder
 
 #: From which share of the larger value two runs count as apart for a person who reads no bounds.
@@ -58,8 +60,6 @@ _DOUBTS = frozenset({
     "sequence-differs", "coupling-unstable", "ledger-open", "not-linear", "rough-fit", "unstable-circuit",
     "stability-unknown", "convergence-aided", "output-latched", "operating-point-left", "amplifier-clipped",
 })  # fmt: skip
-#: Another form of the same experiment; joints in another order are another device in a chain of links.
-TWINS = ("turned", "mirrored", "later", "units")
 #: A follower of gain 1e9 loses 1e-9 of the angle it passes: of an arm that is turned a spring's end moves by
 #: 1e-9 rad or 1e-10 m, such a share of the least penetrations.
 _TURNED_ARM = 1e-5
@@ -68,170 +68,6 @@ _TIMELESS = frozenset({
     "peak_force", "max_penetration", "peak_normal_force", "mean_normal_force", "peak_current", "rated_share",
     "heat", "dac_saturations",
 })  # fmt: skip
-#: Resistors of the shipped boards that are drawn within a factor of two either way.
-_RESISTORS = {"r_sum_spring": 24.3e3, "r_sum_damper": 6.19e3, "r_diff_fb": 169e3}
-_COMMON = ("gravity", "viscous", "encoder", "dac", "dac_settling", "rotor_inertia", "delay", "driver_limit",
-           "pot_calibration", "opamp_offset")  # fmt: skip
-#: Effects of few devices, each in a tenth of the scenes.
-_RARE = ("coulomb", "end_stops", "shaft", "backlash", "component_noise", "dac_skew", "pot_linearity",
-         "vca_gain_error", "vca_offset", "vca_nonlinearity", "opamp_slew", "opamp_saturation")  # fmt: skip
-#: What a chain's motors see by the angle itself, which the twin changes; a slider's angle stays what it is.
-_BY_ANGLE = {"encoder": False, "dac": False, "pot_linearity": False, "pot_calibration": False,
-             "opamp_offset": False, "vca_offset": False, "end_stops": False, "pot_noise": "none",
-             "vca_nonlinearity": False, "vca_gain_error": False,
-             "component_noise": False, "opamp_saturation": False, "opamp_slew": False}  # fmt: skip
-#: What keeps a device from resting until its hand moves, or is drawn by the number of the sample.
-_BY_TIME = {"gravity": False, "opamp_offset": False, "vca_offset": False, "pot_noise": "none",
-            "component_noise": False, "period_jitter": "none", "pot_calibration": False}  # fmt: skip
-#: Keys that hold places and directions of the plane.
-_PLANE = ("wall.point_m", "wall.normal", "device.start.tip_m", "device.chain.gravity_m_per_s2",
-          "device.slider.direction", "device.slider.origin_m", "device.slider.gravity_m_per_s2",
-          "operator.waypoints_s_m", "operator.force_s_n")  # fmt: skip
-
-Changes = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """A scene of the search: its file, what is changed in it, and which twin it runs against."""
-
-    file: Path
-    changes: Changes
-    twin: str
-
-    def overrides(self, more: Changes) -> tuple[str, ...]:
-        """Return the changes and `more` of them as `load_scene` takes them."""
-        merged = self.changes | more
-        return tuple(f"{key}={json.dumps(value)}" for key, value in merged.items())
-
-
-def drawn(seed: int, number: int) -> Drawn:
-    """Return the scene `number` of a seed."""
-    rng = np.random.default_rng([seed, number])
-
-    def power(low: float, high: float) -> float:
-        return float(f"{10 ** rng.uniform(low, high):.4g}")
-
-    def one_of(*words: str) -> str:
-        return str(rng.choice(words))
-
-    def rarely() -> bool:
-        return bool(rng.random() < 0.1)
-
-    name = one_of("drop", "press", "slope")
-    twin = one_of(*(each for each in TWINS if name != "drop" or each != "later"))
-    method = one_of("discrete", "continuous", "combined")
-    period = min(power(-4, -0.7), 0.2)
-    lowest = rng.random() < 0.3  # a circuit of ideal parts, for the model `ideal`
-    changes: Changes = {
-        "computer.period_s": period,
-        "duration_s": float(f"{max(0.3, 4 * period):.4g}"),
-        "computer.method": method,
-        "computer.discrete_stiffness_n_per_m": 0.0 if method == "continuous" else power(0, 5),
-        "computer.analog_stiffness_n_per_m": 0.0 if method == "discrete" else power(0, 2.3),
-        "computer.analog_damping_n_s_per_m": 0.0 if method == "discrete" else power(-2, 0.5),
-        "computer.dac.skew_s": power(-6, -4),
-        "computer.jitter_share": power(-3, -1),
-        "solver.time_limit_s": 60.0,
-        "seed": int(rng.integers(1 << 30)),
-    }
-    level = "ideal" if lowest else None
-    effects: Changes = {
-        "opamp": level or one_of("ideal", "gbw", "full"),
-        "vca": level or one_of("ideal", "gbw"),
-        "driver_level": level or one_of("ideal", "gbw"),
-        "motor": level or one_of("ideal", "emf", "full"),
-        "differentiator": level or one_of("ideal", "corner"),
-        "period_jitter": one_of("uniform", "normal") if rarely() else "none",
-        "pot_noise": one_of("white", "peak_to_peak", "static", "position") if rarely() else "none",
-    }
-    effects |= {each: bool(rng.integers(2)) and not (lowest and each == "opamp_offset") for each in _COMMON}
-    effects |= {each: rarely() and not (lowest and each[:3] in ("vca", "opa", "com")) for each in _RARE}
-    changes |= {f"device.values.{key}": f"{v * 2 ** rng.uniform(-1, 1):.5g}" for key, v in _RESISTORS.items()}
-    if rng.integers(2):
-        changes["device.values.tl072_gbw"] = f"{power(4, 9):g}"
-    changes |= _linkage(name, rng, power)
-    arm = twin in ("turned", "mirrored") and name != "drop"
-    if twin == "later" or arm:
-        effects |= _BY_ANGLE if arm else _BY_TIME
-        effects["opamp"] = effects["opamp"].replace("full", "gbw")  # `full` has offsets
-    if arm and twin == "turned":  # what a follower loses and a rounded scale adds goes by the angle
-        effects["opamp"] = "ideal"
-        changes["device.values.v_rad"] = repr(20.0 / math.radians(340.0))
-    for each in ("opamp_slew", "opamp_saturation"):
-        effects[each] &= effects["opamp"] != "ideal"
-    effects["rotor_inertia"] |= effects["shaft"]
-    effects["backlash"] &= effects["shaft"]
-    changes |= {f"effects.{key}": value for key, value in effects.items()}
-    return Drawn(ROOT / "scenes" / f"{name}.toml", changes, twin)
-
-
-def _linkage(name: str, rng: np.random.Generator, power: Any) -> Changes:
-    """Draw masses, friction, shafts and stops of a device, and its operator."""
-    if name == "drop":
-        low, high = float(f"{rng.uniform(-0.3, -0.05):.4g}"), float(f"{rng.uniform(0.01, 0.3):.4g}")
-        return {
-            "device.slider.mass_kg": power(-3, 1), "operator.mass_kg": power(-3, 1),
-            "device.slider.coulomb_n_m": power(-4, -1), "device.slider.stops_rad": [[low, high]],
-            "device.slider.shaft_stiffness_n_m_per_rad": power(1, 3),
-            "device.slider.shaft_damping_n_m_s": power(-3, -1), "device.slider.backlash_rad": power(-4, -2),
-        }  # fmt: skip
-    masses = [power(-3, 0), power(-3, 0)]
-    return {
-        "operator.stiffness_n_per_m": power(0, 3), "operator.mass_kg": power(-3, 1),
-        "device.chain.masses_kg": masses,
-        "device.chain.inertias_kg_m2": [float(f"{m * 0.1**2 / 12:.4g}") for m in masses],
-        "device.chain.coulomb_n_m": [power(-4, -1.5), power(-4, -1.5)],
-        "device.chain.stops_rad": [[0.3, float(f"{rng.uniform(0.63, 0.8):.4g}")],
-                                   [float(f"{rng.uniform(0.8, 1.05):.4g}"), 2.0]],
-        "device.chain.shaft_stiffness_n_m_per_rad": [power(1, 3), power(1, 3)],
-        "device.chain.shaft_damping_n_m_s": [power(-3, -1), power(-3, -1)],
-        "device.chain.backlash_rad": [power(-4, -2), power(-4, -2)],
-    }  # fmt: skip
-
-
-def twin_changes(scene: Drawn, seed: int, number: int) -> Changes:
-    """Return what turns the scene into its twin."""
-    rng = np.random.default_rng([seed, number, 1])
-    if scene.twin == "units":  # 24300 is 24.3k is 24300000m
-        return {f"device.values.{key}": _in_other_units(scene.changes[f"device.values.{key}"], rng)
-                for key in _RESISTORS}  # fmt: skip
-    if scene.twin == "later":
-        operator = load_scene(scene.file).operator
-        later = int(rng.integers(1, 6)) * scene.changes["computer.period_s"]
-        rows = {key: [[row[0] + later, *row[1:]] for row in getattr(operator, key)]
-                for key in ("waypoints_s_m", "force_s_n")}  # fmt: skip
-        return {f"operator.{key}": value for key, value in rows.items()} | {
-            "duration_s": scene.changes["duration_s"] + later
-        }
-    angle = rng.uniform(-1.0, 1.0)
-    cos, sin = math.cos(angle), math.sin(angle)
-    if scene.twin == "turned":
-        return _moved(scene, np.array([[cos, -sin], [sin, cos]]))
-    # a mirrored arm bends the other way
-    bent = {} if scene.file.stem == "drop" else {"device.start.elbow": -1}
-    return _moved(scene, np.array([[1.0, 0.0], [0.0, -1.0]])) | bent
-
-
-def _in_other_units(ohms: str, rng: np.random.Generator) -> str:
-    suffix, power = (("k", -3), ("meg", -6), ("m", 3))[int(rng.integers(3))]
-    mantissa, exponent = f"{float(ohms):e}".split("e")
-    return f"{mantissa}e{int(exponent) + power}{suffix}"
-
-
-def _moved(scene: Drawn, matrix: NDArray[np.float64]) -> Changes:
-    """Return all places and directions of the scene under a linear map of the plane."""
-    tables = load_scene(scene.file, scene.overrides({}))
-    changes: Changes = {}
-    for key in _PLANE:
-        value: Any = tables
-        for name in key.split("."):
-            value = getattr(value, name, None)
-        if value is not None:
-            rows = np.array(value, float)
-            rows[..., -2:] = rows[..., -2:] @ matrix.T
-            changes[key] = rows.tolist()
-    return changes
 
 
 @dataclass(frozen=True)
@@ -323,6 +159,55 @@ def judged(answers: list[Answer], twin: Answer, least: float = _ROUNDING) -> dic
 
 def outcome(scene: Drawn, seed: int, number: int, child: Child | None) -> dict[str, Any]:
     """Run a scene on all that carries it, and its twin, and say what came of it."""
+    try:
+        return (
+            _outcome(scene, seed, number, child)
+            if scene.slip is None
+            else slipped(scene, seed, number, child)
+        )
+    except Exception as error:
+        return {"outcome": "crashed", "run": "scene", "words": repr(error)}
+
+
+def slipped(scene: Drawn, seed: int, number: int, child: Child | None) -> dict[str, Any]:
+    """Run a scene whose board has a slip; where the board is stable all the same, as any other scene."""
+    slip = scene.slip
+    assert slip is not None
+    with scratch_folder("trouble") as folder:
+        board = slip.board(load_scene(scene.file).device.board.name, folder / "netlists")
+        scene = replace(scene, changes=scene.changes | {"device.board": str(board)})
+        with collected(forward=False):
+            asked = question(resolve(load_scene(scene.file, scene.overrides({}))))
+        poles = growing(asked.boards[0], asked.commanded)
+        words = refusals(scene, child)
+        seen: dict[str, Any] = {"slip": slip.words, "poles": [str(pole) for pole in poles or ()]}
+        if not poles and not any("unstable" in each for each in words):
+            return seen | _outcome(scene, seed, number, child)
+        return seen | {"outcome": board_outcome(words, poles), "said": words}
+
+
+def refusals(scene: Drawn, child: Child | None) -> list[str]:
+    """Return what each model that carries the scene refuses it with; empty words where it runs."""
+    tables = load_scene(scene.file, scene.overrides({}))
+    said = []
+    for name in (each for each in MODELS if carries(tables, each)):
+        try:
+            answer(name, scene.file, scene.overrides({"solver.model": name}), child)
+            said.append("")
+        except CosimError as error:
+            said.append(str(error).splitlines()[0])
+    return said
+
+
+def board_outcome(words: list[str], poles: list[complex] | None) -> str:
+    """Hold what all models say of a board against its true poles; None: it has no operating point."""
+    if poles is None:
+        return "refused" if all(words) else "apart"
+    told = ["unstable" in each and is_told(each, poles) for each in words]
+    return "unstable" if all(told) else "apart"
+
+
+def _outcome(scene: Drawn, seed: int, number: int, child: Child | None) -> dict[str, Any]:
     answers: list[Answer] = []
     name = "scene"
     try:
@@ -339,8 +224,6 @@ def outcome(scene: Drawn, seed: int, number: int, child: Child | None) -> dict[s
         return {"outcome": "refused", "run": name, "words": error.problems[0].message}
     except CosimError as error:
         seen = {"outcome": "failed", "run": name, "words": str(error).splitlines()[0]}
-    except Exception as error:
-        return {"outcome": "crashed", "run": name, "words": repr(error)}
     return _confirmed(seen, scene, child)
 
 

@@ -3,13 +3,18 @@
 import json
 import math
 
+import numpy as np
 import pytest
 
-from benchmarks import trouble
-from benchmarks.trouble import Answer, Drawn, _confirmed, drawn, growth, judged, twin_changes
+from benchmarks import trouble, trouble_scenes
+from benchmarks.trouble import Answer, _confirmed, board_outcome, growth, judged, refusals
+from benchmarks.trouble_boards import Slip, growing
+from benchmarks.trouble_scenes import Drawn, drawn, twin_changes
 from cosim import effects
 from cosim.caution import collected
+from cosim.plan import resolve
 from cosim.scene import load_scene
+from cosim.stability_gate import question
 
 
 def reply(name, force, bound, *cautions):
@@ -62,8 +67,8 @@ def test_the_ranges_are_those_of_the_search(scenes):
         least, most = span(key)
         assert low <= least < 2.0 * low, key
         assert 0.5 * high < most <= high, key
-    assert {scene.twin for scene in scenes} == set(trouble.TWINS)
-    for effect in trouble._RARE:
+    assert {scene.twin for scene in scenes} == set(trouble_scenes.TWINS)
+    for effect in trouble_scenes._RARE:
         assert any(scene.changes[f"effects.{effect}"] for scene in scenes), effect
 
 
@@ -103,6 +108,51 @@ def test_growth_is_that_of_a_sampled_spring():
     # the board's constants are written with five digits
     assert growth(scene, None) == pytest.approx(math.sqrt(1.125), rel=1e-5)
     assert _confirmed({"outcome": "apart"}, scene, None)["outcome"] == "unstable"
+
+
+UNSTABLE = "board.cir: xop: the board is unstable: a pole at {} rad/s (1 kHz) in the loop of xop"
+
+
+@pytest.mark.parametrize(
+    ("words", "poles", "expected"),
+    [
+        ([UNSTABLE.format("+100")], [100.4 + 0j], "unstable"),
+        ([UNSTABLE.format("+3 +- 4j")] * 2, [3.01 - 4j], "unstable"),
+        ([UNSTABLE.format("+100"), ""], [100 + 0j], "apart"),  # one model runs it
+        ([""], [100 + 0j], "apart"),
+        ([UNSTABLE.format("+100")], [], "apart"),  # it is stable
+        ([UNSTABLE.format("+100")], [120 + 0j], "apart"),  # another pole is told
+        (["no operating point"], None, "refused"),
+        ([""], None, "apart"),
+    ],
+)
+def test_a_board_is_unstable_where_all_models_and_the_true_poles_say_so(words, poles, expected):
+    assert board_outcome(words, poles) == expected
+
+
+@pytest.mark.slow
+def test_an_angle_s_follower_with_two_lags_grows_as_its_characteristic_equation_says(tmp_path):
+    """Loop gain w/s 1/(1 + 3 x + x^2), x = s R C: unstable from w R C = 3 on; inputs swapped at +w."""
+    poles = {}
+    for lag in (2.8, 3.2):
+        farad = lag / (2 * math.pi * 3e6 * 1e4)
+        rows = f"Rs1 out f1 10k\nCs1 f1 0 {farad!r}\nRs2 f1 f2 10k\nCs2 f2 0 {farad!r}\n"
+        wrong = Slip(
+            "angle", lambda text, rows=rows: text.replace("xop wiper out", f"{rows}xop wiper f2"), ""
+        )
+        board = wrong.board("board1.cir", tmp_path / str(lag))
+        scene = Drawn(trouble.ROOT / "scenes" / "drop.toml", {"device.board": str(board)}, "units")
+        with collected(forward=False):
+            asked = question(resolve(load_scene(scene.file, scene.overrides({}))))
+        poles[lag] = growing(asked.boards[0], asked.commanded)
+        words = refusals(scene, None)
+        assert board_outcome(words, poles[lag]) == ("unstable" if lag > 3.0 else "apart"), words
+        assert any(words) == (lag > 3.0)
+    assert not poles[2.8]
+    x = np.roots([1.0, 3.0, 1.0, 3.2])
+    expected = max(x.real) / (farad * 1e4)
+    # 1 Ohm of the output against 1.58 kOhm of the differentiator: 0.06 % of the loop, 1 % of 3.2 - 3
+    assert max(pole.real for pole in poles[3.2]) == pytest.approx(expected, rel=0.02)
 
 
 @pytest.mark.slow
