@@ -168,7 +168,9 @@ def _sum(
     last = max(lo + (len(table) - 1) * step, other_lo + (len(other) - 1) * other_step)
     before = int(np.ceil((fine_lo - first) / fine - 1e-9))
     at = fine_lo + fine * np.arange(-before, int(np.ceil((last - fine_lo) / fine - 1e-9)) + 1)
-    return float(at[0]), fine, _values((at - lo) / step, table) + _values((at - other_lo) / other_step, other)
+    total = _values((at - lo) / step, table)
+    total += _values((at - other_lo) / other_step, other)
+    return float(at[0]), fine, total
 
 
 def _values(x: NDArray[np.float64], table: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -182,4 +184,4 @@ def _values(x: NDArray[np.float64], table: NDArray[np.float64]) -> NDArray[np.fl
     slope = np.gradient(table, axis=0)
     left, right, rise = table[i], table[i + 1], table[i + 1] - table[i]
     bent = x * (1.0 - x) * ((1.0 - x) * (slope[i] - rise) - x * (slope[i + 1] - rise))
-    return np.asarray((1.0 - x) * left + x * right + bent)
+    return np.asarray((1.0 - x) * left + x * right + bent, np.float64)

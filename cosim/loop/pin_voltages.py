@@ -109,7 +109,7 @@ def noise_at(s: Record, t: float, joint: int) -> float:
         x = t / s.noise_dt - s.noise_tick
         at = s.noise_tick * s.n + joint
         value += table[at] + x * (table[at + s.n] - table[at])
-    return value + position_noise(s, s.q_trial[joint], joint)
+    return float(value + position_noise(s, s.q_trial[joint], joint))
 
 
 @njit(cache=True, error_model="numpy")
