@@ -143,7 +143,7 @@ def with_errors(
         curve, knots = _over_angle(streams, period_rad, _TURN_RAD)
         turn = int(np.ceil(2 * _TURN_RAD / period_rad * _POINTS_PER_PERIOD)) + 1
         within = np.linspace(0.0, turn - 1.0, _PER_POINT * (turn - 1) + 1)
-        curve *= linearity_rad / np.abs(_values(within, curve)).max(axis=0)
+        curve *= linearity_rad / np.abs(_values(within, 0.0, 1.0, curve)).max(axis=0)
         lo, step, table = _sum(lo, step, table, -_TURN_RAD, period_rad / _POINTS_PER_PERIOD, curve)
         draws += knots * joints
     if gain_error != 0.0 or zero_rad != 0.0:
@@ -167,18 +167,20 @@ def _sum(
     first = min(lo, other_lo)
     last = max(lo + (len(table) - 1) * step, other_lo + (len(other) - 1) * other_step)
     before = int(np.ceil((fine_lo - first) / fine - 1e-9))
-    at = fine_lo + fine * np.arange(-before, int(np.ceil((last - fine_lo) / fine - 1e-9)) + 1)
-    total = _values((at - lo) / step, table)
-    total += _values((at - other_lo) / other_step, other)
+    points = np.arange(-before, int(np.ceil((last - fine_lo) / fine - 1e-9)) + 1)
+    at: NDArray[np.float64] = np.asarray(fine_lo + fine * points, np.float64)
+    total = _values(at, lo, step, table) + _values(at, other_lo, other_step, other)
     return float(at[0]), fine, total
 
 
-def _values(x: NDArray[np.float64], table: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what a table [points, n] says at places x, counted in its spacing.
+def _values(
+    angle: NDArray[np.float64], lo: float, step: float, table: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return what a table [points, n] that begins at `lo` says at angles [rad].
 
     The cubics are those of `cosim.loop.pin_voltages.position_noise`.
     """
-    x = np.clip(x, 0.0, len(table) - 1.0)
+    x = np.clip((angle - lo) / step, 0.0, len(table) - 1.0)
     i = np.minimum(x.astype(int), len(table) - 2)
     x = (x - i)[:, None]
     slope = np.gradient(table, axis=0)
