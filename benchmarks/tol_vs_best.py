@@ -79,7 +79,7 @@ def main(names: list[str]) -> int:
                     f"{min(best.wall_s) * 1e3:.3g} ms ({best.setting.label}), "
                     f"{got['wall_s'] / min(best.wall_s):.2g} times"
                 )  # fmt: skip
-                missed = f", told: {', '.join(got['missed'])}" if got["missed"] else ""
+                missed = f", reported: {', '.join(got['missed'])}" if got["missed"] else ""
                 worst = max(errors.values())
                 print(f"{name} {tolerance:g}: {got['model']}, worst error {worst:.1e}{missed}; "
                       f"{got['wall_s'] * 1e3:.3g} ms, {got['in_all_s']:.2g} s in all; cheapest {words}",

@@ -28,7 +28,7 @@ from cosim.tolerance.scene_variables import tolerances
 
 Report = Callable[[dict[str, Any]], None]
 _DRAWS = 40
-#: Samples of the batch that is timed, and single runs; both are told for one sample.
+#: Samples of the batch that is timed, and single runs; both times are stated per sample.
 _BATCH = 50
 _SCENE = ROOT / "scenes" / "drop.toml"
 

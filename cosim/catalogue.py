@@ -70,10 +70,10 @@ _EVERY = (
 MEASURES: dict[str, Measure] = {measure.name: measure for measure in _EVERY}
 NAMES = tuple(MEASURES)
 UNITS: dict[str, str] = {measure.name: measure.unit for measure in _EVERY}
-#: Those that need a run, which gives all of them where nothing else is asked for.
+#: Those that need a run; a run gives all of them unless some are asked for.
 OF_A_RUN = tuple(measure.name for measure in _EVERY if measure.needs is Need.RUN)
 
 
 def needing_no_run(names: Iterable[str]) -> tuple[str, ...]:
-    """Return those of the names that no run is needed for."""
+    """Return the names of measures that need no run."""
     return tuple(name for name in names if name in MEASURES and MEASURES[name].needs is not Need.RUN)

@@ -3,8 +3,8 @@
 A caution is no error: the run is complete. It is printed on the terminal, stands at the head of the page and
 in ``run.json`` under ``warnings``; ``--strict`` turns every caution into an error.
 
-Whoever finds a doubt calls `warn`, at any depth and in a child process too; whoever answers for a result
-hears it by `collected`, which also passes it on to whoever collects around it.
+Code that sees reason for doubt calls `warn`, at any depth and in a child process too; code that answers for a
+result collects these calls with `collected`, which also passes them on to any collector around it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -29,7 +29,7 @@ __all__ = [
 
 
 class Doubt(UserWarning):
-    """A `Caution` as a warning of Python's own, for scripts."""
+    """A `Caution` as a Python warning, for scripts."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def caution_of(fields: Mapping[str, Any]) -> Caution:
     return Caution(str(fields["code"]), str(fields["text"]), str(fields["advice"]))
 
 
-#: Cautions of one kind that are told in full: a sweep may have hundreds.
+#: Cautions of one kind that are shown in full: a sweep may have hundreds.
 MOST_ALIKE = 3
 
 
@@ -93,12 +93,12 @@ _heard: ContextVar[list[Caution] | None] = ContextVar("heard", default=None)
 
 
 def listening() -> bool:
-    """Whether anybody collects what `warn` is told."""
+    """Whether anything collects what `warn` is given."""
     return _heard.get() is not None
 
 
 def warn(*cautions: Caution) -> None:
-    """Tell whoever collects, each caution once; without anybody who listens it is lost."""
+    """Pass cautions to the collector, each once; without a collector they are dropped."""
     heard = _heard.get()
     if heard is not None:
         heard.extend(caution for caution in dict.fromkeys(cautions) if caution not in heard)
@@ -106,14 +106,14 @@ def warn(*cautions: Caution) -> None:
 
 @contextmanager
 def collected(label: str = "", *, forward: bool = True) -> Iterator[list[Caution]]:
-    """Collect what `warn` is told inside the block.
+    """Collect what `warn` is given inside the block.
 
     Parameters
     ----------
     label
         Stands before each text that is passed on, to tell one of several runs from the others.
     forward
-        Whether the cautions are told to whoever collects around this block, at its end.
+        Whether the cautions go to the collector around this block at its end.
 
     Examples
     --------

@@ -138,7 +138,7 @@ def _printed(code: int, text: str, stream: TextIO) -> int:
 
 
 def _about() -> int:
-    """Print versions, and what of the sandbox this system gives; return the exit code."""
+    """Print versions and which parts of the sandbox this system offers; return the exit code."""
     from cosim.commands.version_info import about
 
     try:

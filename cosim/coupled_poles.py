@@ -1,8 +1,8 @@
 """Board and linkage as one system: poles to the right that the steps of a run would hide.
 
 About a pose the linkage is its inertia and friction, M s^2 + B s, and the board a force in terms of angles
-and speeds. Zeros of the determinant of their sum in the right half plane are poles of the whole. What grows
-slowly shows itself in a run; what grows within a step of the integration may be damped away by it.
+and speeds. Zeros of the determinant of their sum in the right half plane are poles of the system. A slow
+growth shows in a run; one within a step of the integration may be damped away by it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from cosim.types import Array
 __all__ = ["growing", "hidden"]
 
 
-#: Two fits of different order agree so far; a pole is hidden from this share of a step on.
+#: Two fits of different order agree to this; a pole is hidden if it grows within this share of a step.
 _AGREE, _HIDDEN = 0.05, 0.5
 
 

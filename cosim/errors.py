@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 __all__ = ["CosimError", "InputError", "Problem", "SimulationError", "StorageError", "fail", "nearest"]
 
 
-#: Characters of a message, or of a line of ngspice's, that help.
+#: Characters that help, of a message and of a line printed by ngspice.
 _MOST_ECHOED = 600
 
 
@@ -103,7 +103,7 @@ class CosimError(Exception):
 
 
 class InputError(CosimError):
-    """The user's input is at fault; all that is wrong with it is told at once.
+    """The user's input is at fault; reports everything that is wrong with it at once.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ class InputError(CosimError):
 
     @property
     def in_brief(self) -> str:
-        """What is wrong, each problem once, without file and key: the row is of the input that has them."""
+        """What is wrong, each problem once, without file and key: the table's row names the input."""
         return "; ".join(dict.fromkeys(problem.message for problem in self.problems))
 
     def __str__(self) -> str:
@@ -185,7 +185,7 @@ class SimulationError(CosimError):
         self.last_words = last_words
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # The error crosses the pipe from the child process; keyword arguments need a state of their own.
+        # The error crosses the pipe from the child process: keyword arguments are not pickled by themselves.
         return (_rebuild, (self.message, self.deck, self.time_s, self.last_words))
 
     def __str__(self) -> str:

@@ -21,7 +21,7 @@ from cosim.signal_statistics import Trace, changes, together
 from cosim.units import pretty, quantity
 
 Signals = Mapping[str, NDArray[np.float64]]
-#: An amplifier that saturates softly stops short of its stated limit by so much.
+#: How far short of its stated limit an amplifier stops that saturates softly.
 AT_LIMIT = 0.995
 #: The share of a run, at its end, over which steady figures are averaged.
 _STEADY = 0.2
@@ -55,7 +55,7 @@ def time_mean(t: NDArray[np.float64], y: NDArray[np.float64]) -> float:
 
 
 def headroom(amplifiers: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Amplifiers ordered by what is left to their output limit: the first clips first."""
+    """Amplifiers by headroom, the smallest first: the first clips first."""
     return sorted((a for a in amplifiers if a["swing_v"]), key=lambda a: float(a["headroom"]))
 
 
@@ -125,12 +125,12 @@ def standard(
 
 
 def _tracer(scene: Scene, signals: Signals) -> Callable[..., Trace]:
-    """Return what makes traces of the run's signals: (values, rate of change where it is known)."""
+    """Return a function that makes a trace of a signal: (values, rate of change where it is known)."""
     t, effects = np.asarray(signals["time"]), scene.effects
     dacs = [np.asarray(signals[name]) for name in channels(scene.joints) if name in signals]
     changed = changes(dacs, len(t))
     edges = np.diff(changed, prepend=False, append=False)
-    # a DAC that settles ramps: what follows it has kinks where the ramp begins and ends, and nothing jumps
+    # while a DAC settles it ramps: signals have kinks at the ramp's ends, and none jumps
     jumped, kinks = (np.zeros_like(changed), edges) if effects.dac_settling else (changed, None)
     bent = effects.pot_noise is not PotNoise.NONE or effects.component_noise
 
@@ -161,14 +161,14 @@ def _tip_speed(scene: Scene, signals: Signals) -> NDArray[np.float64]:
 
 
 def own_measures(scene: Scene) -> list[str]:
-    """Return the measures of the user's own among `[measures] names`: ``file.py:Class``."""
+    """Return the user's own measures among `[measures] names`: ``file.py:Class``."""
     return [name for name in scene.measures.names if ":" in name]
 
 
 def chosen(measures: Mapping[str, Mapping[str, Any]], scene: Scene) -> dict[str, Mapping[str, Any]]:
     """Return the measures that `[measures] names` asks for and this run has, all when it asks for none.
 
-    Those of the user's own, which are called by the name of their class, come on top.
+    The user's own are called by the name of their class and come on top.
     """
     own = [name.rpartition(":")[2] for name in own_measures(scene)]
     wanted = [name for name in scene.measures.names if ":" not in name] or [*measures]
@@ -189,7 +189,7 @@ class Tolerance:
     relative: bool
 
     def allowed(self, value: float) -> float:
-        """Return the change that is allowed of this value, in its unit."""
+        """Return the allowed change of this value, in its unit."""
         return self.size * abs(value) if self.relative else self.size
 
     def text(self, unit: str) -> str:
@@ -208,7 +208,7 @@ def tolerances(scene: Scene) -> dict[str, Tolerance]:
     Raises
     ------
     InputError
-        For every measure that there is not, and every amount that is not one of its measure.
+        For every unknown measure, and every amount in a unit that its measure does not have.
     """
     asked, problems = {}, []
     for name, stated in scene.tolerance.measures.items():

@@ -62,7 +62,7 @@ class Plan:
     _asked: dict[str, Stated] = field(default_factory=dict, repr=False, compare=False)
 
     def stated(self, child: Child | None = None) -> Stated:
-        """Return what the board states in numbers; ngspice is asked once for a deck, in a child process.
+        """Return the design constants that the board states, read by ngspice once a deck, in a child.
 
         Raises
         ------
@@ -87,7 +87,7 @@ class Plan:
         return predict(self.scene, self.stated(), self.model)
 
     def extracted(self, child: Child | None = None) -> None:
-        """Extract the model `ideal` or `linear`, which tells its order; from the cache where it is there."""
+        """Extract the model `ideal` or `linear`, and with it its order; from the cache if it is there."""
         if self.model != "spice":
             call(
                 "cosim.circuits.extraction.extract:extract",
@@ -107,7 +107,7 @@ class Plan:
         }
 
     def circuit_states(self) -> int | None:
-        """Return the circuit's states; ``None`` for a model whose order nobody has yet extracted."""
+        """Return the number of the circuit's states; ``None`` for a model that was not extracted yet."""
         if self.model == "spice":
             return self.board.reactances
         if self.model == "ideal":
@@ -156,7 +156,7 @@ class Plan:
 
 
 def slower_paths(scene: Scene) -> list[str]:
-    """Say what runs in Python instead of compiled code, said in words."""
+    """Say in words what runs in Python instead of compiled code."""
     notes = []
     if scene.computer.law is not None:
         notes.append(f"control law {scene.computer.law} runs in Python, once per sample")
@@ -166,7 +166,7 @@ def slower_paths(scene: Scene) -> list[str]:
 
 
 def _recorded(scene: Scene) -> tuple[str, ...]:
-    """Return the nodes to be recorded, each once; what is a signal of every run is there anyway."""
+    """Return the nodes to be recorded, each once, without those that every run records."""
     nodes = tuple(dict.fromkeys(node.lower() for node in scene.record.nodes))
     if not nodes:
         return ()
@@ -191,7 +191,7 @@ def _placed(problem: Problem, scene: Scene) -> Problem:
 
 
 def swaps(scene: Scene) -> dict[str, PartSwap | str]:
-    """Return what stands in for parts of the shelf, as `load_deck` takes it."""
+    """Return the replacements for parts of the shelf, as `load_deck` takes them."""
     return {
         name: PartSwap(part.file, part.subckt, part.pins, part.dialect.value)
         if isinstance(part, PartFile)
@@ -293,13 +293,13 @@ def _loaded(scene: Scene, trust: bool, values: Mapping[str, str]) -> Deck:
 
 
 def _unedited(scene: Scene, trust: bool) -> Deck:
-    """Return the board as its files have it; what is doubtful about that is told of the edited one."""
+    """Return the board as its files have it; cautions come from the edited one alone."""
     with collected(forward=False):
         return _loaded(scene, trust, {})
 
 
 def _check_chosen(scene: Scene) -> None:
-    """Refuse effects that are still to be chosen: without them the scene would run with none."""
+    """Refuse effects that are still to be chosen: the scene would run without any."""
     if scene.effects.auto:
         fail(
             "the effects are still to be chosen: `cosim run` does so and keeps the choice as scene.toml "

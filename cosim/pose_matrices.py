@@ -1,4 +1,4 @@
-"""The mechanics about a pose, as the verdict on stability needs them.
+"""The mechanics linearised about a pose, for the verdict on stability.
 
 A few small matrices, but the compiled code behind them takes longer to load than all else that a run does
 beside its simulation: those of the start are kept by content, those of other poses come from the child.
@@ -66,7 +66,7 @@ class Pose:
 
 
 def at_start(scene: Scene, gear: float) -> Pose:
-    """Return the mechanics about the start, of the cache or computed.
+    """Return the mechanics about the start, from the cache or computed.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def at_start(scene: Scene, gear: float) -> Pose:
 
 
 def at_poses(scene: Scene, gear: float, poses: Sequence[Array], child: Child | None) -> list[Pose]:
-    """Return the mechanics about `poses` ([n] rad each), asked of the child, which has the compiled code."""
+    """Return the mechanics about `poses` ([n] rad each), from the child, which has the compiled code."""
     asked = {"scene": scene, "gear": gear, "poses": list(poses)}
     limit = scene.solver.time_limit_s
     computed_poses: list[Pose] = call("cosim.pose_matrices:computed", asked, time_limit_s=limit, child=child)
@@ -99,7 +99,7 @@ def computed(payload: dict[str, Any], report: object) -> list[Pose]:
 
 
 def _name(scene: Scene, gear: float) -> str:
-    """Return the digest of the mechanics' code and of every table that it is told of."""
+    """Return the digest of the mechanics' code and of every table that it depends on."""
     tables = (scene.device, scene.wall, scene.operator, scene.effects)
     parts = [f"{_VERSION}", code_folder("mech.kernels").name, f"{gear!r}", *(repr(table) for table in tables)]
     return "start-" + hashlib.sha256("\n".join(parts).encode()).hexdigest()

@@ -29,7 +29,7 @@ def provenance(
     command
         Command line; by default that of this process.
     ngspice
-        Version of the library, as it told itself.
+        Version of the library, as it states it.
     more
         Further entries, for example the digest of the netlist.
     """
@@ -53,7 +53,7 @@ def provenance(
 
 
 def run_date() -> float:
-    """Return the present time [s since 1970], or what SOURCE_DATE_EPOCH says, for results of equal bytes."""
+    """Return the time [s since 1970], or SOURCE_DATE_EPOCH where it is set, for reproducible bytes."""
     fixed = os.environ.get("SOURCE_DATE_EPOCH", "")
     return float(fixed) if fixed.isdigit() else time.time()
 

@@ -1,4 +1,4 @@
-"""What lets a process of ours begin sooner: modules load without what they never use."""
+"""Faster start of our processes: modules load without parts that are never used."""
 
 import gc
 import importlib.util
@@ -14,12 +14,12 @@ _UNUSED = ("f2py", "testing")
 
 
 def collect_seldom() -> None:
-    """Look for garbage less often from now on; for processes that are the program's own."""
+    """Collect garbage less often from now on; only for processes of our own."""
     gc.set_threshold(*_THRESHOLDS)
 
 
 def defer() -> None:
-    """Let parts of numpy load when something of them is used (`importlib.util.LazyLoader`)."""
+    """Load parts of numpy on first use (`importlib.util.LazyLoader`)."""
     import numpy as np
 
     for part in _UNUSED:

@@ -44,9 +44,9 @@ _FORMAT_VERSION = 3
 _READABLE = (2, _FORMAT_VERSION)
 #: What a result is checked for when it is loaded; the other forms of the signals are for other tools.
 _SEALED = (RAW, SAMPLES, SCENE, BOARD)
-#: Further forms of the signals, by which nothing is loaded.
+#: Further forms of the signals, which are never read back.
 _FORMS = tuple(f"signals.{ending}" for ending in FORMATS)
-#: Where `cosim report` puts its page unless it is told another place.
+#: Where `cosim report` puts its page by default.
 PAGE_FOLDER = "report"
 # Rows handled at once when exporting: some megabytes, whatever the length of the run.
 _CHUNK = 1 << 15
@@ -259,9 +259,9 @@ class Run:
 
 
 def _check_times(file: Path, table: Mapping[str, NDArray[np.float64]]) -> None:
-    """Refuse signals that no run has: without time, with time that runs back, with what is no number.
+    """Refuse signals that no run has: without time, with time running back, with values that are not finite.
 
-    Their seal is right; whoever wrote them sealed them so.
+    Their seal may be right all the same: anyone can seal what they wrote.
     """
     times = np.asarray(table["time"]) if "time" in table else np.zeros(0)
     if ("time" not in table and len(table)) or (isinstance(table, Signals) and not times.size):
@@ -275,9 +275,9 @@ def _check_times(file: Path, table: Mapping[str, NDArray[np.float64]]) -> None:
 
 
 def written_files(folder: Path) -> set[str]:
-    """Return the relative paths in a result folder that a run and its page have written, and nobody since.
+    """Return the relative paths in a result folder that a run and its page wrote, unchanged since.
 
-    Nothing of a folder whose record is missing, damaged or another version's can be proven.
+    Where the record is missing, damaged or of another version, nothing can be proven.
     """
     try:
         record = read_sealed(folder / RECORD, *_READABLE)
@@ -288,7 +288,7 @@ def written_files(folder: Path) -> set[str]:
 
 
 def json_text(value: Any) -> str:
-    """Return `value` as JSON; numpy's numbers are taken, NaN and infinity are refused.
+    """Return `value` as JSON; takes numpy's numbers, refuses NaN and infinity.
 
     Raises
     ------
@@ -343,7 +343,7 @@ def read_csv(path: Path) -> dict[str, NDArray[np.float64]]:
     Raises
     ------
     InputError
-        When it cannot be read, or holds something that is no finite number.
+        When it cannot be read, or holds a value that is not finite.
     """
     try:
         with path.open(encoding="utf-8", newline="") as stream:

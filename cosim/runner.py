@@ -34,18 +34,18 @@ from cosim.units import quantity
 
 __all__ = ["Errors", "measures_of", "request_of", "resolve", "run"]
 
-#: What adds errors to measures; see `run`.
+#: Adds errors to measures; see `run`.
 Errors = Callable[[Measures, Any, tuple[int, ...]], Mapping[str, dict[str, Any]]]
 
-#: Who simulates a circuit model, in the child process.
+#: What simulates a circuit model, in the child process.
 _TARGETS = {
     "spice": "cosim.loop.spice.run_spice",
     "linear": "cosim.loop.linear.run_linear",
     "ideal": "cosim.loop.linear.run_linear",
 }
-#: Without a sign of progress for so long [s], the simulation counts as hanging.
+#: A simulation without progress for this long [s] counts as hanging.
 _STALL_S = 60.0
-#: A predicted time so many times the limit is not worth starting.
+#: A run is not started if its predicted time is this many times the limit.
 _HOPELESS = 10.0
 
 
@@ -77,7 +77,7 @@ def run(
     command
         Command line for the provenance.
     more
-        Measures that no run is needed for, to be kept with its own (`cosim.comparisons.measure_values`).
+        Measures that need no run, to be kept with its own (`cosim.comparisons.measure_values`).
     errors
         Called with the run's own measures, the `LinearCircuit` that was simulated, if any, and the samples at
         which contact is made or lost; returns the measures with their errors (`cosim.accuracy.estimate`).
@@ -105,11 +105,11 @@ def _run(
     errors: Errors | None,
     cautions: Sequence[Caution],
 ) -> Run:
-    """Simulate and save, with the `cautions` that were heard until the result was complete."""
+    """Simulate and save, with the `cautions` raised until the result was complete."""
     begun = time.perf_counter()
     scene = plan.scene
     target = Path(out) if out is not None else Path(tempfile.gettempdir()) / f"cosim-run-{uuid.uuid4().hex}"
-    require_ours(target, written_files)  # told before anything is computed
+    require_ours(target, written_files)  # refuse before anything is computed
     plan.stated(child)
     _check_duration(plan)
     judged = verdict(question(plan), plan.board.path, child, scene.solver.time_limit_s)
@@ -176,7 +176,7 @@ def _run(
 
 @dataclass(frozen=True)
 class _Simulated:
-    """What a simulation handed over: its answer, and what was read and measured of it."""
+    """A finished simulation: the child's answer, and what was read and measured from it."""
 
     answer: RunAnswer
     samples: dict[str, NDArray[np.float64]]
@@ -219,7 +219,7 @@ def _simulated(
 
 
 def request_of(plan: Plan, child: Child | None = None) -> RunRequest:
-    """Return what a time loop is asked for a plan, the result to be left in `OUTBOX`."""
+    """Return the request to a time loop for a plan; it leaves its result in `OUTBOX`."""
     return RunRequest(
         scene=plan.scene,
         board=plan.board,
@@ -264,7 +264,7 @@ def _own(
     samples: Mapping[str, NDArray[np.float64]],
     child: Child | None,
 ) -> dict[str, Any]:
-    """Ask the user's own measures in the child, as it runs their laws: 'rows', and what they 'printed'."""
+    """Evaluate the user's own measures in the child, which runs their laws too: 'rows', 'printed'."""
     names = own_measures(plan.scene)
     if not names:
         return {"rows": {}, "printed": []}
@@ -281,7 +281,7 @@ def _own(
 
 
 def _check_duration(plan: Plan) -> None:
-    """Refuse a run that could not end in time: its prediction is good to a factor of a few."""
+    """Refuse a run that cannot end in time, by a prediction good to a factor of a few."""
     seconds, limit = plan.cost()["seconds"], plan.scene.solver.time_limit_s
     if seconds > _HOPELESS * limit:
         fail(
@@ -296,7 +296,7 @@ def _check_duration(plan: Plan) -> None:
 
 
 def _read_samples(file: Path, columns: Sequence[str]) -> dict[str, NDArray[np.float64]]:
-    """Columns of the computer's samples; the streamed file is used up."""
+    """Columns of the computer's samples; deletes the streamed file."""
     table = np.fromfile(file).reshape(-1, len(columns))
     file.unlink()
     return {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(columns)}

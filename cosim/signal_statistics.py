@@ -2,9 +2,9 @@
 
 A signal is a cubic between two rows, with its slope where that is known, else with that of the parabola
 through three rows; a straight line where noise bends it at rows. It is smooth between changes of the DACs;
-over the step that a jump begins it has its value at the end, as the integrator takes it. What settles faster
-than rows follow is no reason for a top behind it: of two parabolas the much flatter one counts there, as
-essentially non-oscillatory schemes choose (Harten, Engquist, Osher and Chakravarthy, 1987).
+over the step that a jump begins it has its value at the end, as the integrator takes it. Where a signal
+settles faster than rows follow, a parabola would overshoot: of two neighbours the much flatter one is taken,
+as essentially non-oscillatory schemes do (Harten, Engquist, Osher and Chakravarthy, 1987).
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 def changes(dacs: Sequence[Array], rows: int) -> NDArray[np.bool_]:
     """Return for each of the `rows` - 1 steps whether a DAC changes over it by more than rounding.
 
-    At the end of its ramp a DAC is beside the value that it then holds by an ulp of time: that is no change,
-    and the kink is at the ramp's end.
+    At the end of its ramp a DAC misses its final value by what an ulp of time makes: that is no change, and
+    the kink is at the ramp's end.
     """
     changed = np.zeros(max(rows - 1, 0), bool)
     for volts in dacs:
@@ -60,7 +60,7 @@ class Spans:
 
 
 def together(parts: Sequence[Spans]) -> Spans:
-    """Return the time that is in any of several spans."""
+    """Return the union of several spans."""
     begin = np.concatenate([part.begin for part in parts])
     end = np.concatenate([part.end for part in parts])
     order = np.argsort(begin, kind="stable")
@@ -104,7 +104,7 @@ class Cubics:
         return np.asarray(begun[step] + (((a / 4.0 * x + b / 3.0) * x + c / 2.0) * x + d) * x)
 
     def crossings(self, level: float) -> Array:
-        """Return ascending times [s] at which a step's cubic has a value; none of a step that stays at it."""
+        """Return ascending times [s] at which the cubics cross a value; none in a step that stays at it."""
         h = np.diff(self.t)
         a, b, c, d = self.c * np.array([h**3, h**2, h, np.ones(len(h))])
         d = d - level

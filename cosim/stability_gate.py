@@ -29,21 +29,21 @@ __all__ = ["FINITE", "coupled", "latched", "left", "question", "reached", "verdi
 FINITE: Mapping[str, str] = {
     "opamp": "gbw", "vca": "gbw", "driver_level": "gbw", "motor": "full", "potentiometer": "ideal",
 }  # fmt: skip
-#: An output is latched at its limit if the same pins ask for this share of it less; and has left its
-#: operating point if it is this share of the supply away: no device at rest is so far from settled.
+#: An output is latched if it is at its limit while a linear board at the same pins would be this share below;
+#: it has left its operating point if it is this share of the supply away: a settled device is much nearer.
 _ASKED, _OFF_POINT = 0.8, 0.2
-#: Poses so near to one another [rad] have the same inertia and gains, within a tenth.
+#: Poses this near to one another [rad] have the same inertia and gains, within a tenth.
 _SAME_RAD = 0.1
-#: Decks made for verdicts in this process, by the plan's own: to flatten one takes longer than to look it up.
+#: Decks for verdicts by the plan's own deck: flattening one takes longer than looking it up.
 _decks: dict[tuple[str, ...], Deck] = {}
 _MOST_DECKS = 32
 
 
 def question(plan: Plan) -> Question:
-    """Return what is to be judged before a plan may run.
+    """Return what is judged before a plan may run.
 
-    The board with amplifiers of finite bandwidth, whatever levels the scene asks for; with its differentiator
-    as built; and beside it the deck of the run where that knows more of its parts.
+    The board with amplifiers of finite bandwidth whatever levels the scene asks for, and its differentiator
+    as built; also the deck of the run where that models its parts in more detail.
     """
     scene = plan.scene
     device = scene.device
@@ -100,7 +100,7 @@ def verdict(
 def coupled(plan: Plan, child: Child | None = None, poses: Sequence[Array] = ()) -> list[Caution]:
     """Say where board and linkage together grow within a step of the run, at no gain and as commanded.
 
-    About the start; or about `poses` ([n] rad each) that a run has reached, of which the first is told.
+    About the start, or about `poses` ([n] rad each) that a run has reached; the first bad one is reported.
     """
     scene, board = plan.scene, _finite(plan, vendors=True)
     constants = plan.stated()
@@ -183,7 +183,7 @@ def latched(
 def left(plan: Plan, end: Mapping[str, Any]) -> list[Caution]:
     """Say which outputs of a device at rest are far from the operating point of their own circuit.
 
-    The equations have more than one solution, or the one that was begun from is left by itself.
+    The equations have more than one solution, or the circuit leaves the one it started from.
     """
     point = end.get("operating_point", {})
     return [
@@ -200,7 +200,7 @@ def left(plan: Plan, end: Mapping[str, Any]) -> list[Caution]:
 
 
 def _undeclared(plan: Plan) -> dict[str, str]:
-    """Return output node -> path of the amplifiers outside of what the netlist declares bistable."""
+    """Return output node -> path of the amplifiers outside blocks that the netlist declares bistable."""
     return {
         a.out_node: a.path
         for a in plan.board.amplifiers

@@ -1,4 +1,4 @@
-"""Validation of parameters: everything wrong is told at once, NaN fails every test."""
+"""Validation of parameters: all problems are raised at once; NaN fails every test."""
 
 import math
 from collections.abc import Iterable, Sequence

@@ -466,7 +466,7 @@ def test_a_point_that_is_not_found_at_rated_current_leaves_the_rest(monkeypatch)
     assert "w_rated" not in {name for name, _ in result}
     assert result["k_fs", "11"][0] is not None
     (note,) = notes
-    assert note.startswith("w_rated 11 is not told: ")
+    assert note.startswith("w_rated 11 is not known: ")
     assert "no DC operating point" in note
 
 

@@ -5,8 +5,8 @@ the integrator of the circuit nor the coupling, and costs a small part. What the
 may hide (fit, reduction, gains that are not quite proportional) is added as a share of the value. A scene
 that only ngspice carries is its own twin, with tolerances ten times tighter and half the steps.
 
-The difference of run and twin is the error itself but for the twin's own, which is smaller: the bound is the
-difference with a margin.
+The difference of run and twin is the error of the run plus the twin's own, which is smaller: the bound is the
+difference times a margin.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _FINER, _USUAL_STEP_S = 8.0, 2e-3
 #: Runs and twins are right to this share of a value, whatever their difference: steps are controlled to
 #: 1e-10 rad of joints that turn by a tenth of a radian.
 _RESOLVED = 1e-9
-#: What tells how right a run is has no error of its own.
+#: Measures of a run's accuracy have no error of their own.
 _WITHOUT = frozenset({"ledger_closure"})
 
 
@@ -94,8 +94,8 @@ def estimator(plan: Plan, child: Child | None) -> Errors:
     """Return what `cosim.runner.run` calls for the errors of its measures.
 
     Every row gets 'error', a bound in the measure's unit, or None with 'no_error' saying why. Where run and
-    twin make contact at other samples their bounds span both sequences, which a caution tells: neither is
-    close to the other, and a third may come of tighter tolerances.
+    twin make contact at different samples the bounds span both sequences, and a caution says so: neither is
+    close to the other, and tighter tolerances may give a third.
     """
 
     def errors(
@@ -137,7 +137,7 @@ def _other_sequence(contacts: tuple[int, ...], others: tuple[int, ...]) -> Cauti
 
 
 def doubt(circuit: LinearCircuit | None) -> float:
-    """Return what a linear circuit may be wrong by, as a share: the worst that its certificate states."""
+    """Return how far wrong a linear circuit may be, as a share: the worst that its certificate states."""
     certificate = circuit.certificate if circuit is not None else {}
     names = ("error", "measured_error", "fit_error", "control_nonlinearity", "not_through_multipliers")
     return max(

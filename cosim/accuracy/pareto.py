@@ -1,4 +1,4 @@
-"""Settings with what they cost and how wrong they are: the Pareto front, and the cheapest that will do."""
+"""Settings with their cost and error: the Pareto front, and the cheapest that will do."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["Row", "cheapest", "clipped", "finest", "marked"]
 
 @dataclass(frozen=True)
 class Row:
-    """One setting and what came of it.
+    """One setting and its outcome.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ def clipped(row: Row, floor: Mapping[str, float]) -> Row:
 
 
 def marked(rows: Sequence[Row], quantities: Sequence[str]) -> list[Row]:
-    """Mark the rows for which no other is both faster and better; peers have no measures and compete not."""
+    """Mark the rows that no other beats in both time and error; peers have no measures and do not compete."""
     own = [row for row in rows if row.errors and row.setting.model != "peer"]
     best: set[str] = set()
     least = math.inf
@@ -79,7 +79,7 @@ def marked(rows: Sequence[Row], quantities: Sequence[str]) -> list[Row]:
 
 
 def finest(rows: Sequence[Row], model: str) -> dict[str, float]:
-    """Return the errors that no setting of a model gets below."""
+    """Return the smallest errors that any setting of a model reaches."""
     own = [row for row in rows if row.setting.model == model and row.errors]
     names = dict.fromkeys(name for row in own for name in row.errors)
     return {name: min(row.errors[name] for row in own if name in row.errors) for name in names}

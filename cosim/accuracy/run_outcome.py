@@ -113,9 +113,9 @@ def summary(run: Run, times: Array | None = None) -> dict[str, Any]:
 
 
 def trace_errors(traces: Mapping[str, list[float]], truth: Mapping[str, list[float]]) -> dict[str, float]:
-    """Return the largest errors of 'position' and 'force', as shares of the farthest way and largest force.
+    """Return the largest errors of 'position' and 'force', as shares of the largest travel and force.
 
-    What does not move, and what neither side holds, has no error.
+    A tip that does not move, and a force that is zero on both sides, have no error.
     """
     out = {}
     for name, pair in (("position", ("x", "y")), ("force", ("fx", "fy"))):
@@ -145,7 +145,7 @@ def peers(
 
 
 def run_decks(payload: dict[str, Any], report: Any) -> dict[str, Any]:
-    """Run decks one after the other, in ngspice's process; a deck that fails has a 'reason' alone."""
+    """Run decks one after the other, in ngspice's process; one that fails has only a 'reason'."""
     import time
 
     from cosim.errors import CosimError

@@ -19,7 +19,7 @@ _COUPLING = {"spice": (1e-5, 1e-6, 1e-8, 1e-9, 1e-10), "own": (1e-3, 1e-4, 1e-5,
 _CHARGE = (1e-10, 1e-12, 1e-14)
 _ORDER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-8)
 #: Everything of `spice` at once: relative tolerance, step over the scene's own, coupling [rad], charge [C].
-#: Coupling and circuit each put an error into the motion; the cheapest way to both is in step.
+#: Coupling and circuit each put an error into the motion: it is cheapest to tighten them together.
 _TOGETHER = (
     (1e-3, 2.0, 1e-6, 1e-9), (1e-5, 1.0, 1e-9, 1e-9), (1e-6, 1.0, 1e-10, 1e-9), (1e-7, 1.0, 1e-11, 1e-9),
 )  # fmt: skip
@@ -41,7 +41,7 @@ class Setting:
     ----------
     model : circuit model
     series : what is varied, in words
-    label : model and what is unlike the scene, in words
+    label : model and what differs from the scene, in words
     overrides : `KEY=VALUE` on top of the scene, as `load_scene` takes them
     """
 
@@ -73,7 +73,7 @@ def carries(scene: Scene, model: str) -> bool:
 
 
 def grid(scene: Scene, models: Iterable[str] = MODELS) -> list[Setting]:
-    """Return what is tried: from the scene's own tolerances one at a time, and in `spice` all at once."""
+    """Return the settings to try: the scene's own tolerances one at a time, in `spice` also together."""
     return [setting for model in models for setting in _of_model(scene, model)]
 
 
@@ -120,7 +120,7 @@ def reference(scene: Scene) -> Setting:
 
 
 def second_reference(scene: Scene) -> Setting:
-    """Return one that shares no integrator with the first: ngspice's, of another method where both are."""
+    """Return one that shares no integrator with the first: ngspice, with another method if both are."""
     if carries(scene, "linear"):
         return _lockstep(scene, _TIGHT_STEP, "trap", 1e-7)
     return _lockstep(scene, _SECOND_STEP, "trap", 3e-7)

@@ -25,9 +25,9 @@ __all__ = ["Wanted", "measurer_within", "parse_tolerances", "run_within", "short
 
 T = TypeVar("T")
 
-#: What has no error that a solver could make smaller.
+#: Measures whose error no solver setting can reduce.
 _WITHOUT = frozenset({"ledger_closure", "headroom"})
-#: How often the tolerances are tightened before a tolerance counts as out of reach.
+#: How often solver settings are tightened before a tolerance counts as out of reach.
 _LEVELS = 5
 #: Our own loop begins with steps four times those of the scene: a run that misses takes milliseconds, and
 #: where measures need no rows in between (press) the longer ones do. With ngspice a vain run is too dear.
@@ -42,7 +42,7 @@ class Wanted:
     ----------
     by_name : measure -> tolerance
     every : share that all measures must meet; None where only those named count
-    of : measures that `every` is said of; None for all that a run has
+    of : measures that `every` applies to; None for all that a run has
     """
 
     by_name: Mapping[str, Tolerance]
@@ -50,12 +50,12 @@ class Wanted:
     of: Collection[str] | None = None
 
     def names(self, measures: Measures) -> list[str]:
-        """Return the measures that a tolerance is said of, among those of a run."""
+        """Return the measures of a run that have a tolerance."""
         every = [name for name in measures if self.of is None or name in self.of]
         return [*dict.fromkeys([*self.by_name, *(every if self.every is not None else ())])]
 
     def missed(self, measures: Measures) -> dict[str, str]:
-        """Return the measures whose error is larger than allowed, or not known, with what there is."""
+        """Return the measures whose error is too large or unknown, with that error."""
         out = {}
         for name in self.names(measures):
             row = measures.get(name)
@@ -73,7 +73,7 @@ class Wanted:
         return out
 
     def allowed(self, name: str, row: Mapping[str, Any]) -> float:
-        """Return the error that a measure may have, in its unit."""
+        """Return the error that is allowed of a measure, in its unit."""
         asked, value = self.by_name.get(name), float(row["value"])
         return asked.allowed(value) if asked else (self.every or 0.0) * abs(value)
 
@@ -157,7 +157,7 @@ def run_within(
 
 
 def measurer_within(wanted: Wanted, *, free: bool = True) -> Measurer:
-    """Return what measures a plan as `cosim.comparisons.measure_values.measure`, within tolerances.
+    """Return a stand-in for `cosim.comparisons.measure_values.measure` that keeps tolerances.
 
     Rows have their 'error'; what cannot be reached is among the warnings.
     """
@@ -182,7 +182,7 @@ def _refined(
     child: Child | None,
     attempt: Callable[[Plan, Errors], tuple[T, Measures]],
 ) -> tuple[T, list[Caution]]:
-    """Attempt a plan with ever tighter settings until its measures are within tolerances, or none helps."""
+    """Run a plan with ever tighter settings until its measures are within tolerances or nothing helps."""
     level, tries = _FIRST_LEVEL, 0
     while True:
         with collected(forward=False) as heard:
@@ -211,7 +211,7 @@ def shortfalls(missed: Mapping[str, str], when: str = "") -> list[Caution]:
 
 
 def _steps(wanted: Wanted, measures: Measures) -> int:
-    """Return how many levels to go at once: each takes a power of ten off the errors, or somewhat more."""
+    """Return how many levels to tighten at once: each divides the errors by ten or somewhat more."""
     ratios = [row["error"] / wanted.allowed(name, row) for name in wanted.names(measures)
               if (row := measures.get(name)) and row.get("error") and wanted.allowed(name, row)]  # fmt: skip
     return max(1, math.floor(math.log10(max(ratios, default=1.0))))
@@ -241,5 +241,5 @@ def _at_level(plan: Plan, wanted: Wanted, level: int, free: bool) -> Plan:
 
 
 def _could_shrink(missed: Mapping[str, str], measures: Measures) -> bool:
-    """Whether a measure that misses its tolerance has an error that smaller steps may mend."""
+    """Whether smaller steps may bring a measure that misses its tolerance within it."""
     return any(measures.get(name, {}).get("error") is not None for name in missed)

@@ -1,7 +1,7 @@
-"""A scene over settings of its solver: what each costs, how wrong it is, and which is the cheapest.
+"""Work-precision study of a scene: cost and error of each solver setting, and the cheapest that will do.
 
-Errors are against the first of two or three references that share no integrator; what these disagree by is
-the floor, and no error is claimed below it.
+Errors are against the first of two or three references that share no integrator; their disagreement
+is the floor: no error is claimed below it.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ __all__ = ["POINTS", "Accuracy", "Row", "accuracy"]
 
 POINTS = "points.jsonl"
 _FORM = "accuracy 1"
-#: Measures that say what a run has, not how right it is.
+#: Measures that describe a run, not its accuracy.
 _NO_ERROR = frozenset({"ledger_closure", "dac_saturations", "unreachable_samples", "headroom"})
 #: Relative tolerances and methods at which the peer, one deck in plain ngspice, is run.
 _PEER_RTOL, _PEER_METHODS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7), ("trap", "gear")
@@ -138,7 +138,7 @@ def accuracy(
     Raises
     ------
     InputError, SimulationError
-        When scene or references cannot be run; a single setting that cannot is told in its row.
+        When scene or references cannot be run; a single setting that fails says so in its row.
     """
     useless = [name for name in measures if name not in OF_A_RUN or name in _NO_ERROR]
     if useless:
@@ -195,7 +195,7 @@ def accuracy(
 
 
 class _Runner:
-    """Runs settings of one scene, each kept as a point; a process that a failed run ended is replaced."""
+    """Runs settings of one scene, each kept as a point; replaces a process that a failed run has ended."""
 
     def __init__(
         self, path: str | Path, overrides: tuple[str, ...], trust: bool, child: Child | None, points: Points
@@ -238,7 +238,7 @@ class _Runner:
             raise
 
     def reference(self, setting: Setting) -> dict[str, Any]:
-        """Run the first reference; it says when the others are compared with it."""
+        """Run the first reference; it fixes the instants at which the others are compared with it."""
 
         def then(result: Any) -> dict[str, Any]:
             times = instants(result)
@@ -306,7 +306,7 @@ class _Runner:
 
 
 def _quantities(first: Mapping[str, Any], asked: Sequence[str], scene: Scene) -> tuple[str, ...]:
-    """Return what errors decide: the motion, and the measures asked for."""
+    """Return the quantities whose errors decide: the motion, and the measures asked for."""
     there = {name for name, value in first["measures"].items() if value != 0.0}
     lacking = [name for name in asked if name not in there]
     if lacking:

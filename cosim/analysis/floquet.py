@@ -19,7 +19,7 @@ from cosim.analysis.period_map import Lifted
 
 __all__ = ["exponents"]
 
-#: Poles that fade by more than this exponent in a period leave no oscillation to be told [nepers].
+#: Poles that decay by more than this exponent in a period leave no visible oscillation [nepers].
 _FADED = 40.0
 #: Points of the path to a turn of its fastest oscillation; fewest and most points in a period.
 _A_TURN, _FEWEST, _MOST = 16, 256, 1 << 16

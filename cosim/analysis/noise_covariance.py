@@ -29,7 +29,7 @@ __all__ = ["Grid", "NoiseCovariance", "covariance", "noise_covariance", "noise_g
 
 #: Samples and ticks are taken to meet again within so many of the longer of both.
 _MOST_TURNS = 64
-#: A bandwidth that had to be shifted by more than this share to make them meet is told.
+#: A bandwidth that is shifted by more than this share to make them meet is reported.
 _SHIFTED = 1e-9
 #: Standard deviations that the contact and the driver's limit must leave room for.
 _ROOM = 4.0

@@ -71,7 +71,7 @@ def plan(
         return resolve(scene, trust=trust)
     from cosim.comparisons.choose_effects import choose
 
-    with collected(forward=False):  # what is doubtful about a trial is told of the run that is kept
+    with collected(forward=False):  # cautions of a trial come again from the run that is kept
         return choose(scene, child=child, trust=trust, on_progress=on_choice)[0]
 
 

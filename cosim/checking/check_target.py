@@ -98,7 +98,7 @@ def _of_scene(
     kind = [f"effects.driver={driver}"] if driver else []
     scene = load_scene(target, [*variant.overrides, *_effects(level), *kind])
     plain = load_scene(target, [*variant.overrides, *_effects("ideal"), *kind])
-    # a vendor's model has no ideal level: the board's own share is told with the part it replaces
+    # a vendor's model has no ideal level: the part that it replaces shows the board's own share
     plain = plain.model_copy(update={"device": plain.device.model_copy(update={"parts": {}})})
     plan, ideal = (resolve(each, trust=trust) for each in (scene, plain))
     kind_of_drive = scene.effects.driver.value

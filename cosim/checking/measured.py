@@ -115,5 +115,5 @@ def _or_note(measured: Callable[[], T], nothing: T, what: str, notes: list[str])
     try:
         return measured()
     except CosimError as reason:
-        notes.append(f"{what} is not told: {reason}")
+        notes.append(f"{what} is not known: {reason}")
         return nothing

@@ -96,7 +96,7 @@ def measure_constants(
             try:
                 w = multiplier_volts(bench, constants, i, j)
             except NoOperatingPoint as reason:
-                notes.append(f"w_rated {pair} is not told: {reason}")
+                notes.append(f"w_rated {pair} is not known: {reason}")
                 w = None
             if w is not None:
                 readings["w_rated", pair] = w, None

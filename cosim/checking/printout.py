@@ -1,4 +1,4 @@
-"""A check as text: one section a question, columns aligned, equal rows told once."""
+"""A check as text: one section a question, columns aligned, equal rows shown once."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cosim.units import quantity
 Row = tuple[str, Sequence[str]]
 _LISTED = 4
 _NO_DELAY_S = 1e-12
-#: What rounding leaves of a leak or an offset that is not there, in any unit.
+#: What rounding leaves of a leak or an offset of zero, in any unit.
 _NOTHING = 1e-15
 #: Devices below this share of the whole noise are counted, not listed.
 _LOUD = 0.05

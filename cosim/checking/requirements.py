@@ -58,7 +58,7 @@ def findings(measured: Measured, coupling: Coupling | None) -> list[Finding]:
 
 
 def missed(measured: Measured) -> list[Caution]:
-    """Return the design constants that the board misses by so much that its netlist or they are wrong."""
+    """Return the design constants that the board misses so far that they or its netlist must be wrong."""
     worst: dict[str, tuple[float, Caution]] = {}
     for c in measured.constants:
         size = abs(c.deviation_percent) if c.deviation_percent is not None else float("inf")
@@ -68,7 +68,7 @@ def missed(measured: Measured) -> list[Caution]:
 
 
 def of_stability(judged: Verdict) -> Iterable[Finding]:
-    """Tell the verdict on the circuit's stability, the same that a run waits for."""
+    """Report the verdict on the circuit's stability, the same that a run waits for."""
     if judged.unjudged:
         yield _warning("stability", f"not judged: {judged.unjudged}")
     for each in judged.instabilities:
@@ -206,7 +206,7 @@ def _noise(measured: Measured) -> Iterable[Finding]:
         yield _warning(
             "noise",
             "ngspice's .noise does not pass through some of these parts (POLY sources become XSPICE devices, "
-            "which take no part in it): the circuit's noise is told too small",
+            "which take no part in it): the circuit's noise is underestimated",
         )
 
 

@@ -69,7 +69,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         if any(len(setting.values) > 1 for setting in fixed):
             fail("a study is of one scene: give each name one value", key="--set", value=args.set)
         out = Path(args.out) if args.out else Path("out/accuracy")
-        refuse_foreign(out, FILES, MANIFEST)  # told before anything is run
+        refuse_foreign(out, FILES, MANIFEST)  # refuse before anything is run
         with progress("accuracy") as show:
             study = accuracy(
                 args.scene, out,

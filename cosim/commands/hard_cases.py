@@ -27,7 +27,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         from cosim.storage.owned_files import refuse_foreign
         from reports.hard_cases import FILES, MANIFEST, write_hard_cases
 
-        refuse_foreign(Path(args.out), FILES, MANIFEST)  # told before the first case
+        refuse_foreign(Path(args.out), FILES, MANIFEST)  # refuse before the first case
     with progress("hard cases") as show:
         outcomes = list(run_cases(cases, show))
     lines = _table(outcomes)

@@ -111,7 +111,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.storage.owned_files import refuse_foreign
     from reports.monte_carlo import FILES, MANIFEST, write_monte_carlo
 
-    refuse_foreign(out, FILES, MANIFEST)  # told before the first sample
+    refuse_foreign(out, FILES, MANIFEST)  # refuse before the first sample
     with collected() as cautions, progress("mc") as show:
         findings = monte_carlo(prepared, show, processes)
     page = write_monte_carlo(

@@ -136,7 +136,7 @@ def _report_studies(args: argparse.Namespace, files: list[Path]) -> tuple[dict[s
     from reports.page import PAGE_NAME
     from reports.study_page import MANIFEST, write_study_page
 
-    parse_tolerances(args.tol)  # what is no tolerance is told before any file is read
+    parse_tolerances(args.tol)  # refuse a bad tolerance before any file is read
     changes = overrides(args.set)
     specs = [load_study(file, changes) for file in files]  # all are checked before the first runs
     if args.tol:

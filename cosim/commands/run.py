@@ -70,7 +70,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         names = folder_names([variant.label for variant, _ in every])
         places = [base / name for name in names] if len(every) > 1 else [base]
         for out in places:
-            require_ours(out, written_files)  # told before anything is computed
+            require_ours(out, written_files)  # refuse before anything is computed
         announce_compilation()
         plans = []
         for variant, scene in every:

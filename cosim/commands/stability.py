@@ -43,7 +43,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
 
 def _folders(args: argparse.Namespace, labels: list[str]) -> list[Path | None]:
-    """Return where each case is written, if anywhere; what is in the way is told before the first."""
+    """Return where each case is written, if anywhere; refuses what is in the way before the first."""
     if not args.out:
         return [None] * len(labels)
     from cosim.commands.run import folder_names

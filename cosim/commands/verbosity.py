@@ -24,12 +24,12 @@ def choose(*, quiet: bool, verbose: bool) -> None:
 
 
 def bars() -> bool:
-    """Whether somebody sees a bar: a terminal, and not told to be quiet."""
+    """Whether to show a progress bar: on a terminal, without --quiet."""
     return _manner is not Manner.QUIET and sys.stderr.isatty()
 
 
 def verbose() -> bool:
-    """Whether everything is to be told."""
+    """Whether to report every step: --verbose."""
     return _manner is Manner.VERBOSE
 
 

@@ -1,4 +1,4 @@
-"""Every figure of a board and of its run, with a name for people: what a comparison puts side by side."""
+"""Every figure of a board and of its run, with a readable name, for comparisons side by side."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _PATHS = {
 class Figure:
     """One number: where it belongs, what it is, of which place on the board, in which unit.
 
-    `part` is what sits at that place: another part in the same place is still the same figure.
+    `part` is the part at that place: with another part there it is still the same figure.
     """
 
     section: str
@@ -64,7 +64,7 @@ class Figure:
 
 
 def of_measures(measures: Mapping[str, Mapping[str, Any]]) -> Iterator[Figure]:
-    """Yield measures; how well a run's energies close is the solver's, not the board's."""
+    """Yield measures; how well a run's energy balance closes belongs to the solver, not to the board."""
     for name, row in measures.items():
         if name == "ledger_closure":
             continue
@@ -101,7 +101,7 @@ def of_circuit(circuit: LinearCircuit) -> Iterator[Figure]:
 
 
 def of_reduced(circuit: LinearCircuit) -> Iterator[Figure]:
-    """Yield what the model that a run uses keeps of the poles, and the bound on its error."""
+    """Yield the poles that a run's reduced model keeps, and the bound on its error."""
     yield Figure("bounds", "states that the linear model keeps", "", "", float(circuit.order))
     if "error" in circuit.certificate:
         band = circuit.certificate["band_hz"]

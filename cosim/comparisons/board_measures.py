@@ -1,7 +1,7 @@
-"""Measures that no run is needed for: of the contact held at the wall, and of the board alone.
+"""Measures that need no run: of the contact held at the wall, and of the board alone.
 
-How stiff the wall may be, what the delay of the circuit eats, how uneven the rendered gains are: the numbers
-of the studies at the own pose of a scene, one at a time, under the names of `cosim.catalogue`.
+How stiff the wall may be, how much damping the circuit's delay takes, how uneven the rendered gains are: the
+studies' numbers at the pose of a scene, one at a time, under the names of `cosim.catalogue`.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Lacking(Exception):
 
 
 class BoardMeasures:
-    """Measures of one plan; circuit, pose and loops are found once, when the first of them is asked for.
+    """Measures of one plan; circuit, pose and loops are computed once, on first use.
 
     A plan for `spice` is studied with the `linear` model of the same parts. `circuit` is that model,
     unreduced, where it is known.
@@ -153,7 +153,7 @@ class BoardMeasures:
         return self._least(loop.phase_margin_deg for loop in self._standing.loops)
 
     def gain_margin(self) -> float:
-        """Nearest to nothing of all loops [dB]; negative where less gain is needed."""
+        """Return the margin nearest to 0 dB of all loops [dB]; negative where less gain is needed."""
         return self._least(loop.gain_margin_db for loop in self._standing.loops)
 
     @staticmethod
@@ -165,7 +165,7 @@ class BoardMeasures:
 
 
 def _beyond_rounding(value: float, of: Array) -> float:
-    """Return 0 for a difference within the matrix that is nothing but its rounding."""
+    """Return 0 for a difference of the matrix that is within its rounding."""
     return float(value) if abs(value) > _ROUNDING * np.abs(of).max() else 0.0
 
 
@@ -184,13 +184,13 @@ def board_measures(
     plan, names
         Names that need a run are passed over.
     lenient
-        Whether what a measure is taken from may be missing (no wall, a law in Python, a board without a
-        model): it is lacking then.
+        Whether the basis of a measure may be missing (no wall, a law in Python, a board without a
+        model); the measure is then listed as lacking.
 
     Raises
     ------
     InputError
-        Where something is missing and `lenient` is not said, see `BoardMeasures.row`.
+        Where something is missing without `lenient`, see `BoardMeasures.row`.
     """
     of = BoardMeasures(plan, child)
     rows: dict[str, Row] = {}

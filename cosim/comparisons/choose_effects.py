@@ -30,9 +30,9 @@ from cosim.scene.load import SceneLike
 from cosim.types import Measures
 from cosim.units import quantity
 
-#: Predicted time of everything at once, up to which it is run for comparison [s].
+#: With all effects on the scene is run for comparison if its predicted time is at most this [s].
 CHECK_S = 60.0
-#: A force below this is none: what a scene states as zero.
+#: A force below this counts as zero.
 _NOTHING_N = 1e-12
 
 
@@ -78,7 +78,7 @@ class Decision:
 
 @dataclass
 class _Search:
-    """The procedure's memory: what was run, and what was learnt of each rung."""
+    """State of the search: what was run, and what was learnt about each rung."""
 
     candidates: Candidates
     tolerances: Mapping[str, Tolerance]
@@ -234,7 +234,7 @@ def _verify_largest(search: _Search, settings: Settings) -> tuple[Settings, str]
 
 
 def _open(search: _Search, settings: Settings) -> list[Rung]:
-    """Return what could be switched on and is not nothing."""
+    """Return the rungs that could be switched on and have a size."""
     candidates = search.candidates
     return [r for r in candidates.possible(settings) if candidates.size(r, settings).force_n > _NOTHING_N]
 

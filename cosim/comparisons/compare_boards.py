@@ -41,8 +41,8 @@ from cosim.variants import Variant
 
 #: Differences below this share are rounding of the measurement, not the edit.
 _ROUNDING = 1e-6
-#: Least share of a force at the hand that is noticed, and who measured it; of the largest force of the scene,
-#: for a change of what is next to nothing beside it is not felt whatever its own share.
+#: Least noticeable change of a force at the hand, with its source, as a share of the scene's largest force: a
+#: change of a tiny force is not felt, however large a share of that force it is.
 _FORCE = (0.07, "Pang, Tan and Durlach 1991")
 #: The same of a stiffness and a damping, as a share of itself.
 _IMPEDANCE = {
@@ -52,7 +52,7 @@ _IMPEDANCE = {
 }
 #: Sections whose forces are those at the hand.
 _AT_THE_HAND = ("measures", "out of contact", "noise")
-#: Magnitudes below which a figure is nothing, by unit.
+#: Magnitudes below which a figure counts as zero, by unit.
 _NOTHING = {"N": 1e-9, "A": 1e-9, "V": 1e-9, "s": 1e-12, "W": 1e-9, "%": 1e-6, "N/m": 1e-9, "N s/m": 1e-9}
 
 
@@ -194,7 +194,7 @@ def compare(
     places = [folder / _file_name(each.label) for each in asked]
     for each, place in zip(asked, places, strict=True):
         if each.stored is None:
-            require_ours(place, written_files)  # told before anything is computed
+            require_ours(place, written_files)  # refuse before anything is computed
     prepared = []
     for each in asked:
         with collected(each.label):
@@ -226,7 +226,7 @@ def _prepared(scene_file: SceneLike, asked: Asked, trust: bool) -> tuple[Plan, S
         refuse_code(named, str(asked.stored), trust=trust)
         board = deck_file.load(asked.stored, trust=trust)
         plan = resolve(result.scene, trust=trust, board=board)
-        # its parts at other levels are gone with the netlists, so the share of ideal parts is not told
+        # its netlists are gone, and with them the parts at other levels: the share of ideal parts is unknown
         kind = result.scene.effects.driver.value
         return plan, Subject(board, board, kind, result.scene, Question((board,))), result
     plan = resolve(load_scene(scene_file, asked.overrides), trust=trust)
@@ -307,9 +307,9 @@ def _circuit(plan: Plan, tolerance: float, child: Child | None) -> LinearCircuit
 def changes(sides: list[Side]) -> list[Row]:
     """Return the figures that differ between the sides, what is felt most first.
 
-    What is felt, that is beyond the scene's tolerance or what a hand notices, stands by how far it is beyond;
-    then all else by relative change; then bounds of the tool's own models, which are no property of a board.
-    Places with the same values are told once.
+    First come changes beyond the scene's tolerance or what a hand notices, by how far they are beyond; then
+    all others by relative change; last the error bounds of the tool's own models, not of the board.
+    Places with the same values share a row.
     """
     known = [{figure.key: figure for figure in side.figures} for side in sides]
     stated = tolerances(sides[0].plan.scene)
@@ -345,7 +345,7 @@ def _felt(
     section: str, name: str, unit: str, values: tuple[float | None, ...],
     stated: Mapping[str, Tolerance], force_n: float,
 ) -> tuple[float | None, str]:  # fmt: skip
-    """Return a change over what matters of a figure, and what that is; (None, '') for what nobody feels."""
+    """Return a figure's change over what matters of it, and what that is; (None, '') if it is not felt."""
     tolerance = stated.get(name.replace(" ", "_")) if section == "measures" else None
     known = [abs(value) for value in values if value is not None]
     share, source = _IMPEDANCE.get((section, name), (0.0, ""))

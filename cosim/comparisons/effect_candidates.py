@@ -88,7 +88,7 @@ class Candidates:
             effect.name: effect.value(self.scene) if effect.name in stated else effect.null
             for effect in EFFECTS
         }
-        self.plan(self.null)  # what is wrong with the scene itself is told here
+        self.plan(self.null)  # raises what is wrong with the scene itself
         self.refused: dict[tuple[str, Any], str] = {}
         self.rungs: tuple[Rung, ...] = ()
         for effect in EFFECTS:
@@ -180,7 +180,7 @@ class Candidates:
         return known
 
     def seconds(self, settings: Settings) -> float:
-        """Return the predicted time of a run: never measured, so that the choice is the same everywhere."""
+        """Return the predicted time of a run: a measured one would let machines choose differently."""
         return self.plan(settings).cost()["seconds"]
 
     def size(self, rung: Rung, settings: Settings) -> Size:

@@ -4,7 +4,7 @@ Two baselines are run, one with every effect in its null form and one with every
 effect is switched on alone from the first and off alone from the second. The difference in a measure is what
 the effect is worth there, the difference in processor time what it costs. What is a choice of the device or
 of the experiment (the kind of drive, the hand's mass) stays in both baselines as the scene states it. No
-choice of effects is run twice, and what cannot apply to the scene is not run but told.
+choice of effects is run twice; effects that cannot apply to the scene are listed, not run.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ def effects_ledger(
     Raises
     ------
     InputError, SimulationError
-        When one of the two baselines cannot be run; a single effect that cannot is told in its row.
+        When one of the two baselines cannot be run; a single effect that fails says so in its row.
     """
     runner = _Runner(path, overrides, measures, child, on_progress, measurer)
     try:

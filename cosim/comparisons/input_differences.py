@@ -10,9 +10,9 @@ from cosim.results import Run
 
 __all__ = ["Differing", "differing"]
 
-#: An input: its name, and how it stands in each run; None where a run has it not.
+#: An input: its name, and its value in each run; None where a run lacks it.
 Differing = tuple[str, tuple[str | None, ...]]
-#: Entries of the provenance that are told by themselves, or say nothing of the input.
+#: Entries of the provenance that are shown elsewhere, or say nothing of the input.
 _APART = ("command", "scene_digest", "effects_digest", "deck_digest", "scene_file", "seed")
 
 
@@ -24,7 +24,8 @@ def differing(runs: Sequence[Run], boards: Sequence[Deck | None]) -> list[Differ
     runs
         Two or more.
     boards
-        What each of them keeps of its board; None where that cannot be read: the board is told by its digest.
+        What each of them keeps of its board; None where that cannot be read: then
+        digests tell boards apart.
     """
     scenes = [dict(_flat(run.scene.model_dump(mode="json"))) for run in runs]
     rows = _apart(scenes)

@@ -43,7 +43,7 @@ class Measured:
 
 
 class Measurer(Protocol):
-    """What measures a plan, as `measure` does."""
+    """A function that measures a plan, as `measure` does."""
 
     def __call__(
         self, plan: Plan, names: Collection[str], *, child: Child | None = None, lenient: bool = False
@@ -64,7 +64,7 @@ def measure(
     lenient: bool = False,
     errors: Errors | None = None,
 ) -> Measured:
-    """Measure a plan; nothing of it is kept.
+    """Measure a plan; its result is not kept.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def measure(
     Raises
     ------
     InputError
-        Where a measure that needs no run has nothing to be taken from, unless `lenient`.
+        Where the basis of a measure that needs no run is missing, unless `lenient`.
     SimulationError
         When the run fails.
     """
@@ -111,14 +111,14 @@ def run_with_measures(plan: Plan, out: str | Path | None, *, child: Child | None
 
 
 def all_measures(plan: Plan) -> Plan:
-    """Return the plan with every measure of a run, whatever the scene wants to see, and the user's own."""
+    """Return the plan with every measure of a run and the user's own, whatever the scene asks for."""
     scene = plan.scene
     own = scene.measures.model_copy(update={"names": tuple(own_measures(scene))})
     return replace(plan, scene=scene.model_copy(update={"measures": own}))
 
 
 def check_measures(names: Iterable[str]) -> None:
-    """Raise an `InputError` for every name of ``--measure`` that there is not."""
+    """Raise an `InputError` for every unknown name of ``--measure``."""
     problems = [
         Problem(
             "no such measure" + (f"; nearest is {near}" if (near := nearest(name, NAMES)) else ""),

@@ -36,19 +36,19 @@ from cosim.units import heading
 from cosim.variants import Setting, Variant, split_values, variants
 
 POINTS, TABLE = "points.jsonl", "sweep.csv"
-#: Lists the table as ours.
+#: Names the files of a sweep, so that a later one may replace them.
 MANIFEST = manifest_of("sweep")
-#: Form of a kept point; points of another form are computed anew.
+#: Version of a kept point; points of another version are computed anew.
 _FORM = "measures and warnings"
 #: What elements of a netlist are counted in, by the letter of a designator such as R12 or r_diff_fb.
 _ELEMENTS = {"r": "Ohm", "c": "F", "l": "H"}
 _ELEMENT = re.compile(r"[rcl]\d+|[rcl]_\w+")
-#: A range of more points than this is a slip of the pen.
+#: A range of more points than this is taken for a typing error.
 MOST_POINTS = 10_000
 
 
 class _Point(TypedDict):
-    """A kept point: measures and what to doubt about them."""
+    """A kept point: measures and cautions about them."""
 
     measures: dict[str, float]
     warnings: list[CautionFields]
@@ -201,7 +201,7 @@ def sweep(
                     with collected(label):
                         compute = partial(_measured, plan, part, child, measurer)
                         got = points.get(key, compute, _Point)
-                        warn(*map(caution_of, got["warnings"]))  # of a point that was kept, too
+                        warn(*map(caution_of, got["warnings"]))  # of kept points, too
                         row |= got["measures"]
                         bound |= got.get("errors", {})
                 except StorageError:

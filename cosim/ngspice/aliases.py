@@ -142,7 +142,7 @@ class Aliases:
             stays = (self._readable and _PLAIN.fullmatch(name)) or re.fullmatch(rf"{letters}[0-9]+", name)
             alias = name if stays else self._fresh(letters)
             known[name] = alias
-            if alias != name:  # a node of the name of ngspice's own vectors is told from these
+            if alias != name:  # keeps a node apart from a vector of ngspice's of the same name
                 self._back[alias] = f"v({name})" if letters == "n" and name in _SCALES else name
             self._paths.clear()
         return alias

@@ -318,7 +318,7 @@ def _check_pins(board: Block) -> None:
 def _complete(net: Netlist, board: Block, shelf: Shelf, refused: list[Problem]) -> None:
     """Swap parts, add every part that is instantiated but not defined, and judge what is needed.
 
-    `refused` are the problems that were found outside subcircuits; all are told at once.
+    `refused` are problems outside subcircuits; all problems are raised together.
     """
     problems = list(refused)
     wanted, seen = [board.name], {board.name}

@@ -2,7 +2,7 @@
 
 Such a node has no row in ngspice's matrix (a current source puts nothing there), so that nothing is singular
 and nothing is said: version 39 reports the current's number as the node's voltage. Every other node without a
-DC path to ground makes the matrix singular and is told by `cosim.ngspice.messages`.
+DC path to ground makes the matrix singular and is reported by `cosim.ngspice.messages`.
 """
 
 import re

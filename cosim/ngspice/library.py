@@ -142,7 +142,7 @@ class Library:
         A null pointer at the first call would switch a service off for good (data) or be called later
         (sync, sources). Initialising ngspice again loads its code models again, which makes every later
         point slower (0.2 us each time on 39): a data callback that `stays` is kept where a later call names
-        none, and told so by the zero in the first word of its user memory.
+        none, and knows it by the zero in the first word of its user memory.
         """
         ffi = self.ffi
         self.init = init

@@ -27,7 +27,7 @@ _EXPRESSION = re.compile(r"[{'][^{}'\"\n;]*[}']")
 
 
 def apply_overrides(net: Netlist, board: Block, overrides: Mapping[str, str]) -> list[str]:
-    """Substitute values in `net`; all that is wrong is told at once.
+    """Substitute values in `net`; raises all problems at once.
 
     A name is looked for as a ``.param`` (every definition of it changes, so every use sees the value), then
     as an element's designator outside the parts, then inside them. A path such as ``xdiff1.r12`` names one

@@ -27,7 +27,7 @@ __all__ = ["OLDEST_VERSION", "STOP_COMMAND", "Simulator"]
 _CSPARAM = re.compile(r"^\s*\.csparam\s+([^\s=]+)", re.MULTILINE | re.IGNORECASE)
 _STOP = re.compile(r"^\s*(\d+)\s+stop\b", re.IGNORECASE)
 _HISTORY = 1000
-"""Commands after which ngspice is told to forget them; it keeps every one otherwise."""
+"""Commands after which ngspice must forget them: it would keep every one."""
 
 _LENGTH_OFFSET = 56
 """Offset of ``v_length`` in ``struct dvec`` of ngspice 39 (src/include/ngspice/dvec.h), 64-bit."""

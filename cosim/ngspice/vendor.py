@@ -56,7 +56,7 @@ def chosen(library: Netlist, name: str, file: Path) -> Netlist:
     top, rest = _needed(library.top, [line for block in blocks.values() for line in block.lines])
     unread = _unread(library)
     if unread and (missing or _without_model(blocks.values(), top)):
-        top += unread  # what is missing may stand there: the reason why it cannot be read is told
+        top += unread  # what is missing may stand there: report why it cannot be read
         unread = []
     return Netlist(blocks, top, [], [*library.dropped, *unread, *rest])
 

@@ -22,7 +22,7 @@ def of_circuit(circuit: LinearCircuit, constants: DesignConstants) -> Iterator[C
     """Yield what its certificate gives reason to doubt, and the constants missed, the worst place of each."""
     yield from certificate.cautions(circuit.certificate)
     if circuit.certificate.get("large_signal_error", 0.0) > DEVIATION:
-        return  # the slope at rest is not what the board is made for, and the reason has been told
+        return  # the slope at rest is not what the board is made for; the reason was reported above
     for name, rows in _made(circuit, constants).items():
         stated = getattr(constants, name)
         where, made = max(rows.items(), key=lambda row: abs(row[1] / stated - 1.0))

@@ -3,8 +3,8 @@
 For each sampling period the discrete stiffness is scanned geometrically from below; at each stiffness the
 mass falls once for every phase of the samples against the impact. The answer is the first stiffness at which
 fewer than a stated share of the phases comes to rest; the share need not fall monotonically, so its band is
-told too. The exact limit of the held contact (`cosim.analysis.stability`) stands beside it: a bouncing mass
-may give up a little below it.
+reported too. The exact limit of the held contact (`cosim.analysis.stability`) stands beside it: a bouncing
+mass may give up a little below it.
 """
 
 from __future__ import annotations

@@ -96,7 +96,7 @@ class Column:
     ----------
     job : scene and circuit, and what counts as rest
     stiffness : [N/m], or shares of the exact border where `of_border`
-    cycle_m : amplitude of the large cycle whose stiffness is told
+    cycle_m : amplitude of the large cycle at which the stiffness is stated
     """
 
     job: Job

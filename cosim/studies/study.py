@@ -296,7 +296,7 @@ def run_study(
         if known.study != spec.study.name:
             fail("is of another study; remove it to compute it again", file=known.kept_in)
         return known
-    require_ours(folder, listed)  # told before anything is computed
+    require_ours(folder, listed)  # refuse before anything is computed
     kept = folder.parent / f"{folder.name}.{POINTS}"
     with disk_errors(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)

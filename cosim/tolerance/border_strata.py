@@ -38,7 +38,7 @@ _LEAST = 8
 
 @dataclass(frozen=True)
 class Border:
-    """How a stratum is told from measures of the cheap model.
+    """How measures of the cheap model decide a sample's stratum.
 
     Attributes
     ----------

@@ -16,7 +16,7 @@ _SLOW = 1e-2
 
 
 def calibrated(constants: Stated, circuit: LinearCircuit) -> Stated:
-    """Return the constants of a computer that was told the static gains of its device.
+    """Return the constants of a computer that knows the static gains of its device.
 
     One gain of springs, one of dampers, one of commands, as the computer has them: each the mean over the
     device's joints of what a joint's own path renders at full scale. Differences between joints stay.

@@ -29,7 +29,7 @@ from cosim.types import Array, Progress
 __all__ = ["Named", "Side", "sides"]
 
 
-#: Half the distance of the numbers that a generator gives: keeps them away from 0.
+#: Half the spacing of the generator's numbers: keeps them away from 0.
 _HALF = 2.0**-54
 #: Numbers that Philox makes at once.
 _BLOCK = 4

@@ -13,7 +13,7 @@ from cosim.units import quantity
 
 __all__ = ["CONVENTION", "component_rows", "table"]
 
-#: Conventions disagree between tools: ours is told wherever tolerances are shown.
+#: Conventions differ between tools: ours is stated wherever tolerances are shown.
 CONVENTION = (
     f"A tolerance is a Gaussian with sigma = tol/{SIGMAS:g}, cut off at +-tol, where nothing else is said; "
     "agauss and gauss are not cut, as in ngspice. Each placed component draws its own value. Intervals hold "

@@ -1,4 +1,4 @@
-"""Monte Carlo: measures of many devices that are built from one design, and what they tell."""
+"""Monte Carlo: measures of many devices that are built from one design, and their statistics."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from cosim.types import Array
 
 __all__ = ["QUANTILES", "Engine", "Measurer", "Study", "Summary", "draw", "summary", "yields"]
 
-#: Shares of devices below the quantiles that are told.
+#: Shares of devices below the quantiles that are reported.
 QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
 #: What a chunk should take [s]: long enough to cost nothing, short enough to see it move.
 _CHUNK_S = 2.0

@@ -34,7 +34,7 @@ _SEARCHES, _STARTS = 8, 128
 _CORNER = 6.0
 #: Nearest that a uniform number comes to 0 and 1.
 _END = 2.0**-53
-#: Components of the most probable failing device that are told.
+#: Components of the most probable failing device that are listed.
 _LISTED = 8
 
 

@@ -44,7 +44,7 @@ class Stratified:
     correlation
         Of whether a device passes, between both models; NaN where all of the plain samples agree.
     word
-        Why the plain samples alone are told, if so.
+        Why only the plain samples are used, if so.
     """
 
     failing: Estimate

@@ -17,9 +17,9 @@ __all__ = ["REPLICATES", "Method", "Sampling", "sampling"]
 
 Method = Literal["plain", "lhs", "sobol"]
 
-#: Independent randomisations of a Latin hypercube or a Sobol sequence, from whose scatter its error is told.
+#: Independent randomisations of a Latin hypercube or a Sobol sequence, whose scatter gives its error.
 REPLICATES = 16
-#: Half the distance of the numbers that a generator gives: keeps them away from 0.
+#: Half the spacing of the generator's numbers: keeps them away from 0.
 _HALF = 2.0**-54
 #: Numbers that Philox makes at once; a sample begins with a whole block.
 _BLOCK = 4

@@ -107,7 +107,7 @@ def _on_the_border(runner: CaseRunner, model: str) -> float:
 
 
 def _pin_error(step: float, runner: CaseRunner, model: str) -> float:
-    """Return log(error over estimate) of what the circuit is told, at steps forced to be long."""
+    """Return log(error over estimate) of the pins that the circuit sees, at steps forced to be long."""
     tables = slider(
         duration_s=0.06, device={"start": {"q_rad": [-0.04]}}, computer={"period_s": 0.06},
         wall={"point_m": [0.0, 0.0], "normal": [0.0, 1.0]}, effects={"motor": "emf"},
@@ -311,7 +311,7 @@ CASES = (
              broken="DACs 10 us late: 1.5e-5"),
     *(HardCase(f"steps forced to {1e3 * step:g} ms", 37, "log of error over estimate", 0.0,
                {"spice": math.log(3.0)}, "the list's own factor of 3",
-               partial(_pin_error, step), broken="a fifth of the defect told") for step in (4e-3, 1e-3)),
+               partial(_pin_error, step), broken="a fifth of the defect reported") for step in (4e-3, 1e-3)),
     HardCase("negative damper in a clipped driver", 39, "amplitude over the describing function's", 1.0,
              {"ideal": 0.01, "spice": 0.01}, "third harmonics of a swing of Q = 9 and the stated gain",
              _saturated),
