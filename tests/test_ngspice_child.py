@@ -20,6 +20,7 @@ from cosim.circuits.extraction.swing import SwingFrom
 from cosim.errors import InputError, SimulationError
 from cosim.ngspice.child import Child, call, start_early
 from cosim.ngspice.child_messages import read, written
+from cosim.ngspice.time_limits import MOST_PREPARING_S, Watch
 
 pytestmark = pytest.mark.own_process
 HERE = Path(__file__).parent
@@ -159,6 +160,42 @@ def test_a_long_import_is_no_stall() -> None:
     assert call("slow_import:done", 5, stall_limit_s=2.0) == 5
     with start_early("slow_import") as child:
         assert call("slow_import:done", 6, stall_limit_s=2.0, child=child) == 6
+
+
+@pytest.mark.slow
+def test_a_long_import_does_not_count_against_the_time_limit() -> None:
+    """It takes 3 s; a first run compiles for a minute, whatever limit its scene has."""
+    assert call("slow_import:done", 5, time_limit_s=2.0) == 5
+    with start_early("slow_import") as child:
+        assert call("slow_import:done", 6, time_limit_s=2.0, child=child) == 6
+        with pytest.raises(SimulationError, match="time limit of 2 s"):  # what was imported is used up
+            call("ngspice_targets:spin", None, time_limit_s=2.0, child=child)
+
+
+def test_compiling_extends_the_time_limit_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [100.0]
+    monkeypatch.setattr("cosim.ngspice.time_limits.time.monotonic", lambda: now[0])
+    watch = Watch(10.0, None, prepared_s=5.0)  # 5 s of it before this call
+    for busy, at in ((6.0, 101.0), (80.0, 175.0)):
+        now[0] = at
+        watch.beat({"stage": "compile", "preparing_s": busy})
+        watch.check()
+    assert watch.patience_s() == pytest.approx(10.0 + 75.0 - 75.0)
+    now[0] = 184.9
+    watch.check()
+    now[0] = 185.0
+    with pytest.raises(TimeoutError, match="time limit of 10 s"):
+        watch.check()
+
+
+def test_what_compiles_for_ever_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+    monkeypatch.setattr("cosim.ngspice.time_limits.time.monotonic", lambda: now[0])
+    watch = Watch(10.0, None)
+    now[0] = MOST_PREPARING_S + 10.0
+    watch.beat({"preparing_s": now[0]})
+    with pytest.raises(TimeoutError):
+        watch.check()
 
 
 def test_time_limit() -> None:

@@ -26,7 +26,7 @@ from typing import Any
 from cosim.caution import warn
 from cosim.errors import SimulationError
 from cosim.ngspice import child_messages
-from cosim.ngspice.time_limits import Watch
+from cosim.ngspice.time_limits import MOST_PREPARING_S, Watch
 from cosim.ngspice.worker import HEAD
 from cosim.numba_cache import PARENTS, cache_folder, children_folder
 from cosim.quick_start import defer
@@ -47,7 +47,7 @@ _KEPT = (
     "PYTHONWARNINGS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS",
 )  # fmt: skip
 """What a child gets of its parent's environment, besides numba's settings."""
-_CPU_SHARE, _CPU_MORE_S = 4.0, 60.0
+_CPU_SHARE, _CPU_MORE_S = 4.0, MOST_PREPARING_S
 """CPU time of a call: so many times its time limit, for several threads, and imports."""
 TIME_LIMIT_S = 600.0
 """Time limit of a call that belongs to no scene: the default of a scene's own [s]."""
@@ -79,7 +79,8 @@ def call(
     payload
         Anything that pickles; paths in it absolute, since the child works in a folder of its own.
     time_limit_s
-        The child is ended when the call takes longer [s]; what belongs to a scene has the scene's limit.
+        The child is ended when the call takes longer [s], imports and compilations apart; what belongs to a
+        scene has the scene's limit.
     stall_limit_s
         The child is ended when for so long [s] it reported nothing, or the same ``time_s`` again and again.
     on_progress
@@ -143,6 +144,7 @@ class Child:
     def __init__(self, modules: Sequence[str] = (), reads: Sequence[Path] = ()) -> None:
         self._modules, self._reads = tuple(modules), tuple(folder.resolve() for folder in reads)
         self._started = self._closed = False
+        self._preparing_s = 0.0
 
     def start(self) -> None:
         """Start the process, unless it runs."""
@@ -197,7 +199,7 @@ class Child:
         self._empty_outbox()
         cpu_s = None if time_limit_s is None else _CPU_SHARE * time_limit_s + _CPU_MORE_S
         body = pickle.dumps((target, pickle.dumps(payload, protocol=5), cpu_s), protocol=5)
-        watch = Watch(time_limit_s, stall_limit_s)
+        watch = Watch(time_limit_s, stall_limit_s, self._preparing_s)
         try:
             for kind, content in self._messages(HEAD.pack(len(body)) + body, watch):
                 if kind == "result":
@@ -210,7 +212,8 @@ class Child:
                     warn(*content)
                     continue
                 watch.beat(content)
-                if content and on_progress is not None:
+                self._preparing_s = watch.preparing_s
+                if content and "preparing_s" not in content and on_progress is not None:
                     on_progress(content)
             raise self._ended(deck, watch)
         except TimeoutError as timeout:

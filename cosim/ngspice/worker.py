@@ -13,6 +13,7 @@ import sys
 import threading
 import time
 import traceback
+from collections.abc import Callable
 from functools import cache
 from queue import SimpleQueue
 from typing import Any, NoReturn
@@ -45,26 +46,66 @@ def _send(descriptor: int, message: tuple[str, Any]) -> None:
             view = view[os.write(descriptor, view) :]
 
 
-_busy = 0
-"""Imports and compilations under way: both may take longer than a stalled simulation is waited for."""
+_MENTIONED_S = 0.05
+"""An import or a compilation that took longer is told at its end, as the time limit does not count it."""
+
+
+class _Preparing:
+    """Imports and compilations: no simulation, and on a slow machine longer than one is waited for.
+
+    Attributes
+    ----------
+    under_way : how many, one within the other
+    tell : called where the parent should hear of them
+    """
+
+    def __init__(self) -> None:
+        self.under_way, self._since, self._done_s = 0, 0.0, 0.0
+        self.tell: Callable[[], None] | None = None
+
+    @property
+    def total_s(self) -> float:
+        """Time that all of them have taken so far [s]."""
+        return self._done_s + (time.monotonic() - self._since if self.under_way else 0.0)
+
+    def begin(self) -> None:
+        """Note that one begins."""
+        if not self.under_way:
+            self._since = time.monotonic()
+        self.under_way += 1
+
+    def end(self) -> None:
+        """Note that one ends; the parent hears of the outermost."""
+        took = time.monotonic() - self._since
+        self.under_way -= 1
+        if not self.under_way:
+            self._done_s += took
+            if took > _MENTIONED_S and self.tell is not None:
+                self.tell()
+
+    def message(self) -> tuple[str, Any]:
+        """Return what the parent hears."""
+        return "progress", {"stage": "compile", "preparing_s": self.total_s}
+
+
+_preparing = _Preparing()
 
 
 def _pulse(descriptor: int) -> NoReturn:
     """Show the parent that an import or a compilation goes on."""
     while True:
         time.sleep(_PULSE_S)
-        if _busy > 0:
-            _send(descriptor, ("progress", {"stage": "compile"}))
+        if _preparing.under_way > 0:
+            _send(descriptor, _preparing.message())
 
 
 def _import(name: str) -> Any:
     """Import a module; many compile callbacks while they are imported."""
-    global _busy
-    _busy += 1
+    _preparing.begin()
     try:
         return importlib.import_module(name)
     finally:
-        _busy -= 1
+        _preparing.end()
         if "numba" in sys.modules:
             _watch_compiler()
 
@@ -76,12 +117,10 @@ def _watch_compiler() -> None:
 
     class Listener(event.Listener):  # type: ignore[misc]
         def on_start(self, event: Any) -> None:
-            global _busy
-            _busy += 1
+            _preparing.begin()
 
         def on_end(self, event: Any) -> None:
-            global _busy
-            _busy -= 1
+            _preparing.end()
 
     event.register("numba:compiler_lock", Listener())
 
@@ -154,6 +193,7 @@ def main() -> None:
     sandbox.confine(**json.loads(sys.argv[3]))  # before any thread, and before anything of a netlist
     requests: SimpleQueue[bytes] = SimpleQueue()
     threading.Thread(target=_receive, args=(requests,), daemon=True).start()
+    _preparing.tell = lambda: _send(descriptor, _preparing.message())
     threading.Thread(target=_pulse, args=(descriptor,), daemon=True).start()
     if sys.argv[4:]:
         defer()
