@@ -1,4 +1,4 @@
-"""What accuracy costs as a picture, a table (CSV, JSON) and a page: error over time, log by log."""
+"""The cost of accuracy as a picture, a table (CSV, JSON) and a page: error over time, both logarithmic."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def write_accuracy(study: Accuracy, folder: Path) -> Path:
 
 
 def words(study: Accuracy) -> list[str]:
-    """Return what was found in sentences, the recommendation first."""
+    """Return the findings in sentences, the recommendation first."""
     share = f"{study.tolerance:g}"
     own = [row for row in study.rows if row.setting.model != "peer" and row.errors]
     if study.cheapest is None:
@@ -191,7 +191,7 @@ def _panel(axes: Axes, study: Accuracy, name: str, clock: str) -> None:
 
 
 def _drawn_neglect(study: Accuracy) -> tuple[str, float] | None:
-    """Return the largest effect that the scene leaves out; what would outweigh all forces is a choice."""
+    """Return the largest effect that the scene leaves out, without those that outweigh all forces."""
     return next(((name, size) for name, size in study.neglected.items() if size < 1.0), None)
 
 
@@ -241,7 +241,7 @@ def _front(study: Accuracy) -> TextTable:
 
 
 def _reltol(study: Accuracy) -> TextTable:
-    """Return what ngspice's own tolerance would make one believe, against the errors that were made."""
+    """Compare the error that ngspice's own tolerance suggests with the errors that were made."""
     rows = []
     for row in study.rows:
         asked = believed(row.setting.label)

@@ -1,4 +1,4 @@
-"""The page of a comparison: what changed in numbers, the paths as they are rendered, the poles."""
+"""The page of a comparison: changed figures, rendered paths, poles."""
 
 import math
 import textwrap
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _DASHES = ("-", (0, (5, 2)), (0, (2, 1.5)), (0, (6, 1.5, 1, 1.5)))
 _MARKS = ("o", "x", "+", "d")
 MANIFEST = manifest_of("compare")
-#: Bars that a picture holds, and sides that it tells apart.
+#: Most bars in a picture, and most sides that it tells apart.
 _MOST_BARS, _MOST_SIDES = 16, 4
 _TITLES = {
     "measures": "Measures of the run",
@@ -110,7 +110,7 @@ def tables(sides: "Sequence[Side]", rows: "Sequence[Row]") -> list[Table]:
 
 
 def felt(rows: "Sequence[Row]", most: int = 4) -> list[str]:
-    """Say what of an edit is felt, most first; of figures that nobody feels, that there are others."""
+    """Say which changes are felt, the largest first, and how many others there are."""
     beyond = [row for row in rows if row.felt is not None and row.felt >= 1.0]
     if not beyond:
         return ["No force, stiffness or damping at the hand changes by what is noticed or tolerated."]

@@ -13,7 +13,7 @@ _DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (2, 1)), (0, (5, 1, 1, 1)), 
 
 
 def overlay(trials: Sequence[Trial], most: int = 6) -> Drawn | None:
-    """Depth and normal force (with a wall), else the motor currents, of every trial that carries its run."""
+    """Depth and normal force (with a wall), else the motor currents, of every trial with a run."""
     shown = [(trial.label, View(trial.run)) for trial in trials if trial.run is not None]
     views = [(label, view) for label, view in shown if view.time.size > 1][:most]
     if len(views) < 2:

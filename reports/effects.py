@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from cosim.comparisons.effects_ledger import EffectsLedger
 
-#: What `write_effects` writes, and the list of it.
+#: Files that `write_effects` writes, and their manifest.
 FILES, MANIFEST = ("effects.csv", "effects.svg", "effects.png"), manifest_of("effects")
 
 
@@ -78,7 +78,7 @@ def draw(ledger: "EffectsLedger", measure: str, title: str = "") -> "Figure":
     )
     size.set_xlabel(f"change of {measure.replace('_', ' ')}" + (f" [{unit}]" if unit else ""))
     _bars(cost, labels, [1e3 * r.on_s for r in rows], [1e3 * r.off_s for r in rows])
-    # linear: what is lost in the noise of the machine's clock shall look small
+    # linear scale: costs within the noise of the clock should look small
     cost.set_xlabel("cost, processor time [ms]")
     cost.axvline(0.0, color="0.4", linewidth=1)
     legend(size)

@@ -10,7 +10,7 @@ from reports.view import View
 __all__ = ["energy", "steps", "work"]
 
 
-#: Energies below this share of the largest are not told apart from the trapezoidal rule's error.
+#: Energies below this share of the largest are within the trapezoidal rule's error.
 _SHOWN = 1e-3
 _LOSSES = ("p_visc", "p_coul", "p_stop", "p_shaft")
 
@@ -116,7 +116,7 @@ def steps(view: View) -> Drawn | None:
         edges = np.searchsorted(view.time, view.sample_time, side="right")
         count = np.diff(np.append(edges, view.time.size)).astype(np.float64)
         last = view.sample_time[-1]
-        if view.end_s <= last:  # the run ends with a sample: its period is not there
+        if view.end_s <= last:  # the run ends with a sample: its period is missing
             count = count[:-1]
         shade(below, view.contact_spans)
         held(below, view.sample_time[: count.size], count, view.end_s, color=INK, linewidth=1.0)

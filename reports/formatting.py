@@ -9,7 +9,7 @@ __all__ = ["cell", "plain_name", "ratio", "share"]
 
 
 def share(value: float) -> str:
-    """Return a ratio in per cent with two digits that matter."""
+    """Return a ratio in per cent with two significant digits."""
     if 0.0 < abs(value) < 5e-4:
         return "below 0.1 %"
     return f"{100 * value:.2g} %" if abs(value) < 0.0995 else f"{100 * value:.0f} %"

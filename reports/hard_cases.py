@@ -20,7 +20,7 @@ _HEAD = [
     "#", "case", "model", "what is found", "expected", "got", "off by", "bound", "where the bound comes from",
     "time [s]", "verdict",
 ]  # fmt: skip
-#: Columns of sentences: one line a case in a table of their own, or they squeeze the numbers of the first.
+#: Columns of sentences: they get a table of their own, since they would squeeze the numbers.
 _NUMBERS, _WORDS = (0, 1, 2, 4, 5, 6, 7, 9, 10), (0, 1, 3, 8)
 
 

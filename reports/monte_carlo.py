@@ -49,7 +49,7 @@ def write_monte_carlo(
     Parameters
     ----------
     findings
-        What the study tells.
+        The findings of the study.
     out
         Folder; made when it is absent.
     replay
@@ -100,7 +100,7 @@ def _known(findings: "Findings", name: str) -> Array:
 
 
 def sentences(findings: "Findings") -> list[str]:
-    """Return what was found in sentences."""
+    """Return the findings in sentences."""
     study = findings.study
     how = study.sampling
     kind = {"plain": "plain samples", "lhs": "Latin hypercubes", "sobol": "scrambled Sobol points"}

@@ -1,4 +1,4 @@
-"""What the fingertip felt over time, and what happened between two samples."""
+"""Force and motion at the fingertip over time, and between two samples."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Results in a notebook: runs, sweeps, studies and batches of devices show and draw themselves."""
+"""Notebook views of results: runs, sweeps, studies and batches of devices."""
 
 from collections.abc import Iterable, Sequence
 from html import escape

@@ -74,7 +74,7 @@ def write_report(
     trials
         Values tried with ``--set``, the reference first: adds a section of what changed.
     inputs
-        In what they differ, from `reports.tables.inputs_table`.
+        Inputs that differ, from `reports.tables.inputs_table`.
 
     Returns
     -------
@@ -116,7 +116,7 @@ def write_report(
 
 
 def _doubts(run: RunLike, trials: Sequence[Trial]) -> list[Caution]:
-    """Return what to doubt about the run, and about every other one that is shown."""
+    """Return the cautions about the run and about every other one that is shown."""
     cautions = [*run.warnings]
     for trial in trials:
         if trial.run is not None and trial.run is not run:
@@ -239,8 +239,8 @@ def write_page(
 ) -> Path:
     """Write the page, its pictures and `tables` (path in the folder -> CSV text), the page last.
 
-    Each command has a manifest of its own: with one for all, the second command into a folder would take the
-    first one's tables for its own of an earlier call, and delete them.
+    Each command has its own manifest: with a common one, a second command into a folder would take the first
+    one's tables for leftovers of its own, and delete them.
 
     Raises
     ------

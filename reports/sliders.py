@@ -1,7 +1,7 @@
 """A page of sliders over the fitted surfaces of a Monte Carlo study: move a component, see measure and yield.
 
-It is a file of its own, works without a server or a network, and computes nothing that the surfaces do not
-say: their R^2 on samples that they were not fitted to, and their error, stand beside what they tell.
+It is a single file, works without a server or a network, and evaluates the surfaces only; their R^2 on
+held-out samples and their error are shown beside the results.
 """
 
 import json

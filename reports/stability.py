@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: What `write_stability` writes, and the list of it.
+#: Files that `write_stability` writes, and their manifest.
 FILES, MANIFEST = ("stability.csv", "stability.svg", "stability.png"), manifest_of("stability")
 #: Points of the locus, and sampling periods of the map as shares of the scene's.
 _POINTS, _PERIODS = 161, np.geomspace(0.2, 5.0, 9)

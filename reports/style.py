@@ -102,7 +102,7 @@ class Drawn:
 
 
 def _take_literally(figure: Figure) -> None:
-    """Draw every ``$`` as it is: labels hold names of the user's, which are no formulas.
+    """Draw every ``$`` as it is: labels hold the user's names, which are no formulas.
 
     Only what matplotlib itself writes at the ticks of a scale is left a formula.
     """
@@ -130,7 +130,7 @@ def look() -> Iterator[None]:
 
 
 class _Shown(Figure):
-    """A figure that a notebook shows although pyplot, which would tell it how, is not loaded."""
+    """A figure that shows itself in a notebook without pyplot."""
 
     def _repr_png_(self) -> bytes:
         stream = io.BytesIO()

@@ -13,7 +13,7 @@ from reports.style import JOINTS, Drawn, figure, legend, look, pictures
 if TYPE_CHECKING:
     from cosim.comparisons.sweep import Sweep
 
-#: What `write_sweep` writes, and the list of it.
+#: Files that `write_sweep` writes, and their manifest.
 FILES, MANIFEST = ("sweep.svg", "sweep.png"), manifest_of("sweep-picture")
 _DASHES = ("-", (0, (5, 2)), (0, (2, 1.5)), (0, (6, 1.5, 1, 1.5)), (0, (1, 1)), (0, (8, 2)))
 #: Steps of equal ratio, this far apart at least, ask for a logarithmic axis.

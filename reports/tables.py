@@ -48,7 +48,7 @@ def all_tables(view: View) -> list[Table]:
 
 
 def _measures(view: View) -> Table:
-    """Return the measures; of ngspice's runs with what its own tolerance would make one believe."""
+    """Return the measures; for ngspice's runs with the error that its own tolerance suggests."""
     estimated = any(row.get("error") is not None for row in view.run.measures.values())
     note = "Errors are 95 % bounds on what the solver makes, not on what the scene leaves out."
     reltol = view.scene_at("solver", "rtol", default=None)
@@ -68,7 +68,7 @@ def _measures(view: View) -> Table:
 
 
 def _believed(row: Mapping[str, Any], reltol: float) -> str:
-    """Return what a relative tolerance would make of a measure with an error, nothing for others."""
+    """Return the error that a relative tolerance suggests, of a measure with a bound; else nothing."""
     if row.get("error") is None or not row.get("value"):
         return ""
     return f"± {quantity(reltol * abs(float(row['value'])), str(row.get('unit') or ''), 1)}"

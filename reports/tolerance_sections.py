@@ -1,4 +1,4 @@
-"""Parts of the page of a Monte Carlo study: its tables and sections, and what further models tell."""
+"""Tables and sections of the page of a Monte Carlo study, those of further models included."""
 
 import math
 from dataclasses import dataclass, field
@@ -44,7 +44,7 @@ class Section:
 
 
 def two_models(levels: "Levels") -> Section:
-    """Return what a cheaper model adds to the study's own."""
+    """Return the section on what a cheaper model adds to the study."""
     rows = []
     for name, each in levels.moments.items():
         unit, pilot = UNITS.get(name, ""), each.pilot

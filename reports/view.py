@@ -1,4 +1,4 @@
-"""What a report needs of a run, and the views of it that several figures share.
+"""The attributes of a run that reports use, and views of it that several figures share.
 
 Anything with the attributes of `RunLike` can be drawn. Every part may be empty: a figure that misses
 its signals is left out and the page says so.
@@ -97,7 +97,7 @@ class Amplifier:
 
 
 def plain(value: Any) -> Any:
-    """Return a scene, plan or the like as plain dictionaries; an empty one for what is neither."""
+    """Return a scene, plan or the like as plain dictionaries; an empty one for anything else."""
     if isinstance(value, Mapping):
         return value
     for method in ("as_dict", "model_dump"):

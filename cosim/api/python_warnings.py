@@ -1,4 +1,4 @@
-"""Cautions as warnings of Python's own, where nobody collects them."""
+"""Cautions as Python warnings, unless a caller collects them."""
 
 import warnings
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ __all__ = ["doubts"]
 
 @contextmanager
 def doubts() -> Iterator[None]:
-    """Turn cautions into Python's warnings where nobody else collects them."""
+    """Turn cautions into Python warnings unless an outer block collects them."""
     with collected() as heard:
         yield
     if not listening():

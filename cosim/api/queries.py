@@ -1,4 +1,4 @@
-"""What is answered without a run: of a contact that is held, of a device, of a board."""
+"""Answers without a run: about a held contact, a device, a board."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cosim.scene import PotNoise
 from cosim.scene.load import SceneLike, load_scene
 from cosim.variants import Setting, variants
 
-if TYPE_CHECKING:  # each function loads what it needs: a map of stability checks no board
+if TYPE_CHECKING:  # each function imports what it needs: stability does not need the check of a board
     from cosim.analysis.held_contact import HeldContact
     from cosim.analysis.noise_covariance import NoiseCovariance
     from cosim.analysis.stiffness_limits import Limits
@@ -48,13 +48,13 @@ class Contact:
         return HeldContact.at_wall(self.plan.scene, self.constants, self.circuit)
 
 
-#: What theory of a held contact can be asked about.
+#: What the theory of a held contact takes.
 ContactLike: TypeAlias = SceneLike | Plan | Contact
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of a contact that is held, without sampling.
+    """Noise of a held contact, without sampling.
 
     Attributes
     ----------

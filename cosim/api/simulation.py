@@ -16,7 +16,7 @@ from cosim.scene.load import SceneLike
 from cosim.storage.staging import scratch_folder
 from cosim.variants import Setting, Variant, variants
 
-if TYPE_CHECKING:  # each function loads what it needs: a script that simulates compares nothing
+if TYPE_CHECKING:  # each function imports what it needs: a script that simulates need not load comparisons
     from cosim.comparisons.compare_boards import Row, Side
     from cosim.comparisons.sweep import Sweep
     from cosim.ngspice.child import Child
@@ -40,7 +40,7 @@ def plan(
     child: Child | None = None,
     on_choice: Callable[[str], None] | None = None,
 ) -> Plan:
-    """Return what a run of a scene will be; effects are chosen where it says ``effects = "auto"``.
+    """Return the plan of a run; chooses effects where the scene says ``effects = "auto"``.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ def compare(
     last
         Folder of a stored run, which becomes the reference.
     out
-        Folder for the runs; a temporary one that is gone afterwards when not given.
+        Folder for the runs; a temporary one, removed afterwards, when not given.
 
     Raises
     ------
@@ -264,7 +264,7 @@ def compare(
 
 @contextmanager
 def _folder(out: str | Path | None, what: str) -> Iterator[Path]:
-    """Yield the folder that is asked for, or one that is gone afterwards."""
+    """Yield the folder asked for, or a temporary one."""
     if out is not None:
         yield Path(out)
     else:

@@ -1,4 +1,4 @@
-"""A result held against its own repetition."""
+"""A result compared with its own repetition."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _MOST = 100_000
 
 @dataclass(frozen=True)
 class Verified:
-    """What was repeated, in words, and what differs; nothing: all bits are the same."""
+    """What was repeated, in words, and what differs; empty where all bits are the same."""
 
     what: str
     repeated: tuple[int, ...]
@@ -40,8 +40,8 @@ def verify(
 ) -> Verified:
     """Repeat a run, or a random sample of a study, from what its folder keeps, and compare bit for bit.
 
-    A run is repeated from the scene and the board that it keeps, whatever became of the netlists since. A
-    study is repeated from its scene, which must be what it was.
+    A run is repeated from the scene and the board that it keeps, even if the netlists have changed since. A
+    study is repeated from its scene, which must not have changed.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def _run_again(folder: Path, trust: bool) -> Verified:
                 if name not in old or name not in new:
                     different.append(f"{what} {name}: only in the {'kept' if name in old else 'new'} run")
                     continue
-                # a column of a memory map is strided: bytes are looked at one behind the other
+                # a column of a memory map is strided: compare contiguous copies
                 a, b = (np.ascontiguousarray(side[name]) for side in (old, new))
                 if a.shape != b.shape:
                     different.append(f"{what} {name}: {len(b)} values, kept {len(a)}")

@@ -86,7 +86,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
 
 def _table(study: "Accuracy") -> list[str]:
-    """Return the front, the cheapest setting first, and what the scene states now."""
+    """Return the front, the cheapest setting first, and the scene's present settings."""
     from cosim.units import quantity
 
     shown = sorted(

@@ -1,4 +1,4 @@
-"""``cosim check``: what a board does, asked of ngspice in a few seconds."""
+"""``cosim check``: what a board does, measured in ngspice in a few seconds."""
 
 import argparse
 from typing import TYPE_CHECKING, Any
@@ -81,7 +81,7 @@ def _varies(subject: "Subject") -> tuple[dict[str, Any], str]:
 
 def _exit_code(args: argparse.Namespace, result: dict[str, Any]) -> int:
     if any(done["stability"]["refused"] or done["tolerance_problems"] for done in result["checks"]):
-        return 2  # nobody needs to ask for that: such a board does not run, such parts do not exist
+        return 2  # also without --strict: such a board does not run, such parts do not exist
     return 2 if args.strict and any(done["problems"] for done in result["checks"]) else 0
 
 

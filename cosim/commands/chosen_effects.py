@@ -29,7 +29,7 @@ def plan_of(args: argparse.Namespace, scene: "Scene", child: "Child") -> "Plan":
 
 
 def open_choice(args: argparse.Namespace, variant: "Variant") -> dict[str, Any]:
-    """Return what would be tried, in this order, JSON-ready; nothing runs."""
+    """Return what would be tried, in order, JSON-ready; nothing runs."""
     from cosim.comparisons.effect_candidates import Candidates
     from cosim.ngspice.child import on_demand
 

@@ -1,4 +1,4 @@
-"""What a subcommand is, and the arguments that several of them share."""
+"""Subcommands, and the arguments that several of them share."""
 
 import argparse
 import json
@@ -29,9 +29,9 @@ class Command:
     arguments
         Adds the command's own arguments to its parser.
     run
-        Does the work; returns what ``--json`` prints and the text for people.
+        Does the work; returns the data that ``--json`` prints and the text for people.
     exit_code
-        Tells the exit code from the arguments and that result; 0 unless a command knows better.
+        Returns the exit code for the arguments and that result; 0 by default.
     """
 
     name: str
@@ -42,7 +42,7 @@ class Command:
 
 
 def scene_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of every command that reads a scene."""
+    """Add the arguments that every command with a scene takes."""
     parser.add_argument("scene", help="scene file (TOML)")
     parser.add_argument(
         "--set",
@@ -61,7 +61,7 @@ def scene_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def trust_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what a user grants to netlists."""
+    """Add the permissions that a user grants to netlists."""
     parser.add_argument(
         "--trust",
         action="store_true",
@@ -132,5 +132,5 @@ def caution_lines(cautions: Sequence[Caution]) -> list[str]:
 
 
 def about(variant: "Variant", every: "Sequence[object]") -> str:
-    """Return what a caution about one of several variants begins with; nothing where there is only one."""
+    """Return the prefix of a caution about one of several variants; empty where there is only one."""
     return variant.label if len(every) > 1 else ""

@@ -1,4 +1,4 @@
-"""``cosim compare``: what an edit of the board did."""
+"""``cosim compare``: what an edit of the board changes."""
 
 import argparse
 from collections.abc import Sequence
@@ -128,7 +128,7 @@ def _measures(
 
 
 def _table(sides: "Sequence[Side]", rows: "Sequence[Row]", most: int) -> list[str]:
-    """Return what changed, by section, as far as there is room for the largest changes."""
+    """Return the largest changes, by section."""
     from cosim.comparisons.board_figures import SECTIONS
     from reports.boards import cells, felt
 

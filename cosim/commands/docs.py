@@ -1,4 +1,4 @@
-"""``cosim docs``: the documentation, from what is installed, on this machine only."""
+"""``cosim docs``: serve the installed documentation, on this machine only."""
 
 import argparse
 from functools import partial
@@ -9,7 +9,7 @@ from cosim.commands.command import Command
 
 
 class _Quiet(SimpleHTTPRequestHandler):
-    """Serves files, and prints no line for each."""
+    """Serves files without printing a line for each."""
 
     def log_message(self, format: str, *args: Any) -> None:
         pass

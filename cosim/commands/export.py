@@ -41,7 +41,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     own_file(args.file)  # before the scene runs
     plan = resolve(every[0][1], trust=args.trust)
     with scratch_folder("export") as folder:
-        # The computer's outputs have to be known first: the scene runs once.
+        # run the scene once: the deck needs the computer's outputs
         result = run(plan, folder / "run", formats=())
         deck = export(plan, result, args.file, kind=args.kind)
     return {

@@ -18,7 +18,7 @@ _USUAL_SAMPLES = 200
 _OF_A_STUDY = (
     "two_level", "rare", "until", "wanted", "worst_case", "workers", "chunk", "shard", "merge", "out",
 )  # fmt: skip
-#: What `--list` and the like are asked for alone, and the options that have no meaning beside each.
+#: Options, and those that have no meaning beside each.
 _ALONE = {
     "--list": (*_OF_A_STUDY, "samples", "sample"),
     "--sample": _OF_A_STUDY,
@@ -122,7 +122,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
 
 def _check_together(args: argparse.Namespace) -> None:
-    """Refuse options that another one leaves without a meaning: none is ignored in silence."""
+    """Refuse options that have no meaning beside another: none is ignored in silence."""
     from cosim.errors import InputError, Problem
 
     def given(name: str) -> bool:

@@ -19,7 +19,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         if len(every) > 1:
             fail("names are of one scene: give each name one value", key="--set", value=args.set)
         scene = every[0][1]
-        # whatever it chooses later, the nodes are those of the effects that it states
+        # nodes follow from the effects that the scene states, not from a later choice
         stated = scene.effects.model_copy(update={"auto": False})
         plan = resolve(scene.model_copy(update={"effects": stated}), trust=args.trust)
         names = call(

@@ -1,4 +1,4 @@
-"""The bar that long work shows on a terminal."""
+"""Progress bars on a terminal."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -11,7 +11,7 @@ COMPILING = "compiling, once, one to two minutes"
 
 
 def announce_compilation() -> None:
-    """Say on standard error that code is compiled first, where it is and no bar will say so."""
+    """Say on standard error that code is compiled first, unless a bar will say so."""
     from cosim.numba_cache import is_warm
 
     if not is_warm() and not bars():
@@ -20,7 +20,7 @@ def announce_compilation() -> None:
 
 @contextmanager
 def progress(title: str) -> Iterator[Callable[[int, int, str], None] | None]:
-    """Show a bar; yields what to call with (done, total, name), or None where nobody looks."""
+    """Show a bar; yields a function of (done, total, name), or None where nothing is shown."""
     announce_compilation()
     if not bars():
         yield _tell(title) if verbose() else None
@@ -41,12 +41,12 @@ def progress(title: str) -> Iterator[Callable[[int, int, str], None] | None]:
 
 
 def shown(text: str) -> str:
-    """Return text of a scene's as rich shows it: it knows markup of its own."""
+    """Return a scene's text escaped for rich, which would take some of it for markup."""
     from rich.markup import escape
 
     return escape(printable(text))
 
 
 def _tell(title: str) -> Callable[[int, int, str], None]:
-    """Return what says each step in a line, where no bar is seen."""
+    """Return a function that prints each step on a line, where no bar is shown."""
     return lambda done, total, name: remark(f"{title}: {name} ({done} of {total})")

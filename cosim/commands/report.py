@@ -92,7 +92,7 @@ def _judged(run: "Run", texts: list[str]) -> "Run":
 
 
 def _board(folder: Path) -> "Deck | None":
-    """Return what a result keeps of its board; None where it keeps none that can be read."""
+    """Return the board that a result keeps; None where it keeps none that can be read."""
     from cosim.errors import InputError
     from cosim.ngspice import deck_file
 
@@ -141,7 +141,7 @@ def _report_studies(args: argparse.Namespace, files: list[Path]) -> tuple[dict[s
     specs = [load_study(file, changes) for file in files]  # all are checked before the first runs
     if args.tol:
         specs = _within(specs, args.tol)
-    # the claims of a folder are about all of its studies, not about one of them
+    # the claims of a folder are about all of its studies together
     folders = [path for path in map(Path, args.results) if os.path.isdir(path)]
     claims = load_claims(folders[0]) if len(folders) == 1 else Claims()
     out = (
@@ -179,7 +179,7 @@ def _report_studies(args: argparse.Namespace, files: list[Path]) -> tuple[dict[s
 
 
 def _within(specs: "list[StudyFile]", tolerances: list[str]) -> "list[StudyFile]":
-    """Return the studies with tolerances for those whose runs have measures; the others say why not.
+    """Return the studies, with tolerances where their runs have measures; warns about the others.
 
     Raises
     ------

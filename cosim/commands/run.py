@@ -49,7 +49,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import start_early
 
-    ours = args.model in ("linear", "ideal")  # a circuit that is not kept yet opens the library itself
+    ours = args.model in ("linear", "ideal")  # extraction of a circuit opens the library itself
     early = "cosim.loop.early_linear" if ours else "cosim.loop.early_imports"
     with start_early(
         early, reads=[Path(args.scene).parent], library=not ours
@@ -89,7 +89,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
 
 def _check_tolerances(args: argparse.Namespace) -> None:
-    """Refuse what no run can do, before anything long is done."""
+    """Refuse tolerances that no run can meet, before anything long is done."""
     if not args.tol:
         return
     from cosim.accuracy.tolerance_control import parse_tolerances
@@ -121,7 +121,7 @@ def _without_run(
 
 
 def _keep_apart(base: Path, *, series: bool) -> None:
-    """Refuse a series inside of a single result and a result in place of a series: one would be lost."""
+    """Refuse a series inside a single result, and a result in place of a series: one would be lost."""
     from cosim.errors import fail
 
     if series and os.path.isfile(base / "run.json"):
@@ -141,7 +141,7 @@ def folder_name(label: str) -> str:
 
 
 def folder_names(labels: list[str]) -> list[str]:
-    """Return the folders' names of a series; values that differ in odd characters only are told apart."""
+    """Return the folders' names of a series; values that differ only in special characters get numbers."""
     names: list[str] = []
     for label in labels:
         name = plain = folder_name(label)
@@ -173,7 +173,7 @@ def progress(duration_s: float, title: str) -> "Iterator[Callable[[Mapping[str, 
         TimeElapsedColumn(),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        # no total: the bar moves without an end until simulated time does
+        # no total: the bar pulses until simulated time advances
         task = bar.add_task(shown(title) if is_warm() else COMPILING, total=None, reached="")
 
         def show(state: "Mapping[str, Any]") -> None:
@@ -227,7 +227,7 @@ def _text(finished: "list[tuple[Variant, Path, Run]]") -> str:
 
 
 def _estimated(finished: "list[tuple[Variant, Path, Run]]") -> list[str]:
-    """Say what the errors are, or why there are none."""
+    """State the error bounds, or why there are none."""
     rows = [row for _, _, run in finished for row in run.measures.values()]
     if any(row.get("error") is not None for row in rows):
         return [
@@ -238,7 +238,7 @@ def _estimated(finished: "list[tuple[Variant, Path, Run]]") -> list[str]:
 
 
 def _certified(run: "Run") -> list[str]:
-    """Say what the model `ideal` or `linear` leaves out; dampers only where the scene uses them."""
+    """State what the model `ideal` or `linear` neglects; dampers only where the scene uses them."""
     from cosim.units import quantity
 
     certificate = run.plan.get("certificate", {})

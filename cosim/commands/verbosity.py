@@ -1,4 +1,4 @@
-"""How much a command says beside its result: ``--quiet``, ``--verbose``, and whether somebody watches."""
+"""What a command prints beside its result: ``--quiet``, ``--verbose``, and whether on a terminal."""
 
 import sys
 from enum import Enum
@@ -7,7 +7,7 @@ __all__ = ["Manner", "bars", "choose", "remark", "verbose"]
 
 
 class Manner(Enum):
-    """What stands on standard error beside errors."""
+    """What goes to standard error beside errors."""
 
     QUIET = "nothing"
     USUAL = "bars and remarks where a terminal shows them"
@@ -18,7 +18,7 @@ _manner = Manner.USUAL
 
 
 def choose(*, quiet: bool, verbose: bool) -> None:
-    """Take the manner of a command line."""
+    """Set the manner from a command line."""
     global _manner
     _manner = Manner.QUIET if quiet else Manner.VERBOSE if verbose else Manner.USUAL
 
@@ -34,7 +34,7 @@ def verbose() -> bool:
 
 
 def remark(text: str, *, detail: bool = False) -> None:
-    """Say something on standard error; a `detail` only where somebody watches, or asked for all."""
+    """Print a remark on standard error; a `detail` only on a terminal or with --verbose."""
     wanted = verbose() or not detail or bars()
     if _manner is not Manner.QUIET and wanted:
         print(text, file=sys.stderr, flush=True)

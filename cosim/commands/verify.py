@@ -1,4 +1,4 @@
-"""``cosim verify``: a result repeated from what its folder keeps, and compared bit for bit."""
+"""``cosim verify``: repeat a result from its folder, and compare bit for bit."""
 
 import argparse
 from typing import Any

@@ -11,7 +11,7 @@ _LIBRARIES = ("numpy", "scipy", "numba", "PySpice")
 
 
 def about() -> str:
-    """Return the words, asked of a child process as a run would start it.
+    """Return the text, from a child process started as for a run.
 
     Raises
     ------
@@ -33,7 +33,7 @@ def about() -> str:
 
 
 def seen_inside(payload: None, report: Callable[[dict[str, Any]], None]) -> tuple[str, str]:
-    """Return ngspice's version and what the sandbox does; runs in the child."""
+    """Return ngspice's version and the sandbox's state; runs in the child."""
     from cosim.ngspice.sandbox import applied
     from cosim.ngspice.simulator import Simulator
 

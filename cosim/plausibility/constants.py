@@ -14,12 +14,12 @@ from cosim.circuits.linear_circuit import LinearCircuit, channel_names
 
 __all__ = ["DEVIATION", "constant_missed", "of_circuit"]
 
-#: The circuit's constants and the computer's numbers are equal by design; resistors of 10 % stay below this.
+#: The circuit's and the computer's constants are equal by design; resistors of 10 % move them by less.
 DEVIATION = 0.2
 
 
 def of_circuit(circuit: LinearCircuit, constants: DesignConstants) -> Iterator[Caution]:
-    """Yield what its certificate gives reason to doubt, and the constants missed, the worst place of each."""
+    """Yield cautions from a circuit's certificate, and of each constant missed, at the worst place."""
     yield from certificate.cautions(circuit.certificate)
     if circuit.certificate.get("large_signal_error", 0.0) > DEVIATION:
         return  # the slope at rest is not what the board is made for; the reason was reported above
@@ -31,7 +31,7 @@ def of_circuit(circuit: LinearCircuit, constants: DesignConstants) -> Iterator[C
 
 
 def constant_missed(name: str, stated: float, made: float, where: str) -> Caution:
-    """Return the caution about a design constant that the circuit does not make."""
+    """Return the caution about a design constant that the circuit does not render."""
     return Caution(
         "constant-missed",
         f"the board states {name} = {stated:.4g}, its circuit makes {made:.4g} at {where} "
@@ -42,7 +42,7 @@ def constant_missed(name: str, stated: float, made: float, where: str) -> Cautio
 
 
 def _made(circuit: LinearCircuit, constants: DesignConstants) -> dict[str, dict[str, float]]:
-    """Return what the circuit makes of k_fs, c_fs and v_nm as the frequency goes to zero, by place."""
+    """Return k_fs, c_fs and v_nm as the circuit renders them for w -> 0, by place."""
     n, m = circuit.joints, len(circuit.gain)
     inverse = [np.linalg.pinv(a) if len(a) else a for a in (circuit.a_pre, circuit.a_post)]
     before = circuit.d_pre - circuit.c_pre @ inverse[0] @ circuit.b_pre

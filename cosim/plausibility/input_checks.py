@@ -1,4 +1,4 @@
-"""Slips that scene and netlist show before anything runs."""
+"""Likely mistakes in scene and netlist, seen before anything runs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def of_plan(scene: Scene, board: Deck, bare: Callable[[], Deck]) -> list[Caution
     Parameters
     ----------
     bare
-        Makes the board without the scene's `device.values`, to tell an edit from what was there before.
+        Makes the board without the scene's `device.values`, to tell an edit from the original.
     """
     return [
         *_outside_stops(scene),
@@ -62,7 +62,7 @@ def _outside_stops(scene: Scene) -> Iterator[Caution]:
 
 
 def _degrees(scene: Scene) -> Iterator[Caution]:
-    if scene.is_slider:  # a drum turns as often as it likes
+    if scene.is_slider:  # a drum may turn many times
         return
     stops = _table(scene).stops_rad
     for key, angles in (
@@ -93,7 +93,7 @@ def _masses(scene: Scene) -> Iterator[Caution]:
                     f"link {k} of {length:g} m has {mass:g} kg, as a bar of steel {thick_m:.2g} m thick",
                     "masses are in kilograms: look at the units of device.chain.masses_kg",
                 )
-            # a link whose mass sits at its two ends has m L^2 / 4 about its middle; none has more
+            # a link with its mass at both ends has m L^2 / 4 about its middle; none has more
             if mass > 0.0 and inertia > mass * length**2:
                 yield Caution(
                     "inertia-beyond-length",

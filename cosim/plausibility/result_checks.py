@@ -1,4 +1,4 @@
-"""Slips that a finished run shows."""
+"""Likely mistakes that a finished run shows."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from cosim.units import quantity
 
 __all__ = ["of_run"]
 
-#: An output so far beyond its limit is not limited by its model: one that is stops within a few percent.
+#: An output this far beyond its limit is not limited by its model: a limited one stops within a few per cent.
 _UNLIMITED = 1.05
-#: A start so deep in the wall is no rounding of a start upon it [m].
+#: A start this deep in the wall is more than a rounded start on its surface [m].
 _BEGUN_M = 1e-5
 #: Force at the tip that a finger does not notice [N], as in `cosim check`.
 _REST_N = 0.05
@@ -219,7 +219,7 @@ def _free_force(
 
 def _ledger(scene: Scene, ledger: Mapping[str, Any]) -> Iterator[Caution]:
     if not ledger["closes"]:
-        # M(q) changes on the way, and only the velocity products give back what that takes
+        # M(q) changes along the way; velocity products compensate for that
         unbalanced = not (scene.is_slider or scene.effects.coriolis)
         yield Caution(
             "ledger-open",

@@ -1,9 +1,9 @@
 """How stiff and how damped an analog wall may be: delay of the circuit, saturation, noise of potentiometers.
 
-A spring whose force comes late by the sum of its circuit's time constants is a spring and a negative damper,
+A spring whose force lags by the sum of its circuit's time constants is a spring and a negative damper,
 b_eq = -k sum(tau): the contact stays stable while the device brakes more than that, k < b/sum(tau), and
 b^2/m more where the braking itself comes without delay. A damper is bounded by its lags of second order. Long
-before, the multipliers are at full scale, the driver at its current, or the potentiometer's noise is felt.
+before that, multipliers reach full scale, the driver its current limit, or potentiometer noise is felt.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ __all__ = ["STUDY", "Delay", "delay", "lag", "noise_force"]
 
 
 SPRING, DAMPER = "analog_stiffness_n_per_m", "analog_damping_n_s_per_m"
-#: What is scanned for borders [N/m, N s/m]; a spring so soft [N/m] that it does not matter.
+#: Ranges scanned for borders [N/m, N s/m]; a spring too soft to matter [N/m].
 _SPRINGS, _DAMPERS, _SOFT = (1.0, 1e9), (1e-2, 1e6), 1e-6
 #: Slow against every pole of the circuit, fast enough to show its lag [rad/s].
 _SLOW = 1e-2
@@ -88,9 +88,9 @@ class Delay:
 def lag(constants: DesignConstants, circuit: LinearCircuit) -> float:
     """Return the delay [s] of the first joint's spring alone: the sum of its path's time constants.
 
-    What leaks through other multipliers with that gain at zero is taken off: a damper's offset is a
-    viscosity, and would pass for a lead of the spring. The certificate, `cosim check` and the blocks of the
-    path have the same number.
+    Leakage through other multipliers, measured with that gain at zero, is subtracted: a damper's offset is a
+    viscosity and would look like a lead of the spring. The certificate, `cosim check` and the blocks of the
+    path give the same number.
     """
     spring = np.zeros(len(circuit.gain))
     spring[0] = constants.v_fs

@@ -26,7 +26,7 @@ from cosim.studies.study import Study, StudyFile, StudyResult, Table, Verdict
 
 __all__ = ["STUDY", "BudgetParameters", "loaded", "position_errors"]
 
-#: A step is even over its width: rms 1/sqrt(12) of it.
+#: A quantisation error is uniform over the step: rms 1/sqrt(12) of it.
 _STEP = 1.0 / math.sqrt(12.0)
 
 
@@ -66,7 +66,7 @@ def loaded(track_ohm: float, load_ohm: float, travel_rad: float) -> float:
 
 
 def position_errors(tip: Tip, stated: Stated, load_ohm: float | None) -> list[Error]:
-    """Return what each source of error makes of a joint's angle."""
+    """Return the error that each source puts into a joint's angle."""
     pot, computer, w = tip.scene.device.potentiometer, tip.scene.computer, tip.torques
 
     def random(source: str, meant: str, rad: float) -> Error:
@@ -126,7 +126,7 @@ def _forces(
             closed = noise_covariance(tip.of_scene(scene)).rms("motor_normal")
             rows.append(("potentiometer", f"{words}, hand in contact", closed))
         except InputError:
-            pass  # nothing rests there: the tip held still is what there is
+            pass  # no stable rest there: the budget is that of the tip held still
     encoder = computer.encoder
     count = 2.0 * math.pi / (encoder.pulses_per_rev * encoder.decoding * stated.gear)
     bits, reach = computer.dac.bits or stated.dac_bits, computer.dac.range_v or stated.dac_v
@@ -140,7 +140,7 @@ def _forces(
          _STEP * gain * motion**2 * given.depth_m if k else 0.0),
     ]  # fmt: skip
     control = tip.control(Wanted(k, c))
-    # a device that reaches several motors does so with one noise: its forces add along the normal
+    # one device's noise in several motors is coherent: its forces add along the normal
     inside = noise.hz <= given.noise_band_hz
     force = tip.constants.torque_per_amp * np.einsum("fdi,i->fd", noise.currents(control), tip.pushed)
     squares = np.trapezoid(np.abs(force[inside]) ** 2, noise.hz[inside], axis=0)

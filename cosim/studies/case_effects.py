@@ -1,4 +1,4 @@
-"""What the cases of a study hold: their effects with their levels, for the study's page."""
+"""The effects that the cases of a study include, with their levels, for the study's page."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def holds_table(spec: StudyFile, cases: Sequence[Variation], adds: str) -> Table
     Parameters
     ----------
     adds
-        What the study puts to them by itself, in a sentence.
+        What the study itself adds to them, in a sentence.
     """
     columns: dict[str, list[str]] = {}
     off: list[set[str]] = []

@@ -1,6 +1,6 @@
-"""The claims that a folder of studies is to judge: its file ``claims.toml``.
+"""The claims that a folder of studies judges: its file ``claims.toml``.
 
-The file names the page and lists the claims in their order, so that one that no study has judged is seen.
+The file names the page and lists the claims in order, so that a claim without a verdict shows.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Footnote 1, its headline: the share of the device's damping that the circuit's delay eats, block by block.
+"""Footnote 1, the headline: the share of the device's damping that the circuit's delay takes, block by block.
 
 A spring of stiffness k that acts late by tau adds the damping -k tau. With the device's viscosity b the share
-eaten is eta = k sum(tau)/b; at eta = 1 nothing is left and the spring alone is active.
+taken is eta = k sum(tau)/b; at eta = 1 nothing is left and the spring alone is active.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def with_spring(tip: Tip, stiffness: float) -> Tip:
 def active_from(tip: Tip, low: float = 1.0, high: float = 1e9) -> float:
     """Return the analog stiffness at which the device's damping reaches zero at some frequency [N/m].
 
-    Found over all frequencies on the fitted circuit; knows nothing of delays and blocks.
+    Searched over all frequencies on the fitted circuit, independently of delays and blocks.
     """
 
     def left(k: float) -> float:

@@ -1,7 +1,7 @@
 """The corner of the differentiator: noise against passive stiffness, one curve for each kind of noise.
 
-A higher corner lets more of the potentiometer's noise through the damper, and keeps the damper a damper up to
-higher frequencies, so that a stiffer sampled wall is passive.
+A higher corner lets more potentiometer noise through the damper, and keeps it damping up to higher
+frequencies, so that a stiffer sampled wall is passive.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def _looked_at(tip: Tip, given: CornerParameters) -> dict[str, Any]:
         PotNoise.POSITION.value: position_density(tip.scene, given.speed_m_per_s * lever),
     }
     noise = {name: float(pot_form(tip, d).rms(k, c)) for name, d in densities.items() if d is not None}
-    # an offset passes the spring alone, at rest and for good
+    # an offset passes through the spring alone, constantly
     noise[PotNoise.STATIC.value] = k * tip.scene.device.potentiometer.noise_rad * float(
         np.linalg.norm(tip.torques)
     )  # fmt: skip

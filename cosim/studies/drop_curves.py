@@ -1,4 +1,4 @@
-"""Curves of the drop test, and what they say of Figs 13 and 14."""
+"""Curves of the drop test, and verdicts from them on Figs 13 and 14."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SMALL = 0.1
 
 
 class Family(Variation):
-    """One curve; its own periods and phases, where it has some, stand for the study's."""
+    """One curve; its own periods and phases, if any, replace the study's."""
 
     kind: Literal["curve", "sensitivity"] = "curve"
     periods_s: tuple[Period, ...] = ()
@@ -128,7 +128,7 @@ def verdicts(
 
 
 def _without_border(name: str, values: Mapping[float, float], exact: Mapping[float, float]) -> Verdict:
-    """Tell of a curve that has too few limits to be judged by linear theory what it does have."""
+    """Judge a curve with too few limits for linear theory by what it does have."""
     if len(values) < 3:
         seen = f"a limit at {len(values)} periods only" if values else "no limit at any period"
     else:

@@ -44,12 +44,12 @@ from cosim.types import Array
 __all__ = ["STUDY", "Dropped", "Falls", "Job", "Rest", "drop", "limit", "scan"]
 
 
-#: The displayed stiffness is that of so slow a motion: masses then push with some 1e-5 N/m.
+#: The displayed stiffness is that of a motion this slow: inertia then adds some 1e-5 N/m.
 _SLOW_HZ = 1e-3
-#: A scan ends after so many stiffnesses in a row at which no phase rests.
+#: A scan ends after this many stiffnesses in a row at which no phase rests.
 _HOPELESS = 2
-#: ... and at so many times the exact limit in any case; where few rest at its begin it looks down to a
-#: share of it.
+#: ... and at this multiple of the exact limit at the latest; where few rest at its beginning it goes down to
+#: this share of it.
 _FAR, _NEAR = 4.0, 0.02
 
 
@@ -161,7 +161,7 @@ class Falls:
 
     def each(self, stiffness: float) -> Iterator[tuple[int, Array]]:
         """Drop at every phase; yield whether it came to rest, and its samples (`sample_columns`)."""
-        if self._gain == "k_dp":  # other gains: no map that is kept serves them
+        if self._gain == "k_dp":  # other gains: kept maps do not fit them
             self._packed.exact.made[:], self._packed.exact.on[0] = 0, self._linear
         for phase in range(self._phases):
             memory = self._packed.memory
@@ -185,7 +185,7 @@ def _reach(scene: Scene) -> float:
 
 
 def friction_balance(job: Job) -> float:
-    """Return the stiffness [N/m] at which sampling gives a fall as much as Coulomb friction takes from it.
+    """Return the stiffness [N/m] at which sampling feeds a fall as much energy as Coulomb friction takes.
 
     A held spring gives a swing of amplitude speed v the energy of a viscosity -k T/2, friction takes that of
     4 f_c/(pi v): k T v = 8 f_c/pi. Zero without friction.
@@ -226,7 +226,7 @@ def scan(job: Job) -> Dropped:
         stiffness *= rest.ratio
     tried = sorted(shares)
     below = next((k for k in tried if shares[k] < rest.share), math.nan)
-    if below == tried[0]:  # a mass that hops on and on whatever the floor
+    if below == tried[0]:  # a mass that hops for ever, whatever the floor
         below = math.nan
     if math.isfinite(below):
         low, high = tried[tried.index(below) - 1], below
@@ -363,7 +363,7 @@ def _point(name: str, period: float) -> str:
 def displayed(job: Job, stiffness: float) -> float:
     """Return the stiffness [N/m] that computer and circuit together show at rest, the discrete one given.
 
-    From the law and the circuit's response to a slow motion of the tip, nothing added up here.
+    From the law and the circuit's response to a slow motion of the tip, not as a sum of stated stiffnesses.
     """
     contact = job.contact().with_computer(discrete_stiffness_n_per_m=stiffness)
     force_over_speed = impedance(contact, np.array([_SLOW_HZ]))[0]

@@ -1,4 +1,4 @@
-"""What is commanded is what the arm renders: the paper's (1) to (13) as checks, from the netlist.
+"""Whether the arm renders what is commanded: the paper's (1) to (13) as checks, from the netlist.
 
 * (1): the Jacobian against differences of the tip's place.
 * (2) to (5): the gains that ngspice finds on the board against those that the control law asks for, springs
@@ -66,7 +66,7 @@ def jacobian_error(chain: Chain, q: Array) -> float:
 def gains(contact: HeldContact) -> list[tuple[Any, ...]]:
     """Return (pin, unit, commanded, measured) of every spring, damper and equilibrium at a pose.
 
-    Commanded: J^T k n n^T J of the scene. Measured: what the circuit makes of the volts that the law writes.
+    Commanded: J^T k n n^T J of the scene. Measured: the circuit's answer to the volts that the law writes.
     """
     scene, constants, circuit, w = contact.scene, contact.constants, contact.circuit, contact.torques
     n, m = scene.joints, len(circuit.gain)

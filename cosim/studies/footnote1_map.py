@@ -1,6 +1,6 @@
-"""Footnote 1, its verdict: where the circuit's own dynamics may be neglected.
+"""Footnote 1, the verdict: where the circuit's own dynamics may be neglected.
 
-It holds where the rendered stiffness is right in the band of human motion, delay eats little of the device's
+It holds where the rendered stiffness is right in the band of human motion, delay takes little of the device's
 damping, and the circuit adds little force noise. The board is extracted again for every op-amp, every driver
 bandwidth and every corner of the differentiator; stiffness and damping are gains of the same circuit.
 """
@@ -159,7 +159,7 @@ def _opamp(spec: StudyFile, case: Variation, child: Child) -> dict[str, Any]:
     looked: list[dict[str, Any] | None] = []
     for number, circuit in enumerate(circuits):
         if isinstance(circuit, CosimError):
-            looked.append(None)  # such as an unstable loop: there is nothing to be neglected
+            looked.append(None)  # such as an unstable loop: its dynamics cannot be neglected
             continue
         there = replace(tip, circuit=circuit)
         looked.append(_looked_at(given, there, noises[number % len(resistors)], _KINDS))

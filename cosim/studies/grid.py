@@ -1,7 +1,7 @@
-"""Grids of studies: values that a table can show as what they are, 20.3 ms and not 20.299999999999997.
+"""Grids of studies: values that print as short decimals, 20.3 ms and not 20.299999999999997.
 
-What is asked for (a place of a grid, a period in milliseconds) is rounded to 12 digits when it is made, so
-that the table, the file and the computation hold the same short number. Results are never rounded.
+Inputs (a point of a grid, a period in milliseconds) are rounded to 12 digits when they are made, so that
+table, file and computation hold the same short number. Results are never rounded.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from cosim.types import Array
 __all__ = ["decimal", "even", "geometric", "milli", "percent", "steps"]
 
 
-#: Four short of what a double holds: far above the rounding of a sum or product, far below any tolerance.
+#: Four digits fewer than a double holds: coarser than rounding of a sum or product, finer than any tolerance.
 _DIGITS = 12
 
 

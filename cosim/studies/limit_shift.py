@@ -1,7 +1,7 @@
 """Footnote 1: by how much each of the circuit's imperfections moves the largest stiffness of a sampled wall.
 
-Exact borders, with all of the circuit and without one part of it at a time. Noise moves no border of a linear
-system; what it does to the experiment is that the mass never counts as resting.
+Exact borders, with the full circuit and without one part of it at a time. Noise moves no border of a linear
+system; in the experiment it keeps the mass from ever counting as at rest.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 The analog wall works between the samples, but the computer sees a contact late, by up to a period. The spring
 then begins with a force k x and with the energy k x^2 / 2, x being how deep the tip has got: at a speed v up
-to k v T and k (v T)^2 / 2, on average over the phases half and a third of it. What the device cannot brake
-away keeps a dropped mass hopping, whatever bandwidth the circuit has.
+to k v T and k (v T)^2 / 2, on average over the phases half and a third of it. Energy that the
+device does not dissipate keeps a dropped mass hopping, whatever the circuit's bandwidth.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ __all__ = ["STUDY", "Contact", "Fall", "fall", "first_contact"]
 
 
 _KEYS = ("share", "jump", "jump_max", "largest", "onset", "onset_max", "contact")
-#: A spring so soft [N/m] that it does not matter.
+#: A spring too soft to matter [N/m].
 _SOFT = 1e-6
 
 
@@ -114,7 +114,7 @@ class Contact:
     jump_n : force that its first sample switches on
     largest_n : largest jump of the force at any of its samples
     onset_j : energy that its first sample puts into the spring
-    contact_j : what all samples until it is let go put in, and take out by letting go late
+    contact_j : net energy of all samples of the contact, that taken out by a late release included
     """
 
     jump_n: float
@@ -145,7 +145,7 @@ def first_contact(samples: Array, reach: float) -> Contact | None:
     before = slice(begin - 1, end)
     torque = k[here] * (u[here] - q[here]) - k[before] * (u[before] - q[here])
     energy = 0.5 * (k[here] * (u[here] - q[here]) ** 2 - k[before] * (u[before] - q[here]) ** 2)
-    pressed = slice(0, max(1, end - begin))  # the last is where it lets go
+    pressed = slice(0, max(1, end - begin))  # at the last it lets go
     return Contact(
         float(abs(torque[0])) / reach, float(np.abs(torque[pressed]).max()) / reach,
         float(energy[0]), float(energy.sum()),

@@ -35,7 +35,7 @@ __all__ = ["STUDY", "closed_form", "largest_passive"]
 
 #: Bound of the acceptance table for a search against a closed form.
 _EXACT = 1e-9
-#: What rounding leaves of a sum over aliases near w = 0, where its terms cancel.
+#: Rounding error of a sum over aliases near w = 0, where its terms cancel.
 _SUMMED = 1e-7
 #: Points of the curves over frequency, from 0 to pi/T.
 _CURVE = 201
@@ -220,7 +220,7 @@ def _taken(scene: Scene, every_s: float) -> dict[str, Any]:
         period = scene.computer.period_s
         first = [event["time_s"] for event in result.events if event["kind"] == "contact"][:1]
         late = sum((float(np.interp(at, t, speed)) * period) ** 2 for at in first if at > 0.0)
-        # behind the first contact, what switching off late took up hides what switching on late gave
+        # after the first contact the energy taken up by switching off late hides what switching on late gave
         left = [event["time_s"] for event in result.events if event["kind"] == "release"][:1]
         least = float(taken[t <= left[0]].min() if left else taken.min())
         at = steps(scene.duration_s, every_s)

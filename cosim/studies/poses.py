@@ -2,8 +2,8 @@
 
 Frictionless walls have one stiffness, along their normal. Gains at the joints without the cross terms (joint
 PD) push along the wall as well, by how much and to which side depends on the pose. Mismatched multipliers do
-the same on a smaller scale; they also make Ksp unsymmetric, so that the field of force has a curl and a hand
-that goes round in it is fed energy.
+the same on a smaller scale; they also make Ksp unsymmetric, so that the force field has a curl and feeds
+energy to a hand that moves round in it.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from mech import Chain
 __all__ = ["STUDY", "Drag", "Unevenness", "drag", "rendered", "unevenness"]
 
 
-#: Nearer to full stretch or fold than this angle [rad] the Jacobian's inverse says nothing of use.
+#: Nearer to full stretch or fold than this angle [rad] the Jacobian's inverse is of no use.
 _MARGIN_RAD = 0.15
 
 

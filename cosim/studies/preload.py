@@ -1,4 +1,4 @@
-"""Footnote 2: the stiffness that the hand finds under a preload, against the one that was commanded.
+"""Footnote 2: the stiffness that a hand feels under a preload, against the commanded one.
 
 The computer sets Ksp = J^T K J at the joints. Under a force F on the tip a change of pose changes J^T F as
 well, so the tip yields by K_app = J^-T (Ksp - K_g(F)) J^-1, K_g = [dJ^T/dq1 F, dJ^T/dq2 F] (conservative
@@ -35,7 +35,7 @@ NOTICED, NOTICED_SOURCE = 0.23, "Jones and Hunter 1990: 23 % for the arm"
 _LEFT = 0.1
 #: What pressing by 10 uN may be off: differences err by the square of that change, most near full stretch.
 _PRESSED = 1e-6
-#: Nearer to full stretch or fold than this angle [rad] the Jacobian's inverse says nothing of use.
+#: Nearer to full stretch or fold than this angle [rad] the Jacobian's inverse is of no use.
 _MARGIN_RAD = 0.15
 
 
@@ -183,7 +183,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
     """Map the apparent stiffness along the wall's normal over the workspace, with and without K_g."""
     scene = spec.scene()
     given: CongruenceParameters = spec.parameters
-    # the gear moves no kinematics: any will do
+    # kinematics do not depend on the gear: any will do
     chain = mechanism(scene, 1.0)
     if not isinstance(chain, Chain) or chain.n != 2:
         fail("footnote 2 needs a chain of two joints", file=str(spec.scene_file), key="device.linkage")
@@ -201,7 +201,7 @@ def analyse(spec: StudyFile, points: Points) -> StudyResult:
         for turn in np.linspace(-np.pi, np.pi, given.points):
             q = np.array([turn, bend])
             plain = apparent(chain, q, commanded, force, compensated=False)
-            # by the formula the law's K_g would cancel against itself: the arm is pressed instead
+            # in the formula the law's K_g would cancel itself: press the arm instead
             held = pressed(chain, q, commanded, force, compensated=True)
             off, rest = (100.0 * (k / given.stiffness_n_per_m - np.eye(2)) for k in (plain, held))
             r = chain.forward(q)

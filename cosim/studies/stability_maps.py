@@ -78,7 +78,7 @@ class Tip:
 
 
 def tip(scene: Scene, gear: float) -> Tip:
-    """Return the tip of a slider; that of a chain depends on pose and direction, which rules do not know."""
+    """Return the tip of a slider; that of a chain depends on pose and direction, unknown to the rules."""
     slider = scene.device.slider
     if slider is None:
         fail("these maps are drawn for one joint, a slider", file=scene.file_name, key="device.linkage")
@@ -113,7 +113,7 @@ def column(asked: Column) -> dict[str, Any]:
     late = (c.delay_periods + c.delay_fraction) * c.period_s if scene.effects.delay else 0.0
     b, damping = edges.viscosity_n_s_per_m, c.discrete_damping_n_s_per_m
     exact = edges.border.value
-    shares = asked.stiffness if 0.0 < exact < math.inf else ()  # of no border there is no share
+    shares = asked.stiffness if 0.0 < exact < math.inf else ()  # no border, no share of it
     tried = [share * exact for share in shares] if asked.of_border else list(asked.stiffness)
     falls = Falls(asked.job)
     return {

@@ -79,7 +79,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Verdict:
-    """One claim: what the paper (or theory) says, what was found, and whether it holds.
+    """One claim: what the paper (or theory) says, what came out, and whether it holds.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class Verdict:
 class StudyResult:
     """What a study found.
 
-    `seconds` is what computing it took, in all its sittings; `kept_in` the file that it was read from.
+    `seconds` is the computing time, interrupted runs included; `kept_in` the file that it was read from.
     """
 
     study: str
@@ -138,9 +138,9 @@ class StudyResult:
 
 @dataclass(frozen=True)
 class Study:
-    """An analysis: its name, a line of help, what it takes, and what it does.
+    """An analysis: its name, a line of help, its parameters, and its function.
 
-    `analyse` gets the study file and `Points`, in which it keeps what took long. `no_tolerance` says why no
+    `analyse` gets the study file and `Points`, in which it keeps slow results. `no_tolerance` says why no
     tolerance can be asked of it; empty where its runs have measures that can be within one.
     """
 
@@ -182,7 +182,7 @@ class StudyFile:
         return StudyResult(self.study.name, self.title, tables, tuple(verdicts), tuple(notes))
 
     def digest(self) -> str:
-        """SHA-256 of all that the result depends on: parameters, scene, user's code, flat deck, our own."""
+        """SHA-256 of all that the result depends on: parameters, scene, user's code, flat deck, our code."""
         scene = self.scene()
         parts = (
             self.study.name, self.title, self.parameters.model_dump_json(), scene.digest(),
@@ -193,7 +193,7 @@ class StudyFile:
 
 @cache
 def _sources() -> str:
-    """SHA-256 of the program's own sources: an analysis that was changed is run again."""
+    """SHA-256 of the program's own sources: a changed analysis runs again."""
     root = Path(cosim.__file__).parent
     digest = hashlib.sha256()
     for path in sorted([*root.rglob("*.py"), *(root.parent / "mech").rglob("*.py")]):
@@ -220,7 +220,7 @@ def load_study(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
     path
         TOML file.
     overrides
-        Changes of its scene, on top of what its ``set`` says.
+        Changes of its scene, on top of its ``set``.
 
     Raises
     ------
@@ -276,7 +276,7 @@ def run_study(
 ) -> StudyResult:
     """Run a study, or take its result from `folder` when nothing it depends on has changed.
 
-    A run that was interrupted goes on at the points that it finished.
+    An interrupted run resumes after the points that it finished.
 
     Parameters
     ----------

@@ -94,7 +94,7 @@ def quasi_static(result: Run, every_s: float) -> dict[str, Array]:
         ]
     )
     error = np.interp(at, t, frame["normal"] - frame["push"])
-    # a mean over two intervals says nothing of an acceleration that jumps
+    # a mean over two intervals is meaningless where the acceleration jumps
     calm = np.abs(np.diff(acceleration, append=acceleration[-1])) < 0.2 * np.abs(acceleration).max()
     inside = calm & (np.interp(at, t, frame["penetration"]) > 0.0)
     return {"error": error[inside], "acceleration": acceleration[inside], "inertia": -inertia[inside]}
@@ -249,7 +249,7 @@ def verdicts(given: TraceParameters, traces: dict[str, Any]) -> list[Verdict]:
 
 
 def _everything(one: Traced, mine: Mapping[str, float], plain: Mapping[str, float]) -> Verdict:
-    """Tell what more effects make of a run."""
+    """Compare a run with the same run under more effects."""
 
     def change(name: str) -> str:
         return f"{mine[name]:.3g} for {plain[name]:.3g}"

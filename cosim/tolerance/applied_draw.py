@@ -1,4 +1,4 @@
-"""A draw of components put into a plan: elements and parts of the board, numbers of the scene."""
+"""A draw of components applied to a plan: elements and parts of the board, numbers of the scene."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ __all__ = ["SCENE", "motors", "nominal", "of_board", "with_motors", "with_number
 
 #: How the key of a number of the scene begins.
 SCENE = "scene:"
-#: Parameter of a motor that its board states as a design number as well.
+#: Parameter of a motor that its board also states as a design constant.
 MOTOR_CONSTANT = "motor_k"
-#: Numbers of the linkage that the computer's law is written in.
+#: Numbers of the linkage that the computer's law uses.
 _LENGTHS = ("device.chain.lengths_m", "device.slider.radius_m")
 
 

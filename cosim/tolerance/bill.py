@@ -1,4 +1,4 @@
-"""The tolerance bill: what each component costs in yield, and what a better one would buy."""
+"""The tolerance bill: what each component costs in yield, and what a better one would gain."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cosim.types import Array
 
 __all__ = ["GRADES", "Line", "best_pair", "bill", "bought", "gained", "grade_text"]
 
-#: Tolerances in which components are sold.
+#: Tolerance grades in which components are sold.
 GRADES = (0.0005, 0.001, 0.0025, 0.005, 0.01, 0.02, 0.05, 0.10, 0.20)
 #: Leading resistors of which pairs are tried.
 _CANDIDATES = 6

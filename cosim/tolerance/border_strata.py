@@ -1,10 +1,10 @@
-"""A yield from few dear samples: in strata that a cheap model tells apart by its distance from the limits.
+"""A yield from few dear samples, in strata that a cheap model forms by distance from the limits.
 
-Where the cheap model is sure, a dear sample tells next to nothing; where it is not, at the border, most. So
-devices are sorted by the cheap model into those that fail, those at the border, and those that pass; each
-stratum gets dear samples of its own, and its weight comes from many cheap ones (stratified sampling with
-estimated weights; Cochran, Sampling Techniques, 12.2). Nothing is taken for granted of the strata in which
-the cheap model is sure: a defensive number of samples bounds what it may have missed.
+Where the cheap model is sure, a dear sample adds next to nothing; at the border it adds most. So the cheap
+model sorts devices into those that fail, those at the border, and those that pass; each stratum gets dear
+samples of its own, and its weight comes from many cheap ones (stratified sampling with estimated weights;
+Cochran, Sampling Techniques, 12.2). Where the cheap model is sure it is not trusted blindly: a defensive
+number of dear samples bounds what it may have missed.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ FAILS, BORDER, PASSES = range(3)
 _WIDE = 4.0
 #: Share of the error probability that the weights may use; the strata share the rest.
 _OF_WEIGHTS = 0.3
-#: Below so many cheap samples outside the largest stratum their scatter over randomisations says too little.
+#: With fewer cheap samples outside the largest stratum, their scatter over randomisations says too little.
 _FEW = 30
 _LEAST = 8
 

@@ -18,8 +18,8 @@ _SLOW = 1e-2
 def calibrated(constants: Stated, circuit: LinearCircuit) -> Stated:
     """Return the constants of a computer that knows the static gains of its device.
 
-    One gain of springs, one of dampers, one of commands, as the computer has them: each the mean over the
-    device's joints of what a joint's own path renders at full scale. Differences between joints stay.
+    One gain each for springs, dampers and commands, as the computer has them: the mean over the joints
+    of what a joint's own path renders at full scale. Differences between joints stay.
 
     Parameters
     ----------

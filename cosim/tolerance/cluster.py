@@ -22,14 +22,14 @@ Maker = Callable[[], Callable[[Chunk], Any]]
 
 #: Chunks in flight: for each worker, and in all.
 _EACH, _MOST = 2, 200
-#: A scheduler that does not answer for so long [s] is not there.
+#: A scheduler that does not answer for this long [s] counts as gone.
 _PATIENCE_S = 10
-#: So long [s] a study without workers waits for the next one: a batch system starts it again.
+#: How long [s] a study without workers waits for the next one: a batch system may start one.
 _NEXT_S = 60
 #: Between two attempts to send the work [s].
 _PAUSE_S = 0.2
 
-#: What measures, in a worker's process, by the study: made once.
+#: Measurers of a worker's process by study, each made once.
 _made: dict[str, Callable[[Chunk], Any]] = {}
 
 
@@ -53,7 +53,7 @@ def _answer(future: Any, killed: type[Exception]) -> Any:
 
 
 def _sent(client: Any, make: Maker, address: str) -> Any:
-    """Send what makes the work to all workers; where they die meanwhile, to the next ones.
+    """Send the maker of the work to all workers; if they die meanwhile, to the next ones.
 
     Raises
     ------

@@ -54,7 +54,7 @@ def corner(study: Study, name: str, cheap: Measurer, own: Measurer | None = None
     cheap
         Measures this measure alone.
     own
-        Measures it on the study's model, where that is another one: what is found is measured again there.
+        Measures it on the study's model, if that is another one: the corners are measured again there.
     """
     tolerances = study.tolerances
     points, within = _in_box(study)

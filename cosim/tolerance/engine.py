@@ -1,7 +1,7 @@
 """The engine of a Monte Carlo: samples in chunks, by several processes, kept as they are finished.
 
-A sample depends on the study and on its number alone. So it does not matter who measures it, with which
-others, or in which attempt: an interrupted study goes on where it was, and ends with the same bytes.
+A sample depends on the study and on its number alone, not on the process that measures it, the chunk or the
+attempt: an interrupted study resumes where it was, and ends with the same bytes.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ LEVELS = "levels"
 #: What a chunk should take [s]: long enough for its receipt to cost nothing.
 _CHUNK_S = 2.0
 _MOST_TOGETHER = 4096
-#: After so long [s] it is known what a sample takes, and with so much left [s] further processes pay.
+#: After this long [s] the cost of a sample is known; with this much work left [s] further processes pay.
 _PATIENCE_S, _WORTH_S = 3.0, 10.0
 
 
@@ -215,7 +215,7 @@ def shard(n: int, part: tuple[int, int]) -> tuple[int, int]:
     Raises
     ------
     InputError
-        For a shard that there is not.
+        For a shard that does not exist.
     """
     i, of = part
     if not 1 <= i <= of or of > n:

@@ -1,4 +1,4 @@
-"""Estimates with the interval that the way of sampling allows.
+"""Estimates with the interval that the sampling method allows.
 
 Plain samples of a fixed number: Student's t for the mean, the delta method for the standard deviation, order
 statistics for quantiles, Clopper and Pearson for a yield. Latin hypercubes and Sobol sequences: Student's t
@@ -85,8 +85,8 @@ def quantile(values: Array, share_below: float, how: Sampling) -> Estimate:
 
     Of plain samples the interval is between order statistics, valid for any distribution: infinite on a side
     where there are too few samples. Of randomisations the share below the estimate has Student's interval,
-    and the quantile lies between the values at its ends (Woodruff, JASA 47, 635, 1952): leaving one out after
-    the other tells nothing of a number that moves from sample to sample.
+    and the quantile lies between the values at its ends (Woodruff, JASA 47, 635, 1952): the
+    jackknife fails for a number that jumps from sample to sample.
     """
 
     def at(of: Array) -> float:
@@ -120,7 +120,7 @@ def share(passed: NDArray[np.bool_], how: Sampling) -> Estimate:
     if how.replicates == 1:
         return Estimate(hits / n, *exact, "Clopper-Pearson")
     estimate = _replicated(passed.astype(float), how, np.mean)
-    if estimate.half == 0.0:  # all randomisations agree: their scatter tells nothing of what none has met
+    if estimate.half == 0.0:  # all randomisations agree: their scatter says nothing of what none has met
         return Estimate(estimate.value, *exact, "Clopper-Pearson, the randomisations being equal")
     return Estimate(estimate.value, max(estimate.low, 0.0), min(estimate.high, 1.0), estimate.how)
 

@@ -54,7 +54,7 @@ class Param:
 
     @property
     def varies(self) -> bool:
-        """Whether it deviates by itself, whatever it is made of."""
+        """Whether it deviates by itself, apart from what its expression depends on."""
         return self.stated is not None or bool(self.calls)
 
 
@@ -75,7 +75,7 @@ class NetlistComponent:
 
 
 class Board:
-    """The components of a flat deck, and what is wrong with the tolerances that they state.
+    """The components of a flat deck, and the problems of the tolerances that they state.
 
     Parameters
     ----------

@@ -92,7 +92,7 @@ class Prepared:
     seed: int
 
     def batch(self, names: Sequence[str], model: str) -> Measurer:
-        """Return what measures devices, trimmed where the scene asks for it."""
+        """Return the measurer of devices, with trimming if the scene asks for it."""
         trimmers = trims(self.plan.scene)
         needed = tuple(dict.fromkeys((*names, *(trim.measure for trim in trimmers))))
         designed = self.tolerances.nominal.tolist()
@@ -119,7 +119,7 @@ class Prepared:
 
 @dataclass(frozen=True)
 class _Work:
-    """Makes what measures samples of a study in a process of the engine."""
+    """Makes the measurer of a study's samples in a process of the engine."""
 
     prepared: Prepared
     points: Points

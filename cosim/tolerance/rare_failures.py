@@ -33,14 +33,14 @@ _STEPS, _STEP = 30, 1e-4
 #: Shares of a step that are tried at once.
 _LENGTHS = np.array([1.0, 0.7, 0.4, 0.2, 0.1, 0.03])
 _HALVINGS = 30
-#: What is farther from the design than this never happens.
+#: Anything farther from the design than this counts as impossible.
 _FARTHEST = 9.0
 #: Places nearer to each other than this are one.
 _SAME = 0.3
-#: Places so much farther than the nearest add less than 1e-3 of its failures.
+#: Places farther than the nearest by this much add less than 1e-3 of its failures.
 _FARTHER = 1.5
 _MOST = 64
-#: Effective failures below which nothing is known of the estimate's spread.
+#: With fewer effective failures the estimate's spread is unknown.
 _FEWEST = 2.0
 
 
@@ -177,7 +177,7 @@ def nearest_failures(
     scale = np.linalg.norm(slope, axis=1) * np.maximum(np.linalg.norm(u, axis=1), 1.0)
     count += len(u) * (variables + 1)
     kept = u[np.abs(value) < 0.05 * scale]
-    if not len(kept):  # no slope leads anywhere: the failing draws themselves, the nearest first
+    if not len(kept):  # no slope leads to a failure: take the failing draws themselves, the nearest first
         kept = failing[np.argsort(np.linalg.norm(failing, axis=1))][:most]
     return Places(_apart(kept), count)
 
@@ -201,7 +201,7 @@ def _slope(margin: Margin, u: Array) -> tuple[Array, Array]:
 
 
 def _apart(u: Array, farther: float = _FARTHER) -> Array:
-    """Return the places that matter, the nearest first, those that are the same once."""
+    """Return the places that matter, the nearest first, without duplicates."""
     kept: list[Array] = []
     for place in u[np.argsort(np.linalg.norm(u, axis=1))]:
         if kept and np.linalg.norm(place) > np.linalg.norm(kept[0]) + farther:

@@ -1,4 +1,4 @@
-"""A study measured again from its record: a random sample of it, bit for bit."""
+"""A random sample of a study, measured again from its record and compared bit for bit."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ __all__ = ["asked_of", "record_of", "repeat_samples"]
 
 
 def record_of(prepared: Prepared) -> dict[str, Any]:
-    """Return what a study was asked, JSON-ready, to be asked again."""
+    """Return a study's request, JSON-ready, so that it can be repeated."""
     asked, file = prepared.asked, prepared.plan.scene.file
     kept = {name: getattr(asked, name) for name in _PLAIN}
     limits = [

@@ -1,6 +1,6 @@
 """Measured samples on disk: parts as they are finished, and one Parquet file when all are there.
 
-The file's bytes depend on the samples alone: not on who measured which, in what order or how many at a time.
+The file's bytes depend on the samples alone, not on the processes, the order or the chunks.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Samples:
     Raises
     ------
     InputError
-        For a folder that holds another study or samples of nobody's, or that cannot be written.
+        For a folder that holds another study or samples without one, or that cannot be written.
     """
 
     def __init__(self, folder: Path, digest: str, names: Sequence[str], first: int, last: int) -> None:
@@ -193,8 +193,8 @@ class Samples:
     def _sound(self, path: Path, first: int, count: int) -> bool:
         """Whether a file holds these samples in order.
 
-        A file may be damaged, or a stranger's: then its samples are measured again. What was looked at once
-        is not looked at again while it stays as it is.
+        A file that is damaged or foreign does not: its samples are measured again. A file is checked once,
+        until it changes.
         """
         try:
             about = path.stat()

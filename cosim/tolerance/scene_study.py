@@ -1,4 +1,4 @@
-"""Monte Carlo of a scene: from what is asked to findings, and a folder that keeps them."""
+"""Monte Carlo of a scene: from the request to findings, and a folder that keeps them."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def monte_carlo(
 def sampled(
     prepared: Prepared, batch: Measurer, on_progress: Progress | None = None
 ) -> tuple[Sampling, list[str]]:
-    """Return which samples are taken, by a pilot where a precision is asked for, and what to say of it."""
+    """Return the sampling, sized by a pilot if a precision is asked for, and a remark on it."""
     asked, n, notes = prepared.asked, prepared.asked.n, list[str]()
     count = len(prepared.tolerances.variables)
     if asked.until:
@@ -118,7 +118,7 @@ def one_sample(prepared: Prepared, number: int) -> tuple[Study, Array]:
 
 
 def check_folder(folder: Path, digest: str) -> None:
-    """Refuse a folder that holds another study: nothing of it is written over.
+    """Refuse a folder that holds another study, so that nothing is overwritten.
 
     Raises
     ------

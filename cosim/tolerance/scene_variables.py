@@ -27,9 +27,9 @@ __all__ = ["Component", "Tolerances", "tolerances"]
 
 _CLASSES = {"r": "resistors", "c": "capacitors", "l": "inductors"}
 _UNITS = {"r": "Ohm", "c": "F", "l": "H", "v": "V", "i": "A"}
-#: What a parameter of a part is called behind the part's name -> its class in the scene's table.
+#: Suffix of a part's parameter behind the part's name -> its class in the scene's table.
 _PART_CLASSES = {"gbw": "gbw", "vos": "offset", "vosin": "offset", "vosout": "offset", "scale": "vca_gain"}
-#: Classes whose deviations go either way about nothing.
+#: Classes whose deviations are about zero.
 _ABOUT_ZERO = ("offset", "vca_gain")
 _K_T = "motor_k"
 _KNOWN_UNITS = ("Hz", "Ohm", "V", "A", "F", "H", "%", "V/V", "V/s", "N m/A", "rad", "1/K")
@@ -77,7 +77,7 @@ class _Reader:
         self._roles = {part.name: part.role for part in board.parts}
 
     def read(self) -> Tolerances:
-        """Return all, or raise with all that is wrong."""
+        """Return the tolerances, or raise with every problem."""
         board = Board(netlist(self._deck), self._deck.board, self._named)
         seen: list[str] = []
         classes: set[str] = set()

@@ -1,8 +1,8 @@
 """Which component is to blame: a surface fitted to the samples of a study, no new runs.
 
 Every random variable enters as its standardised deviation, so that the squared coefficients of a linear
-surface are the shares of variance. Where it does not explain a sample that it was not fitted to, squares and
-products of the leading variables are added, one at a time, as long as that explanation gets better.
+surface are the shares of variance. Where it does not predict held-out samples well, squares and products
+of the leading variables are added, one at a time, as long as the prediction improves.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from cosim.types import Array
 
 __all__ = ["Recipe", "Term"]
 
-#: A value that must be positive may be none with this probability, which no batch will ever meet.
+#: Allowed probability that a value that must be positive is not: no batch will ever meet it.
 MOST_NEGATIVE = 1e-12
 
 
@@ -78,7 +78,7 @@ class Recipe:
         lows = [factor * shape.box[0] for factor, shape in sizes]
         if sum(lows) == 0.0:
             return inner
-        # one term alone would have to take its share of the whole way down
+        # each term alone would have to cover its share of the distance to zero
         return inner + sum(
             shape.below(-low / sum(lows) / factor) if low else 0.0
             for low, (factor, shape) in zip(lows, sizes, strict=True)

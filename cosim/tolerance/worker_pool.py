@@ -30,7 +30,7 @@ class Chunk:
     again: bool = False
 
     def halves(self) -> list[Chunk]:
-        """Return its samples one by one: one of them is to blame."""
+        """Return its samples as chunks of one: one of them is to blame."""
         return [Chunk(k, 1, self.again) for k in range(self.first, self.first + self.count)]
 
 
