@@ -19,7 +19,14 @@ def main() -> int:
     from cosim.quick_start import collect_seldom
 
     collect_seldom()
-    return command_line()
+    try:
+        code = command_line()
+    except KeyboardInterrupt:  # between two commands' worth of work: nothing is left half-written
+        _leave()
+        raise
+    if callable(signal.getsignal(signal.SIGINT)):
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is said: what is left is to take away our own
+    return code
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import sys
 import threading
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
+from types import FrameType
 from typing import Any, TextIO
 
 from cosim import __version__
@@ -121,9 +122,26 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _printed(0, shtab.complete(build_parser(), shell=words[1]), sys.stdout)
     args = build_parser().parse_args(words)
     verbosity.choose(quiet=args.quiet, verbose=args.verbose)
-    if callable(signal.getsignal(signal.SIGINT)) and threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, signal.default_int_handler)  # from here on there is something to tidy up
-    return _printed(*_outcome(args))
+    interrupts = _Interrupts()
+    if threading.current_thread() is threading.main_thread():
+        if callable(signal.getsignal(signal.SIGINT)):  # from here on there is something to tidy up
+            signal.signal(signal.SIGINT, interrupts)
+        signal.signal(signal.SIGTERM, interrupts)
+    return _printed(*_outcome(args, interrupts))
+
+
+class _Interrupts:
+    """Handles Ctrl-C, and remembers it: what was at work then may make another error of it.
+
+    A library in C whose import is interrupted says that it could not be imported.
+    """
+
+    def __init__(self) -> None:
+        self.seen = False
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        self.seen = True
+        signal.default_int_handler(number, frame)
 
 
 def _printed(code: int, text: str, stream: TextIO) -> int:
@@ -158,8 +176,9 @@ def _granted(args: argparse.Namespace) -> AbstractContextManager[None]:
     return including(args.include)
 
 
-def _outcome(args: argparse.Namespace) -> tuple[int, str, TextIO]:
+def _outcome(args: argparse.Namespace, interrupts: _Interrupts) -> tuple[int, str, TextIO]:
     """Run the command; return exit code, what to print and where."""
+    message = f"cosim {args.command}: interrupted; finished results are whole"
     with collected() as cautions:
         try:
             _check_folder()
@@ -168,12 +187,17 @@ def _outcome(args: argparse.Namespace) -> tuple[int, str, TextIO]:
             with _granted(args):
                 result, text = args.run(args)
         except CosimError as error:
+            if interrupts.seen:
+                return EXIT_INTERRUPTED, message, sys.stderr
             if args.json:
                 return error.exit_code, _json(error.as_dict() | _as_dict(cautions)), sys.stdout
             lines = [f"cosim {args.command}: {error}", *caution_lines(cautions)]
             return error.exit_code, "\n".join(lines), sys.stderr
         except KeyboardInterrupt:
-            message = f"cosim {args.command}: interrupted; finished results are whole"
+            return EXIT_INTERRUPTED, message, sys.stderr
+        except Exception:
+            if not interrupts.seen:
+                raise
             return EXIT_INTERRUPTED, message, sys.stderr
     code = args.exit_code(args, result)
     if args.strict and cautions:

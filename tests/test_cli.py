@@ -99,6 +99,42 @@ sys.exit(main())
     assert "interrupted" in done.stderr
 
 
+@pytest.mark.parametrize("becomes", ["ImportError('numpy failed to import')", "SimulationError('stuck')"])
+def test_an_interrupt_that_a_library_turns_into_another_error_is_130(becomes: str) -> None:
+    """Numpy's C code, interrupted while it is imported, says that it failed to import."""
+    code = f"""
+import os, signal, sys
+import cosim.newproject
+from cosim.errors import SimulationError
+from cosim.__main__ import main
+def interrupted(*_):
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+    except KeyboardInterrupt:
+        raise {becomes} from None
+cosim.newproject.new_project = interrupted
+sys.argv[1:] = ["new", "x"]
+sys.exit(main())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (
+        cli.EXIT_INTERRUPTED, "cosim new: interrupted; finished results are whole\n"
+    )  # fmt: skip
+
+
+def test_an_interrupt_when_all_is_said_changes_nothing() -> None:
+    """The interpreter's end, with its tidying up, is not torn by a late Ctrl-C."""
+    code = """
+import atexit, os, signal, sys
+from cosim.__main__ import main
+atexit.register(lambda: os.kill(os.getpid(), signal.SIGINT))
+sys.argv[1:] = ["--version", "--verbose"]
+sys.exit(main())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_help_imports_nothing_heavy() -> None:
     heavy = ("numpy", "scipy", "numba", "pydantic", "pyarrow", "matplotlib", "PySpice", "rich", "jinja2")
     code = (

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
@@ -47,7 +48,8 @@ class _Worker:
         self.pipe, theirs = context.Pipe()
         # a daemon: Ctrl-C may come before the pool knows of it, and an interpreter waits for others
         self.process: BaseProcess = context.Process(target=_serve, args=(theirs, make), daemon=True)
-        with suppress(BrokenPipeError):  # it died while it started: its pipe says so
+        # a Ctrl-C waits: it would leave a process half started here, and a traceback of its imports there
+        with _interrupts_held(), suppress(BrokenPipeError):  # it died while it started: its pipe says so
             self.process.start()
         theirs.close()
         self.chunk: Chunk | None = None
@@ -66,6 +68,19 @@ class _Worker:
         if self.process.is_alive():
             self.process.kill()
             self.process.join()
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Let Ctrl-C wait; processes that are started meanwhile are spared it."""
+    if threading.current_thread() is not threading.main_thread():  # which alone is told of it
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _serve(pipe: Connection, make: Maker) -> None:

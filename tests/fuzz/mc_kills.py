@@ -93,6 +93,9 @@ def _local(kind: str, words: list[str], out: Path, folder: Path, wait_s: float) 
         return bool(workers)
     process.send_signal(signal.SIGKILL if kind == "parent" else signal.SIGINT)
     _wait(process, kind)
+    if kind == "Ctrl-C" and process.returncode not in (0, 130):  # 0: it came when all was said
+        message = (folder / "said").read_text(errors="replace")
+        raise Defect(f"{kind}, after {wait_s:.3f} s: exit code {process.returncode}: {message}")
     for _ in range(600):  # workers that outlive their parent end with their chunk
         try:
             os.killpg(process.pid, 0)
