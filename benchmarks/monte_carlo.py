@@ -77,12 +77,14 @@ def two_levels(scene: str) -> Callable[[int], list[Figure]]:
         ratios = [spent / (max(n, 1.0) * dear) for n in plain]
         details = {
             "measure": measure,
-            "correlation": each.pilot.correlation,
-            "of_squares": each.pilot.of_squares,
+            "one_less_correlation": 1.0 - each.pilot.correlation,
+            "one_less_of_squares": 1.0 - each.pilot.of_squares,
             "cost_ratio": each.pilot.cost_ratio,
             "of_the_mean": ratios[0],
             "of_the_standard_deviation": ratios[1],
             "samples": (each.dear, each.cheap),
+            "beside_the_plane": each.beside_plane,
+            "of_the_formula": (each.pilot.gain(), each.pilot.gain(squares=True)),
             "target_holds_for": "rho >= 0.995, of the squares too, and a cost ratio <= 1/100",
         }
         return [figure(f"two_level_vs_plain_{scene}", [max(ratios)], details=details)]

@@ -74,6 +74,9 @@ def test_a_histogram_is_drawn_by_its_inverse(tmp_path: Path) -> None:
     x = shape.inverse(U)
     assert np.mean(x < 0.0) == pytest.approx(0.25, abs=1e-4)
     assert not np.any((x > -0.01) & (x < 0.01 - 1e-6))
+    # means of the bins -1.5 % and 1.5 %, each uniform over 1 %
+    variance = 1e-4 * (1.0 / 12.0 + 0.25 * (1.5 + 0.75) ** 2 + 0.75 * (1.5 - 0.75) ** 2)
+    assert shape.moments() == pytest.approx((0.0075, math.sqrt(variance)), rel=1e-12)
 
 
 @pytest.mark.parametrize(

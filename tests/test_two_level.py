@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
+from cosim.tolerance.plane import Plane, fit_plane, samples_for
 from cosim.tolerance.rare_failures import Places, failure_estimate, importance_points, nearest_failures
-from cosim.tolerance.two_level import moments, pilot_of
+from cosim.tolerance.two_level import Pilot, corrected, moments, pilot_of
+from cosim.tolerance.unit_cube import sampling
 
 D = 6
 SLOPE = np.array([1.0, -2.0, 0.5, 0.25, 1.5, -0.75])
@@ -51,6 +53,85 @@ def test_two_levels_are_unbiased_and_their_interval_holds():
     assert inside_spread >= 88
     plain = math.sqrt((SLOPE**2).sum() / 64.0)
     assert means.std() < plain / 15.0
+
+
+#: As many components as a board has, each smaller than the last.
+MANY = 0.9 ** np.arange(36)
+
+
+def curved(u):
+    """A cheap model that its plane does not quite follow: 1.0 % of its variance is curvature."""
+    z = normal(u)
+    return 100.0 + z @ MANY + 0.15 * (z[:, 1] ** 2 - 1.0) + 0.1 * z[:, 0] * z[:, 4]
+
+
+def near_it(u):
+    """As the dear model: closer to the cheap one than that is to its plane."""
+    return curved(u) + 0.002 * (normal(u)[:, 2] ** 2 - 1.0)
+
+
+#: Of slopes and of three Hermite polynomials, all orthogonal.
+VARIANCE_NEAR_IT = float((MANY**2).sum()) + 2.0 * 0.15**2 + 0.1**2 + 2.0 * 0.002**2
+
+
+def by_two_models(seed, with_plane):
+    """Mean and deviation by 16 + 32 dear samples and 16 randomisations of 16 cheap ones."""
+    draws = sampling("plain", 48, 36, seed).uniforms(0, 48)
+    first, points = draws[:16], draws[16:]
+    u = sampling("sobol", 256, 36, seed + 1000).uniforms(0, 256)
+    own = sampling("plain", samples_for(36), 36, seed + 2000).uniforms(0, samples_for(36))
+    plane = fit_plane(normal(own), curved(own))
+    pilot = pilot_of(curved(first), near_it(first), 0.15)
+    known = (plane, plane(normal(u))) if with_plane else None
+    return corrected(pilot, near_it(points), curved(points), curved(u).reshape(16, -1), known=known)
+
+
+def test_a_plane_of_known_moments_takes_the_cheap_models_error_away():
+    """Unbiased, covered, and at a cheap sample's cost of 0.15 of a dear one by less than 1/30 of plain cost.
+
+    Seen to fail with the plane's variance taken 3 % too large, and with the plane's samples left out of the
+    count.
+    """
+    truth = math.sqrt(VARIANCE_NEAR_IT)
+    rows = [by_two_models(seed, True) for seed in range(200)]
+    spreads = np.array([f.spread for f in rows])
+    assert abs(spreads.mean() - truth) < 4.0 * spreads.std() / math.sqrt(len(rows))
+    for name, exact in (("mean", 100.0), ("spread", truth)):
+        inside = sum(getattr(f, f"{name}_low") <= exact <= getattr(f, f"{name}_high") for f in rows)
+        # 95 % of 200, less three times a binomial's own scatter
+        assert inside >= 181, name
+    without = np.array([by_two_models(seed, False).spread for seed in range(50)])
+    assert spreads.std() < without.std() / 3.0
+    # plain samples of a Gaussian as close, and what these took: pilot and plane too
+    plain = 0.5 * (truth / spreads.std()) ** 2
+    assert rows[0].cheap == 256 + 74
+    assert 48 + 0.15 * (rows[0].cheap + 48) < plain / 30.0
+    # twice the curvature's share: the plane's own error is as large, from two samples for a coefficient
+    assert 0.005 < rows[0].beside_plane < 0.04
+
+
+def test_a_plane_that_fits_badly_is_left_aside_or_does_no_harm():
+    rng = np.random.default_rng(1)
+    z = rng.standard_normal((40, 4))
+    assert fit_plane(z, np.cos(9.0 * z).sum(axis=1)) is None
+    assert fit_plane(z[:5], z[:5, 0]) is None
+    assert fit_plane(np.ones((40, 4)), z[:, 0]) is None
+    plane = fit_plane(z, 3.0 + z @ [1.0, 2.0, 0.0, 0.0])
+    assert plane.variance == pytest.approx(5.0, rel=1e-12)
+    assert plane.mean == pytest.approx(3.0, rel=1e-12)
+    # one that is wrong by a fifth costs accuracy and no more: here the dear model is the cheap one
+    pilot = Pilot(1.0, 1.0, 1.0, 1.0, 100.0, 100.0, 0.1)
+    wrong = Plane(99.0, 1.2 * SLOPE, 40)
+    rows = []
+    for _ in range(40):
+        u = rng.random((1600, D))
+        low, cheap = linear(u[:32]), linear(u).reshape(16, -1)
+        rows.append(corrected(pilot, low, low, cheap, known=(wrong, wrong(normal(u)))))
+    for values, exact in (
+        ([f.mean for f in rows], 100.0),
+        ([f.spread**2 for f in rows], float((SLOPE**2).sum())),
+    ):
+        assert abs(np.mean(values) - exact) < 4.0 * np.std(values) / math.sqrt(40)
 
 
 def test_a_cheap_model_that_says_nothing_is_left_aside_with_a_word():

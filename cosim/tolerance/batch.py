@@ -283,14 +283,17 @@ def _one(
     scene = with_numbers(plan.scene, keys, values)
     on_board = [values[k] for k in of_board(keys)]
     solver = scene.solver
-    circuit = draws.at(on_board)  # of a run on `spice` too: who is unstable is told
+    runs = [name for name in names if MEASURES[name].needs is Need.RUN]
+    gains = scene.tolerance.calibration == "gains"
+    # of a run on `spice` too: who is unstable is told; a run here has its own, smaller one
+    circuit = draws.at(on_board) if gains or len(runs) < len(names) or not runs else None
     constants = with_motors(plan.stated(), drawn, values, scene.joints)
-    if scene.tolerance.calibration == "gains":
+    if gains:
+        assert circuit is not None
         constants = calibrated(constants, circuit)
     # what is asked of the plan is the board's design, but for its motors
     plan = replace(plan, scene=scene, board=draws.deck(on_board), _asked={"stated": constants})
     values_of: dict[str, float] = {}
-    runs = [name for name in names if MEASURES[name].needs is Need.RUN]
     if runs:
         from cosim.measures import standard
 
@@ -298,11 +301,12 @@ def _one(
         result = held_run(scene, constants, small)
         rows = standard(scene, constants, result.signals, result.samples, [], result.ledger)
         values_of |= {name: float(row["value"]) for name, row in rows.items()}
-    of = BoardMeasures(plan, _Here(), circuit)
-    for name in names:
-        if name not in runs:
-            try:
-                values_of[name] = float(of.row(name)["value"])
-            except Lacking:
-                values_of[name] = np.nan
+    if circuit is not None:
+        of = BoardMeasures(plan, _Here(), circuit)
+        for name in names:
+            if name not in runs:
+                try:
+                    values_of[name] = float(of.row(name)["value"])
+                except Lacking:
+                    values_of[name] = np.nan
     return [values_of.get(name, np.nan) for name in names]

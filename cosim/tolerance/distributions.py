@@ -46,6 +46,13 @@ class Histogram:
         """Return the value below which a share `u` lies; uniform within a bin."""
         return np.interp(u, self.cumulative, self.edges)
 
+    def moments(self) -> tuple[float, float]:
+        """Return mean and standard deviation."""
+        share, (a, b) = np.diff(self.cumulative), (np.array(self.edges[:-1]), np.array(self.edges[1:]))
+        mean = float(share @ (a + b)) / 2.0
+        a, b = a - mean, b - mean
+        return mean, math.sqrt(float(share @ (a**2 + a * b + b**2)) / 3.0)
+
 
 @dataclass(frozen=True)
 class Shape:
@@ -117,7 +124,9 @@ class Shape:
         return (low if math.isfinite(low) else self.low), (high if math.isfinite(high) else self.high)
 
     def moments(self) -> tuple[float, float]:
-        """Return mean and standard deviation, by Gauss and Legendre over the inverse."""
+        """Return mean and standard deviation: exact, or by Gauss and Legendre over the inverse."""
+        if self.histogram is not None:
+            return self.histogram.moments()
         if self.kind == "gauss":
             low, high = -self.low / self.sigmas, self.high / self.sigmas
             mean = (high - low) / math.sqrt(2.0 * math.pi)

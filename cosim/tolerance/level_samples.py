@@ -18,7 +18,9 @@ from cosim.errors import fail
 from cosim.storage.staging import atomic_file, disk_errors
 from cosim.tolerance.engine import LEVELS, Processes
 from cosim.tolerance.monte_carlo import Study
+from cosim.tolerance.plane import Plane, fit_plane, samples_for
 from cosim.tolerance.preparation import Points, Prepared
+from cosim.tolerance.sensitivity import deviations
 from cosim.tolerance.two_level import Pilot, TwoLevel, cheap_samples, corrected, pilot_of
 from cosim.tolerance.unit_cube import REPLICATES, Sampling, sampling
 from cosim.types import Array, Progress
@@ -148,22 +150,40 @@ class LevelSamples:
         dear, cheap = self.seconds()
         return pilot_of(low[:first], high[:first], cheap / dear)
 
-    def cube(self, pilots: Mapping[str, Pilot | str], first: int) -> Sampling:
-        """Return the cheap level's points: as many as the most demanding estimate wants, within its cost."""
+    def planes(self, pilots: Mapping[str, Pilot | str]) -> dict[str, Plane]:
+        """Return planes through samples of the cheap model, where these cost less than half the dear ones."""
+        paying = _paying(pilots)
+        n, count = samples_for(len(self.study.tolerances.variables)), len(self.study.tolerances.variables)
+        if not paying or 2 * n > self.study.sampling.n / paying[0].cost_ratio:
+            return {}
+        points = sampling("plain", n, count, self.prepared.seed + 2)
+        z = deviations(self.study.tolerances, points.uniforms(0, n))
+        table = self.named(self.measured("plane", points, n))
+        planes = {name: fit_plane(z, table[name]) for name in self.names}
+        return {name: plane for name, plane in planes.items() if plane is not None}
+
+    def cube(self, pilots: Mapping[str, Pilot | str], first: int, beside: int = 0) -> Sampling:
+        """Return the cheap level's points: as many as the most demanding estimate wants, within its cost.
+
+        `beside` are cheap samples that are spent already.
+        """
         dear = self.study.sampling.n - first
-        paying = [pilot for pilot in pilots.values() if isinstance(pilot, Pilot) and not pilot.words]
+        paying = _paying(pilots)
         count, seed = len(self.study.tolerances.variables), self.prepared.seed
         if not paying:
             return sampling("sobol", 0, count, seed + 1)
         each = max(cheap_samples(pilot, dear) for pilot in paying)
-        most = int(self.study.sampling.n / paying[0].cost_ratio / REPLICATES)
+        most = int((self.study.sampling.n / paying[0].cost_ratio - beside) / REPLICATES)
         if self.prepared.asked.specs:
             each = _MOST_CHEAP
         each = max(min(each, most, _MOST_CHEAP), 16)
         return sampling("sobol", (1 << (each.bit_length() - 1)) * REPLICATES, count, seed + 1)
 
-    def moments(self, name: str, pilot: Pilot | str, same: Array, values: Array, first: int) -> TwoLevel:
-        """Return mean and standard deviation of a measure."""
+    def moments(
+        self, name: str, pilot: Pilot | str, same: Array, values: Array, first: int,
+        plane: tuple[Plane, Array] | None = None,
+    ) -> TwoLevel:  # fmt: skip
+        """Return mean and standard deviation of a measure; `plane` comes with what it is at `values`."""
         high = self.study.column(name)[first:]
         if isinstance(pilot, str):
             known = high[np.isfinite(high)]
@@ -172,4 +192,8 @@ class LevelSamples:
         # where the cheap model is silent it says what it says on average: any function of a draw may be used
         tables = (same[first:], values)
         low, cheap = (np.nan_to_num(self.named(t)[name], nan=pilot.middle_of_cheap) for t in tables)
-        return corrected(pilot, high, low, cheap.reshape(REPLICATES, -1))
+        return corrected(pilot, high, low, cheap.reshape(REPLICATES, -1), known=plane)
+
+
+def _paying(pilots: Mapping[str, Pilot | str]) -> list[Pilot]:
+    return [pilot for pilot in pilots.values() if isinstance(pilot, Pilot) and not pilot.words]

@@ -20,10 +20,13 @@ from cosim.tolerance.border_strata import STRATA, learned
 from cosim.tolerance.engine import Processes
 from cosim.tolerance.level_samples import LevelSamples, cheaper
 from cosim.tolerance.monte_carlo import Study
+from cosim.tolerance.plane import Plane
 from cosim.tolerance.preparation import Prepared
+from cosim.tolerance.sensitivity import deviations
 from cosim.tolerance.strata_yields import Stratified, yields_by_strata
 from cosim.tolerance.two_level import TwoLevel
-from cosim.types import Progress
+from cosim.tolerance.unit_cube import Sampling
+from cosim.types import Array, Progress
 
 __all__ = ["LEAST_DEAR", "Levels", "check", "two_levels"]
 
@@ -31,6 +34,8 @@ __all__ = ["LEAST_DEAR", "Levels", "check", "two_levels"]
 #: Dear samples that a study of two models needs.
 LEAST_DEAR = 32
 _PILOT = 32
+#: Points of which a plane is evaluated together.
+_TOGETHER = 1 << 14
 
 
 @dataclass(frozen=True)
@@ -108,9 +113,13 @@ def two_levels(
     same = work.measured("same", study.sampling, n)
     pilots = {name: work.pilot(name, same, first) for name in work.names}
     border = learned(prepared.asked.specs, work.named(same[:first]), work.named(work.own()[:first]))
-    cube = work.cube(pilots, first)
+    planes = work.planes(pilots)
+    cube = work.cube(pilots, first, max((plane.samples for plane in planes.values()), default=0))
     values = work.measured("cheap", cube, cube.n) if cube.n else np.empty((0, len(work.names)))
-    moments = {name: work.moments(name, pilot, same, values, first) for name, pilot in pilots.items()}
+    at = _at(planes, study, cube)
+    moments = {
+        name: work.moments(name, pilot, same, values, first, at.get(name)) for name, pilot in pilots.items()
+    }
     yields: dict[str, Stratified] = {}
     extra = 0
     if prepared.asked.specs and cube.n:
@@ -142,6 +151,17 @@ def check(prepared: Prepared) -> None:
     if problems:
         raise InputError(problems)
     cheaper(prepared.plan.model)
+
+
+def _at(planes: Mapping[str, Plane], study: Study, cube: Sampling) -> dict[str, tuple[Plane, Array]]:
+    """Return each plane with its values at all points of the cheap level."""
+    values: dict[str, list[Array]] = {name: [] for name in planes}
+    for start in range(0, cube.n if planes else 0, _TOGETHER):
+        points = cube.uniforms(start, min(_TOGETHER, cube.n - start))
+        z = deviations(study.tolerances, points)
+        for name, plane in planes.items():
+            values[name].append(plane(z))
+    return {name: (plane, np.concatenate(values[name])) for name, plane in planes.items() if values[name]}
 
 
 def _pilot_size(n: int) -> int:

@@ -223,7 +223,12 @@ def _of_levels(levels: Levels) -> list[str]:
             f"{name}: correlation of both models {pilot.correlation:.5f}, of the squares "
             f"{pilot.of_squares:.5f}; {each.dear} samples on {levels.dear}, {each.cheap} on {levels.cheap}: "
             f"variance times cost {pilot.gain():.3g} of plain sampling for the mean, "
-            f"{pilot.gain(squares=True):.3g} for the standard deviation, at the best split"
+            f"{pilot.gain(squares=True):.3g} for the standard deviation, at the best split of plain samples"
+            + (
+                f"; a plane of known moments leaves {each.beside_plane:.2g} of {levels.cheap}'s variance"
+                if each.beside_plane < 1.0
+                else ""
+            )
         )
     for text, share in levels.yields.items():
         agreed = f"{share.correlation:.4f}" if math.isfinite(share.correlation) else "not known, no failure"

@@ -3,6 +3,7 @@
 With the same draws for both, dear = (dear - b cheap) + b cheap: the first term scatters little where the two
 agree, the second is cheap (a control variate with its own estimated mean; Pasupathy et al., IIE Transactions
 44, 2012). The factor b and the split come from a pilot whose samples are not used again: nothing is biased.
+The cheap level's own error is made small by scrambled Sobol points, and by a plane whose moments are known.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
+from cosim.tolerance.plane import Plane, fit_plane, samples_for
 from cosim.tolerance.unit_cube import REPLICATES, sampling
 from cosim.types import Array
 
@@ -83,6 +85,8 @@ class TwoLevel:
         What the split came from.
     word
         Why the cheap model was not used, if so.
+    beside_plane
+        Share of the cheap model's variance that a plane through samples of it leaves; 1: there is none.
     """
 
     mean: float
@@ -95,6 +99,7 @@ class TwoLevel:
     cheap: int
     pilot: Pilot
     word: str = ""
+    beside_plane: float = 1.0
 
 
 def pilot_of(cheap: Array, dear: Array, cost_ratio: float) -> Pilot:
@@ -134,6 +139,7 @@ def moments(
     seed: int,
     cost_ratio: float,
     pilot_samples: int = 32,
+    deviations: Model | None = None,
 ) -> TwoLevel:
     """Return mean and standard deviation of the dear model.
 
@@ -146,6 +152,9 @@ def moments(
         Points of the unit cube -> the measure.
     dear_samples
         Dear samples besides the pilot's.
+    deviations
+        Points of the unit cube -> independent deviations (n, variables) of mean 0 and variance 1: the cheap
+        level samples what a plane in them leaves.
     """
     draws = sampling("plain", pilot_samples + dear_samples, variables, seed)
     first = draws.uniforms(0, pilot_samples)
@@ -156,11 +165,24 @@ def moments(
         return corrected(pilot, high, high, np.empty((REPLICATES, 0)))
     each = cheap_samples(pilot, dear_samples)
     cube = sampling("sobol", each * REPLICATES, variables, seed + 1)
-    means = np.array([cheap(cube.uniforms(r * cube.each, cube.each)) for r in range(REPLICATES)])
-    return corrected(pilot, high, cheap(points), means)
+    u = cube.uniforms(0, cube.n)
+    plane = None
+    if deviations is not None:
+        own = sampling("plain", samples_for(variables), variables, seed + 2)
+        first = own.uniforms(0, own.n)
+        plane = fit_plane(deviations(first), cheap(first))
+    known = None if plane is None or deviations is None else (plane, plane(deviations(u)))
+    return corrected(pilot, high, cheap(points), cheap(u).reshape(REPLICATES, -1), known=known)
 
 
-def corrected(pilot: Pilot, high: Array, low: Array, cheap: Array, word: str = "") -> TwoLevel:
+def corrected(
+    pilot: Pilot,
+    high: Array,
+    low: Array,
+    cheap: Array,
+    word: str = "",
+    known: tuple[Plane, Array] | None = None,
+) -> TwoLevel:
     """Return mean and standard deviation of the dear model from samples of both.
 
     Parameters
@@ -173,6 +195,8 @@ def corrected(pilot: Pilot, high: Array, low: Array, cheap: Array, word: str = "
         Measure on the cheap model, (randomisations, n): independent randomisations.
     word
         Why the cheap model is of no use, where that is known.
+    known
+        A plane from other samples, and its values at those of `cheap`, in any shape of as many.
     """
     shifted = high - pilot.middle
     if word or pilot.words:
@@ -181,13 +205,21 @@ def corrected(pilot: Pilot, high: Array, low: Array, cheap: Array, word: str = "
         return replace(result, word=word or pilot.words)
     about = pilot.middle_of_cheap  # not of the same samples: that would be a bias
     centred, values = low - about, cheap - about
-    means = pilot.factor * values.mean(axis=1)
-    squares = pilot.factor_of_squares * (values**2).mean(axis=1)
-    return _combined(
+    first, second = values.mean(axis=1), (values**2).mean(axis=1)
+    count, left = cheap.size, 1.0
+    if known is not None:
+        plane, at = known[0], known[1].reshape(cheap.shape) - about
+        off = plane.mean - about
+        first = off + (values - at).mean(axis=1)
+        second = plane.variance + off**2 + (values**2 - at**2).mean(axis=1)
+        count += plane.samples
+        left = float(np.var(values - at) / max(float(np.var(values)), 1e-300))
+    result = _combined(
         shifted - pilot.factor * centred,
         shifted**2 - pilot.factor_of_squares * centred**2,
-        means, squares, high, cheap.size, pilot,
+        pilot.factor * first, pilot.factor_of_squares * second, high, count, pilot,
     )  # fmt: skip
+    return replace(result, beside_plane=left)
 
 
 def cheap_samples(pilot: Pilot, dear_samples: int) -> int:
