@@ -1,4 +1,4 @@
-"""Memory layout shared by the compiled kernels, the Python faces and whoever calls the kernels from C.
+"""Memory layout shared by the compiled kernels, their Python interface and callers in C.
 
 Every record is passed as ``arr[0]`` of a structured array with one element, so that a compiled
 callback can rebuild it from a bare address. SI units throughout, angles in radians.
@@ -110,10 +110,7 @@ WORK = np.dtype(
         ("tau_stop", np.float64, (NMAX,)),  # N m, on the joint
         ("tau_shaft", np.float64, (NMAX,)),  # N m, motor on joint
         ("tau_loss", np.float64, (NMAX,)),  # N m, the part of it that stores no energy
-        (
-            "latched",
-            np.int64,
-        ),  # 1: the caller keeps the gears' flanks; 0: found at every state (`mech.shaft`)
+        ("latched", np.int64),  # 1: the caller keeps the gears' flanks; 0: by the state (`mech.shaft`)
         ("tooth", np.int64, (NMAX,)),  # flank that carries, -1, 0 or +1
         ("slack", np.float64, (NMAX,)),  # rad, twist of the shaft when its flank was left
         ("left", np.float64, (NMAX,)),  # s, then

@@ -48,7 +48,7 @@ def of_asked(scene: Scene, constants: DesignConstants) -> Iterator[Caution]:
     try:
         pose = touching(scene, constants)
     except InputError:
-        return  # a wall may be met elsewhere than at its point, which can be out of reach
+        return  # the wall's point may be out of reach: the tip may meet the wall elsewhere
     shown = board_range(scene, constants, pose)
     for (what, key, asked, unit), most in zip(
         (

@@ -81,8 +81,8 @@ def cycle_amplitude(
 ) -> float:
     """Return the amplitude of the large cycle 4 f_c/(pi w (K (T/2 + t_d) - b)), w^2 = K/m [4]_ [m].
 
-    In it Coulomb friction takes what sampling gives, averaged over a turn. The cycle is unstable: smaller
-    motions die out, larger ones grow. Infinite where sampling gives nothing.
+    In it Coulomb friction dissipates what sampling adds, averaged over a cycle. It is unstable: smaller
+    motions die out, larger ones grow. Infinite where sampling adds nothing.
     """
     excess = stiffness * (0.5 * period + delay) - viscosity
     if excess <= 0.0:
@@ -105,7 +105,7 @@ def stiffness_of_cycle(
         k = low * (1.0 + math.exp(x))
         return math.log(cycle_amplitude(k, mass, viscosity, period, coulomb, delay) / amplitude)
 
-    # without viscosity the excess is K itself: the search is over K above a floor then
+    # without viscosity the excess is K itself: search over K above a floor
     if low == 0.0:
         return float(
             (4.0 * coulomb * math.sqrt(mass) / (math.pi * amplitude * (0.5 * period + delay))) ** (2.0 / 3.0)

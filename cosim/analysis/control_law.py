@@ -26,7 +26,7 @@ __all__ = ["LawPoint", "external_force", "law_point", "resting_pose", "rests"]
 
 #: Newton's steps to the contact point, as the computer takes them.
 _STEPS = 30
-#: A pose of rest is found when what is left of the torques is below this share of the largest of them.
+#: A pose counts as at rest when the residual torque is below this share of the largest torque.
 _BALANCED = 1e-9
 
 
@@ -173,7 +173,7 @@ def external_force(scene: Scene, linkage: Linkage, q: Array, t: float) -> Array:
 
 
 def rests(contact: HeldContact, q: Array, t: float) -> tuple[Array, float, Array]:
-    """Return the torques left at rest at `q` [N m], the largest of those in them, and the currents [A]."""
+    """Return the residual torques at `q` [N m], the largest of their terms, and the currents [A]."""
     scene, constants, circuit, linkage = contact.scene, contact.constants, contact.circuit, contact.linkage
     n = scene.joints
     law = law_point(scene, constants, linkage, q)
@@ -202,7 +202,7 @@ def resting_pose(contact: HeldContact, t: float | None = None) -> Array:
     Raises
     ------
     InputError
-        When nothing rests there, or outside of the wall.
+        When there is no pose of rest, or only outside the wall.
     """
     scene = contact.scene
     at = scene.duration_s if t is None else t

@@ -22,8 +22,8 @@ __all__ = ["Delivered", "delivered", "device_of", "law_of"]
 def device_of(contact: HeldContact) -> Device:
     """Return the device at the pose of a contact, its analog springs and dampers in force, held by nobody.
 
-    What brakes it: viscous friction, the motors' back-EMF, the analog dampers, and what the circuit's lags
-    make of its springs. Coulomb friction is left out.
+    Its damping: viscous friction, the motors' back-EMF, the analog dampers, and the (negative) part that the
+    circuit's lags add to its springs. Coulomb friction is left out.
     """
     scene, constants, circuit, linkage = contact.scene, contact.constants, contact.circuit, contact.linkage
     n, m = scene.joints, len(circuit.gain)
@@ -52,7 +52,7 @@ def device_of(contact: HeldContact) -> Device:
 
 
 def law_of(scene: Scene) -> Law:
-    """Return the discrete part of the scene's law, late; of the DACs' settling the half counts."""
+    """Return the discrete part of the scene's law with its delay, half of the DACs' settling included."""
     c = scene.computer
     late = 0.0
     if scene.effects.delay:
@@ -85,13 +85,13 @@ class Delivered:
     ----------
     most_j
         Largest net energy delivered up to any time, beyond what its springs held at the start. A passive
-        display has none to give: above `doubt_j` it was active.
+        display delivers none: above `doubt_j` it was active.
     at_s
         When.
     end_j
         Net energy delivered over the run; negative where it took more than it gave.
     doubt_j
-        What the run's energy ledger leaves unexplained.
+        What the run's energy ledger does not explain.
     contacts
         For each contact from its first sample to its end: start [s], length [s], energy delivered [J].
     """

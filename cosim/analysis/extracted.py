@@ -21,7 +21,7 @@ def circuit_of(
     Parameters
     ----------
     reduced
-        Whether it is reduced as the scene's solver asks for, as it is in runs; whole otherwise.
+        Whether it is reduced as the scene's solver asks for, as it is in runs; all poles otherwise.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""Which oscillation a mode of the sampled loop is: motion between samples says what z = exp(s T) cannot.
+"""Which oscillation a mode of the sampled loop is: motion between samples decides what z = exp(s T) cannot.
 
 A mode of the map of one period repeats itself up to the factor z; its exponent is s_k = (ln z + 2 pi i k)/T
-for any whole k. Between two samples it moves as x(t) = exp(s_k t) p_k(t), with p_k of period T: the one
+for any integer k. Between two samples it moves as x(t) = exp(s_k t) p_k(t), with p_k of period T: the one
 seen on an oscilloscope is that whose p_k has the largest mean. A mode that nothing samples, such as one
 of the circuit alone, has a constant p_k for one k, and s_k is then its eigenvalue in continuous time.
 """
@@ -43,7 +43,7 @@ def exponents(
     -------
     tuple
         s [M], and shares [M] of the squared motion, in coordinates balanced against each other's units. Below
-        one half two frequencies or more tell the motion alike. Not a number where oscillations are too fast
+        one half several frequencies describe the motion equally well. NaN where oscillations are too fast
         against the period to be told apart.
     """
     system = lifted.system

@@ -2,8 +2,8 @@
 
 A hand that moves the tip sinusoidally along the wall's normal feels a force; its part of the same frequency
 over the tip's speed is the impedance. Mass, viscosity and circuit answer as linear parts do. The computer's
-part is sampled, delayed and held: its fundamental is exact at every frequency but for what a hand feels of
-the other components of the staircase, which are at other frequencies.
+part is sampled, delayed and held: its fundamental is exact at every frequency; the other
+components of the staircase, at other frequencies, are not counted.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def impedance(contact: HeldContact, frequency: Array) -> Complex:
     """Return force over speed at the tip along the wall's normal [N s/m] at the frequencies [Hz].
 
     The tip is moved along the normal, contact held at a wall that is just touched; all joints follow. The
-    operator is whoever moves it: his mass and damping are not in it.
+    operator moves it: the hand's mass and damping are not included.
     """
     scene, constants, circuit = contact.scene, contact.constants, contact.circuit
     linkage, pose, normal = contact.linkage, contact.q, contact.normal
@@ -83,7 +83,7 @@ def full_scale(constants: DesignConstants, direction: Array) -> tuple[float, flo
 
 @dataclass(frozen=True)
 class Displayed:
-    """A stiffness or damping that can be displayed; `by` says what ends it."""
+    """A stiffness or damping that can be displayed; `by` names the limit."""
 
     value: float
     by: str

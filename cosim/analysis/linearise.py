@@ -65,7 +65,7 @@ class System:
     current_a
         [n], motor currents at rest.
     notes
-        What the scene asks for and a linear system leaves out.
+        What the scene asks for but a linear system leaves out.
     """
 
     joints: int
@@ -85,7 +85,7 @@ class System:
 
 
 def linearise(contact: HeldContact, *, preload: bool = True, t: float | None = None) -> System:
-    """Return the scene about the pose of a contact, which never ends.
+    """Return the scene linearised about the pose of a permanent contact.
 
     Parameters
     ----------

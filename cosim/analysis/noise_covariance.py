@@ -1,4 +1,4 @@
-"""What the potentiometers' noise does to a contact that is held, without sampling: exact second moments.
+"""Exact second moments of a held contact under its potentiometers' noise, without random draws.
 
 The noise is what a run draws (`cosim.loop.noise`): independent values on a grid, linear between its ticks.
 Samples and ticks repeat together after a few periods, so the scene is a linear system with periodic
@@ -27,7 +27,7 @@ from cosim.types import Array
 __all__ = ["Grid", "NoiseCovariance", "covariance", "noise_covariance", "noise_grid"]
 
 
-#: Samples and ticks are taken to meet again within so many of the longer of both.
+#: Samples and ticks must coincide again within this many of the longer of both.
 _MOST_TURNS = 64
 #: A bandwidth that is shifted by more than this share to make them meet is reported.
 _SHIFTED = 1e-9
@@ -205,7 +205,7 @@ def covariance(
     Raises
     ------
     InputError
-        When the contact is not stable, or something is held by nobody: nothing is stationary then.
+        When the contact is not stable, or something is free to drift: nothing is stationary then.
     """
     assert lifted.noise is not None
     size = lifted.size
@@ -323,7 +323,7 @@ def noise_covariance(contact: HeldContact) -> NoiseCovariance:
 
 
 def _checked(moments: NoiseCovariance, at_rest: HeldContact, lifted: Lifted) -> NoiseCovariance:
-    """Add what noise of this size meets: the wall's surface, the driver's limit."""
+    """Add notes where noise of this size reaches the wall's surface or the driver's limit."""
     notes = list(moments.notes)
     depth = law_point(at_rest.scene, at_rest.constants, at_rest.linkage, at_rest.q).penetration_m
     if depth < _ROOM * moments.rms("penetration"):

@@ -38,10 +38,10 @@ __all__ = ["Certified", "Device", "Law", "least_damping", "needed_damping", "sha
 _GRID = 512
 #: The certified bound lies this share of the maximum's own size above the value found.
 _ABOVE = 1e-9
-#: A joint motion with less of the square of the force is not moved by it, and an eigenvalue of the damping
-#: below this share of the largest is none.
+#: A joint motion with less than this share of the squared force is not excited, and an eigenvalue of the
+#: damping below this share of the largest counts as zero.
 _UNMOVED, _UNDAMPED = 1e-24, 1e-13
-#: An eigenvalue so close to the unit circle counts as on it.
+#: An eigenvalue this close to the unit circle counts as on it.
 _CIRCLE = 1e-7
 #: Aliases that are summed one by one on each side; the others by integrals on panels of an octave.
 _ALIASES = 48
@@ -165,7 +165,7 @@ def needed_damping(law: Law) -> Certified:
         crossings = _on_circle(law.a, inner, -law.c, 0.5 * (one - upper / half))
         if not len(crossings):
             break
-        # the level is crossed: the tops lie between the crossings
+        # crossed: the maxima lie between the crossings
         edges = np.concatenate([[0.0], crossings, [np.pi]])
         tops = 0.5 * (edges[1:] + edges[:-1])
         at_tops = at(tops)
@@ -236,7 +236,7 @@ class Device:
         return out
 
     def viscosity(self, omega: float) -> float:
-        """Return 1/(w' B^-1 w) at a frequency [rad/s]; 0 where a way that the force moves is not damped."""
+        """Return 1/(w' B^-1 w) at a frequency [rad/s]; 0 where a motion that it excites is not damped."""
         values, ways = np.linalg.eigh(self.damping(np.array([omega]))[0])
         share = np.abs(ways.conj().T @ self.direction) ** 2
         moved = share > _UNMOVED * share.sum()
@@ -290,7 +290,7 @@ def _used(law: Law, device: Device, theta: float) -> float:
     d_d = float(np.sum(weight * (seen @ w.conj()).real / omega**2))
     hold = (1.0 - np.exp(-1j * theta)) / (1j * omega)
     if device.command is None and law.lag_s == 0.0:
-        # parallel vectors: nothing is left of the root but |Re S|
+        # parallel vectors: only |Re S| is left of the root
         return max(float((over_t * (1.0 - np.exp(-1j * theta))).real) * d_d, 0.0)
     path = device.command(omega) if device.command is not None else np.broadcast_to(w, (len(omega), len(w)))
     p = hold[:, None] * path
@@ -339,7 +339,7 @@ def _turning(cross: Complex, late: Array, theta: float, share: float) -> complex
 
 
 def share_used(law: Law, device: Device, points: int = 96) -> Certified:
-    """Return how much of the device's damping the law uses up: passive below 1.
+    """Return the share of the device's damping that the law uses: passive below 1.
 
     For a law of stiffness alone it is proportional to it, so stiffness over this share is the largest that is
     passive. The maximum is that of a grid and of a search around its best point.

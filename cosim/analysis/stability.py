@@ -51,8 +51,8 @@ class Mode:
         Of the exponent s, z = exp(s T), that tells the motion between the samples
         (`cosim.analysis.floquet`): |Im s|/(2 pi) and -Re s/|s|.
     share
-        Of the motion that goes by exp(s t): below one half another frequency tells it as well; not a number
-        where the circuit swings too fast for the period to tell.
+        Of the motion that goes by exp(s t): below one half another frequency describes it as well; NaN where
+        the circuit swings too fast for the period to tell.
     shape
         Part of each joint angle [rad], largest one 1.
     """
@@ -156,7 +156,7 @@ def monodromy(lifted: Lifted) -> Array:
     Raises
     ------
     InputError
-        Where it is beyond what numbers hold: something grows by more than 1e300 within a period.
+        Where it overflows: something grows by more than 1e300 within a period.
     """
     product = lifted.period()
     if not np.isfinite(product).all():

@@ -3,7 +3,7 @@
 The discrete stiffness k enters the map of a period linearly: the computer's reading is latched before the
 circuit sees it, so that M(k) = M0 + k M1 whatever circuit, delay and hold are. Two lifts with one matrix
 exponential give both, and what a period forgets (columns of zeros) is taken out. The scan for the border is
-then one batch of small eigenvalue problems, and its root a few more: no step of it knows the scene any more.
+then one batch of small eigenvalue problems, and its root a few more: none of them uses the scene any more.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def pencil(contact: HeldContact, *, scale: float = 100.0) -> Pencil:
 
 
 def _remembered(*maps: Array) -> NDArray[np.intp]:
-    """Return the indices of the state that a period does not forget: all others have the eigenvalue 0."""
+    """Return the indices of the state that influence the next period: all others have the eigenvalue 0."""
     kept: NDArray[np.intp] = np.arange(len(maps[0]))
     while True:
         used = np.zeros(len(kept), bool)

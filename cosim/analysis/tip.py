@@ -88,7 +88,7 @@ class Tip(HeldContact):
         Raises
         ------
         InputError
-            For a device without viscosity: there is nothing that delay could take.
+            For a device without viscosity: delay has nothing to take.
         """
         w, inner = self.torques, self.joint_viscosity()
         least = float(np.linalg.eigvalsh(inner)[0])

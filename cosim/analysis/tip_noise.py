@@ -29,7 +29,7 @@ __all__ = [
 ]
 
 
-#: Of a density that is flat to a corner and falls beyond, the share below these frequencies is nothing.
+#: Of a density that is flat up to a corner, the share below these frequencies is negligible.
 _LOW_HZ, _POINTS = 1e-1, 400
 
 

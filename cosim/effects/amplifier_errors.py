@@ -49,7 +49,7 @@ def bent(role: str) -> Callable[[Scene, Stated], Cost]:
 
 
 def slew(scene: Scene, constants: Stated) -> Size:
-    """Return how late a stage is that has to cross its full scale."""
+    """Return the delay of a stage that has to cross its full scale."""
     at, rate = scale(scene, constants), constants.of("opamp", "sr")
     if not rate:
         return unstated(at, "slew rate")
@@ -58,7 +58,7 @@ def slew(scene: Scene, constants: Stated) -> Size:
 
 
 def saturation(scene: Scene, constants: Stated) -> Size:
-    """Return what is missing where a multiplier's input would have to exceed what an op-amp gives."""
+    """Return the force that is missing where a multiplier's input exceeds what an op-amp can drive."""
     at, swing = scale(scene, constants), constants.of("opamp", "swing")
     if not swing:
         return unstated(at, "output swing")
@@ -148,7 +148,7 @@ def corner_cost(scene: Scene, constants: Stated) -> Cost:
 
 
 def undamped(scene: Scene) -> str:
-    """Say that nothing is differentiated in the scene."""
+    """Say that the scene differentiates nothing."""
     damped = scene.computer.analog_damping_n_s_per_m > 0.0 or any(scene.computer.joint_damping_n_m_s_per_rad)
     return "" if damped or scene.computer.law is not None else "no analog damping"
 

@@ -17,7 +17,7 @@ from cosim.units import quantity
 #: Every circuit model; those that know the circuit's dynamics; and the one that bends.
 ALL = frozenset({"ideal", "linear", "spice"})
 DYNAMIC = frozenset({"linear", "spice"})
-#: What no linear model can carry.
+#: Models of effects that no linear model can carry.
 SPICE = frozenset({"spice"})
 
 
@@ -65,7 +65,7 @@ class Cost:
 
 
 def free(scene: Scene, constants: Stated) -> Cost:
-    """Return the cost of an effect that changes numbers only."""
+    """Return the cost of an effect that only changes numbers."""
     return Cost(0.0, 0, "nothing")
 
 

@@ -1,4 +1,4 @@
-"""Which keys a scene states in vain: those that act through an effect only (`Effect.keys`), which is off."""
+"""Keys stated in vain: those that act only through an effect (`Effect.keys`) that is off."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ def stated_in_vain(scene: Scene, effects: tuple[Effect, ...]) -> list[str]:
 
 
 def forgotten(scene: Scene, effects: tuple[Effect, ...]) -> list[str]:
-    """Say the same of the keys whose effect the scene does not mention: one that says "off" knows it."""
+    """Say the same of keys whose effect the scene does not mention; one that states "off" means it."""
     mentioned = scene.effects.model_fields_set
     return [text for effect, text in _in_vain(scene, effects) if effect not in mentioned]
 
 
 def _in_vain(scene: Scene, effects: tuple[Effect, ...]) -> Iterator[tuple[str, str]]:
-    """Yield the effect that is off, and what to say of a key that needs it."""
+    """Yield the effect that is off, and the remark on a key that needs it."""
     if scene.effects.auto:
-        return  # what is off now may be chosen
+        return  # an effect that is off may still be chosen
     for effect in effects:
         if effect.is_in_force(scene):
             continue

@@ -2,8 +2,8 @@
 
 Calibrated on the shipped scenes in the three models, with parts at every level and of a vendor, with noise of
 both kinds, at relative tolerances from 1e-3 to 1e-6, periods from 1 to 100 ms and other steps: points and
-processor time are within a factor of two on those (a test holds this). The machine enters by the microseconds
-a point, measured on one of two cores.
+processor time are within a factor of two on those (a test holds this). The machine enters by the
+microseconds a point, measured on one of two cores.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ POINT_US = {
     "linear": (0.4, 0.8, 0.0, 0.0),
     "ideal": (0.45, 0.25, 0.0, 0.0),
 }
-#: A slew limit at level gbw stands inside the loop of its pole: so many times the Newton steps.
+#: A slew limit at level gbw stands inside the loop of its pole: it takes this many times the Newton steps.
 SLEW_STEPS = 1.5
 #: Seconds for the matrices of a slider that is solved exactly, and for the maps of an interval of new length.
 EXACT_S = {"spice": 0.0, "linear": 0.0075, "ideal": 0.0045}

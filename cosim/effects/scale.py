@@ -1,7 +1,7 @@
-"""Orders of magnitude of a scene: what an a-priori size is made of, before anything has run.
+"""Orders of magnitude of a scene, from which a-priori sizes are made before anything has run.
 
 Upper estimates from what the scene and its board state: how stiff, how fast, how deep, how heavy. They rank
-effects; they are no prediction.
+effects and predict nothing.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from cosim.scene import HandOperator, MassOperator, Method, Scene
 
 #: Peak speed of a minimum-jerk move over its mean (Flash and Hogan 1985): 30 x^2 (1 - x)^2 at x = 1/2.
 _MINIMUM_JERK_PEAK = 15.0 / 8.0
-#: The slowest that a scene is taken to be [m/s]: a hand that rests still drifts by some mm/s.
+#: Least speed assumed of a scene [m/s]: a hand at rest still drifts by some mm/s.
 _TREMBLE_M_PER_S = 0.01
 
 

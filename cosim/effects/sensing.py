@@ -1,4 +1,4 @@
-"""Effects of the potentiometers and the encoders: what is measured is not what is."""
+"""Effects of the potentiometers and the encoders: errors of measured angles."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ def source(node: str, t: Vector, v: Vector) -> str:
     """Return a source of piecewise linear voltage at a node, with all digits.
 
     A B-source finds its place among the corners by bisection, where the time of a V-source's `pwl` grows with
-    their number; but it makes ngspice stop at none of them: see `clocks`. Beyond its ends it goes on along
+    their number; but ngspice stops at none of them: see `clocks`. Beyond its ends it goes on along
     the first and the last line, so both are made level.
     """
     if np.all(v == v[0]):

@@ -1,9 +1,9 @@
 """Names of a strict alphabet in place of a netlist's own.
 
 ngspice hands names to a command language in which back-ticks run programs, ``$`` expands, ``>`` opens files
-and ``;`` separates. So nothing of a user's name reaches it: nodes are called ``n17``, elements keep their
+and ``;`` separates. So no part of a user's name reaches it: nodes are called ``n17``, elements keep their
 letter (``r12``), subcircuits and models are ``sub3`` and ``mod4``, in decks and in commands, and all that
-ngspice says is put back into the user's words. A name that already has that form stays as it is.
+ngspice prints is translated back into the user's names. A name that already has that form stays as it is.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Aliases:
     Parameters
     ----------
     text
-        The deck: no alias is a word of it, so that one means the same whoever says it.
+        The deck: no alias is a word of it, so that aliases are unambiguous.
     plain
         Whether names stay as they are: for a deck that its user trusts with commands of its own.
     readable
@@ -128,7 +128,7 @@ class Aliases:
         return low if path is None and _PLAIN.fullmatch(low) else path
 
     def restore(self, text: str) -> str:
-        """Put the user's names back into what ngspice says."""
+        """Put the user's names back into what ngspice prints."""
         return _ALIAS.sub(self._user, text) if self._back else text
 
     def _user(self, match: re.Match[str]) -> str:

@@ -1,4 +1,4 @@
-"""The one way of a command into ngspice: one of those listed, numbers as numbers, names by their aliases."""
+"""The only way to send ngspice a command: one of a list, numbers as numbers, names as aliases."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def spelled(command: str, aliases: Aliases) -> str:
     ValueError
         For what is not one of the commands that may be sent.
     InputError
-        For a name that nothing in the deck bears.
+        For a name that nothing in the deck has.
     """
     words = command.split()
     if not words or command.strip("\r\n") != command or not command.isprintable():

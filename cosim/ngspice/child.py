@@ -82,7 +82,7 @@ def call(
         The child is ended when the call takes longer [s], imports and compilations apart; what belongs to a
         scene has the scene's limit.
     stall_limit_s
-        The child is ended when for so long [s] it reported nothing, or the same ``time_s`` again and again.
+        The child is ended when for this long [s] it reported nothing, or the same ``time_s`` again and again.
     on_progress
         Called with every report that comes through (at most 20 a second).
     deck
@@ -120,12 +120,12 @@ def start_early(*modules: str, reads: Sequence[Path] = (), library: bool = True)
     """Start a child now that imports `PREIMPORT` and `modules` while the parent does something else."""
     child = Child((*PREIMPORT, *([LIBRARY] if library else []), *modules), reads)
     child.start()
-    defer()  # the parent, too, has much to load
+    defer()  # meanwhile the parent loads its own modules
     return child
 
 
 def on_demand() -> "Child":
-    """Return a child that starts with its first call, for work whose answers may all be kept already."""
+    """Return a child that starts with its first call, for work whose answers may all be cached."""
     defer()
     return Child((*PREIMPORT, LIBRARY))
 
@@ -262,8 +262,8 @@ class Child:
     def _messages(self, request: bytes, watch: Watch) -> Any:
         """Send the request and yield messages until the child closes its pipe.
 
-        Sending and receiving go on together: a child that still imports does not read, and a long request
-        must not make us deaf to its death or the limits.
+        Sends and receives at the same time: a child that still imports does not read, and while a long
+        request is being sent its death and the limits must be noticed.
         """
         assert self._process.stdin is not None
         inlet = self._process.stdin.fileno()
@@ -300,7 +300,7 @@ class Child:
             yield child_messages.read(body)
 
     def _ended(self, deck: str | None, watch: Watch) -> SimulationError:
-        """Say how the child ended without a result."""
+        """Describe how the child ended without a result."""
         status = self._process.wait()
         if status < 0:
             try:
@@ -334,8 +334,8 @@ def _command(descriptor: int, modules: Sequence[str], allowed: Mapping[str, list
 def _allowed(folder: Path, env: Mapping[str, str], reads: Sequence[Path]) -> dict[str, list[str]]:
     """Return the files of a child: its own folder, the caches and the user's Python files."""
     caches = [str(Path(env["XDG_CACHE_HOME"]) / "cosim" / "circuits"), env["NUMBA_CACHE_DIR"]]
-    for cache in (*caches, env[PARENTS]):  # a rule needs a folder that is there
-        with contextlib.suppress(OSError):  # where nothing can be written, nothing is kept
+    for cache in (*caches, env[PARENTS]):  # a Landlock rule needs an existing folder
+        with contextlib.suppress(OSError):  # a read-only system keeps no cache
             os.makedirs(cache, exist_ok=True)
     return {"reads": [env[PARENTS], *map(str, reads)], "writes": [str(folder), *caches]}
 

@@ -1,6 +1,6 @@
-"""What a child sends, taken for data: a pickle could call anything, so only known types are made of it.
+"""Messages from a child, treated as untrusted data: a pickle can call anything, so only known types pass.
 
-A child that something broke into must not get at its parent, which is not in a sandbox.
+A child that was taken over must not reach its parent, which is not in a sandbox.
 """
 
 import io
@@ -46,7 +46,7 @@ def written(message: Any) -> bytes:
     Raises
     ------
     pickle.PicklingError
-        For what is no data, such as a function.
+        For anything but data, such as a function.
     """
     body = io.BytesIO()
     try:
@@ -76,7 +76,7 @@ def read(body: bytes) -> Any:
     Raises
     ------
     SimulationError
-        When it holds what no message of ours does.
+        When it holds a type that no message has.
     """
     try:
         return _Reader(io.BytesIO(body)).load()

@@ -1,4 +1,4 @@
-"""``.if`` blocks, decided before ngspice sees them: what is left out leaves no line behind."""
+"""``.if`` blocks, decided before ngspice sees them: branches not taken leave no line behind."""
 
 import re
 from collections.abc import Mapping

@@ -1,8 +1,8 @@
 """Which nodes have a DC path to ground, and which sources close a loop, found in a flat deck's structure.
 
-A singular matrix has causes that ngspice tells alike: a node that nothing ties to ground or a loop of voltage
-sources, which are slips in the netlist, and a state of a model in which Newton's method got lost, which is
-none.
+ngspice reports all causes of a singular matrix alike: a node that nothing ties to ground or a loop of voltage
+sources, which are mistakes in the netlist, and a state of a model in which Newton's method got lost, which is
+not.
 """
 
 import re

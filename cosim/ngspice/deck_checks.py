@@ -1,4 +1,4 @@
-"""What goes into a deck is judged, and only that: whether it may, its form, and how large it grows."""
+"""Checks of what goes into a deck, and only of that: permission, form, and size."""
 
 from collections.abc import Iterable, Mapping
 

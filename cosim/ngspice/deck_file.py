@@ -24,7 +24,7 @@ FILE = "board.json"
 
 
 class _Record(TypedDict):
-    """The form of the file; that its run was trusted does not make a line so."""
+    """The form of the file; a trusted run does not make its lines trusted."""
 
     lines: tuple[Line, ...]
     board: str
@@ -77,7 +77,7 @@ def load(folder: Path, *, trust: bool = False) -> Deck:
 
 
 def _refusal(line: Line) -> Problem | None:
-    """Refuse what a flat board cannot hold either: the loader carries it out, or leaves it away."""
+    """Refuse what a flat board never holds, since the loader executes or drops it."""
     if line.keyword.startswith(".") and line.keyword not in KEPT:
         return Problem("is not allowed in a flat board", file=line.file, line=line.lineno, value=line.text)
     return refusal(line)

@@ -7,7 +7,7 @@ __all__ = ["Dialect"]
 
 
 class Dialect(StrEnum):
-    """Whose SPICE a file was written for."""
+    """The SPICE that a file was written for."""
 
     NGSPICE = "ngspice"
     PSPICE = "pspice"

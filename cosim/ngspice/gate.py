@@ -1,4 +1,4 @@
-"""The one way of a deck into ngspice: checked row by row, with aliases for names.
+"""The only way to load a deck into ngspice: checked row by row, with aliases for names.
 
 What comes here is flat: includes, levels, overrides and dialects are behind it. One row is one line, the
 title is ours, every statement and element is one that `cosim.ngspice.safety` allows, and every name has an
@@ -72,7 +72,7 @@ class Admitted:
 
 
 def check(lines: Sequence[Line]) -> None:
-    """Judge the lines of a flat deck, the first of which is its title.
+    """Check the lines of a flat deck, the first of which is its title.
 
     Raises
     ------

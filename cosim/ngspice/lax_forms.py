@@ -1,4 +1,4 @@
-"""Forms that PSpice reads although they are not quite as its manual says, put right for ngspice.
+"""Forms that PSpice accepts although its manual does not allow them, corrected for ngspice.
 
 Vendors' models were tried on PSpice, which counts no parentheses in a table, takes a comma between nodes for
 a blank and asks for no sign of equality behind `TC`. ngspice counts, takes two nodes with a comma for one,

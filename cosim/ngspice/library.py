@@ -70,7 +70,7 @@ class Library:
         self.exited = False
         self.loaded = False
         self.end_s = self.aim_s = math.inf  # of the transient analysis that runs, and of its last step
-        self._stop_waits = False  # for the next step: ngspice 47 takes no command while it tells its words
+        self._stop_waits = False  # for the next step: ngspice 47 takes no command while it prints
         self._compiled_steps = False
         self.restore: Callable[[str], str] = str
         self.on_time: Callable[[float], None] | None = None
@@ -80,7 +80,7 @@ class Library:
         # kept alive here: ngspice holds bare pointers
         self._text = ffi.callback("SendChar", self._on_text)
         self._exit = ffi.callback("ControlledExit", self._on_exit)
-        self._nobody = ffi.new("long long *", 0)  # user memory of nobody: its first word is zero
+        self._nobody = ffi.new("long long *", 0)  # user memory without a run: its first word is zero
         self._data: int | None = None  # address of the data callback that ngspice was initialised with
         self._stays = False
         self._no_data = ffi.callback("SendData", lambda data, count, ident, user: 0)
@@ -248,7 +248,7 @@ class Library:
             self.lines.append(text)
         if worth_quoting(text):
             self.recent.append(text.partition(" ")[2])
-            if self.echo:  # a child's last words must outlive it
+            if self.echo:  # a child's last output must outlive it
                 os.write(2, text.partition(" ")[2].encode() + b"\n")
         return 0
 
@@ -258,7 +258,7 @@ class Library:
 
     def _on_init(self, info: Any, ident: int, user: Any) -> int:
         self.vectors, self.names = [], []
-        if self.init is None:  # nobody would ask for them
+        if self.init is None:  # never asked for
             return 0
         try:
             ffi = self.ffi
@@ -279,7 +279,7 @@ class Library:
 
 
 _library: Library | None = None
-_refused: InputError | None = None  # why there is none: a process looks for it once
+_refused: InputError | None = None  # why it is missing: a process looks for it once
 
 
 def opened() -> Library:

@@ -59,7 +59,7 @@ def is_error(line: str) -> bool:
 
 
 def worth_quoting(line: str) -> bool:
-    """Return whether `line` tells the user anything (gmin stepping, greetings and rules do not)."""
+    """Return whether `line` is of use to the user (gmin stepping, greetings and rules are not)."""
     return _CHATTER.search(line) is None
 
 
@@ -73,8 +73,8 @@ def operating_point_problem(
     """Return what is wrong with the DC operating point, or ``None``.
 
     ngspice warns of a singular matrix, and tries gmin and source stepping. Where they fail, the matrix was
-    singular for a node without a DC path (which `tied` tells), a loop of voltage sources (which `looped`
-    tells of an element in it), or because Newton's method got lost within a model.
+    singular for a node without a DC path (`tied` is false of it), a loop of voltage sources (`looped` is
+    true of an element in it), or because Newton's method got lost within a model.
     """
     if not any(_DC_FAILED.search(line) for line in output):
         return None
@@ -128,7 +128,9 @@ def load_problems(output: Sequence[str], rows: Sequence[str], lines: Sequence[Li
     words = [line.strip() for line in output if worth_quoting("stderr " + line) and line.strip()]
     words = list(dict.fromkeys(words))
     number = next((int(match[1]) for line in output if (match := _NUMBERED.search(line))), None)
-    named = any(_PARAMETER.search(word) for word in words)  # surer than 47's number of a line, one of its own
+    named = any(
+        _PARAMETER.search(word) for word in words
+    )  # surer than the line number of 47, which counts its own lines
     index = number - 1 if number is not None and 0 < number <= len(rows) and not named else _find(words, rows)
     quoted = _rows_of_expression(words, rows)
     if len(quoted) == 1:

@@ -1,4 +1,4 @@
-"""The structure of a netlist: subcircuits, the statements outside them, and who instantiates whom."""
+"""The structure of a netlist: subcircuits, the statements outside them, and instances."""
 
 import re
 from collections.abc import Iterable
@@ -165,7 +165,7 @@ class Netlist:
     dropped
         Harmless statements that are ignored.
     slips
-        What is wrong with the structure, where it was read leniently.
+        Faults of the structure, where it was read leniently.
     """
 
     blocks: dict[str, Block] = field(default_factory=dict)
@@ -220,7 +220,7 @@ def parse(lines: Iterable[Line], *, is_part: bool = False, lenient: bool = False
     in_control, about = False, Line("")
     for line in lines:
         word = line.keyword
-        if in_control or word.startswith(".control"):  # only trusted netlists come this far with one
+        if in_control or word.startswith(".control"):  # only trusted netlists get here with one
             in_control = not word.startswith(".endc")
             net.top.append(line)
         elif word == ".subckt":

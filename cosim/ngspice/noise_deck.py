@@ -42,7 +42,7 @@ class Element:
         Whether it is a resistor of a stated value: its noise is 4 k T / R whatever `.noise` says.
     warmed
         Whether its line states its own temperature (``temp=``), which `.noise` takes differently by version:
-        39 does not hear of it, 44 adds it to 27 degC, 47 takes it as it is.
+        39 ignores it, 44 adds it to 27 degC, 47 takes it as it is.
     """
 
     name: str
@@ -94,10 +94,10 @@ def _part(block: str, parts: dict[str, Part]) -> Part | None:
 def _source(part: Part, line: Line) -> list[Line]:
     """Return a voltage source of the part's noise between its pin's outer and inner side.
 
-    Its resistor has the circuit's temperature, since ``temp=`` means something else in every version; who
-    measures its noise scales it back (`Element.from_data_sheet`).
+    Its resistor has the circuit's temperature, since ``temp=`` means something else in every version;
+    measurements scale its noise back (`Element.from_data_sheet`).
     """
-    from scipy.constants import Boltzmann  # 30 ms that a run has no need of
+    from scipy.constants import Boltzmann  # 30 ms that a run does not need
 
     four_kt = 4.0 * Boltzmann * (ROOM_C + 273.15)
     texts = (

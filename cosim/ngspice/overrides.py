@@ -36,7 +36,7 @@ def apply_overrides(net: Netlist, board: Block, overrides: Mapping[str, str]) ->
     Returns
     -------
     list of str
-        What was taken otherwise than it was written, in words.
+        What was read differently from how it was written, in words.
 
     Raises
     ------

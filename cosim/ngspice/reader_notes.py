@@ -1,4 +1,4 @@
-"""What a reader of the netlist left out, took otherwise, or found odd, in words."""
+"""What the netlist reader left out, changed or found odd, in words."""
 
 from cosim.ngspice.lines import assignments, tokens
 from cosim.ngspice.netlist import Block, Netlist
@@ -51,10 +51,10 @@ def notes(net: Netlist, blocks: list[Block]) -> list[str]:
 
 
 def _unlisted_amplifiers(blocks: list[Block]) -> list[str]:
-    """Say of each amplifier that the board includes itself why no table of loops or headroom has it.
+    """Say why no table of loops or headroom lists an amplifier that the board includes itself.
 
-    What has supplies among five pins or more and sources of its own, and instantiates nothing, is taken for
-    an amplifier.
+    A subcircuit with supplies among five pins or more, sources of its own and no instances counts as an
+    amplifier.
     """
     board = blocks[-1]
     users = {x.block: f"{x.name} in {block.name}" for block in blocks for x in block.instances()}

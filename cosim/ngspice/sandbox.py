@@ -1,9 +1,9 @@
-"""What the kernel lets a child process do: the last line of defence, below every check of a netlist.
+"""What the kernel lets a child process do: the last line of defence behind all checks of a netlist.
 
 Linux only, without privileges, a program or user namespaces: limits of resources, a filter of system calls
 (seccomp: no program is started, no process made, no socket opened, no other process touched) and rules of
-files (Landlock: what it reads and writes is listed). Where a kernel gives less, the rest still holds;
-`applied` says what there is. Elsewhere a child is a process with limits of its own, no more.
+files (Landlock: what it reads and writes is listed). Where a kernel offers less, the rest still holds;
+`applied` states what is in force. Elsewhere a child is a process with limits of its own, no more.
 
 Numbers are those of Linux's ``asm/unistd``, ``linux/seccomp.h`` and ``linux/landlock.h``.
 """
@@ -86,7 +86,7 @@ _SYSTEM = (
 
 @dataclass(frozen=True)
 class Status:
-    """What of the sandbox this system gives.
+    """Which parts of the sandbox this system offers.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ def applied() -> Status:
 
 
 def limit_cpu(seconds: float | None) -> None:
-    """Let this process compute for so much longer, all its threads together; without end at ``None``."""
+    """Let this process compute for this much longer, all threads together; without limit at ``None``."""
     try:
         import resource
     except ImportError:
@@ -156,7 +156,7 @@ def limit_cpu(seconds: float | None) -> None:
 
 
 def _limit_resources() -> None:
-    """Set limits of memory and of files; nothing is left of a crash but its words."""
+    """Set limits of memory and of files, and no core dumps."""
     try:
         import resource
     except ImportError:  # Windows

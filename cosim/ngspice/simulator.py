@@ -1,7 +1,7 @@
 """ngspice behind a small face: load a deck, run commands, read vectors, attach callbacks.
 
-The library keeps its state in globals: one circuit at a time, one simulator per process. Whoever needs
-isolation (every run does) goes through `cosim.ngspice.child`.
+The library keeps its state in globals: one circuit at a time, one simulator per process. For
+isolation, which every run needs, use `cosim.ngspice.child`.
 """
 
 import contextlib
@@ -81,7 +81,7 @@ class Simulator:
         text
             The deck; its first line is the title. A line ``*@ ngbehavior=psa`` selects ngspice's
             compatibility mode for the whole deck. It is judged, and its names get aliases, by
-            `cosim.ngspice.gate.admit`; whoever asks for a vector or sends a command uses the deck's own.
+            `cosim.ngspice.gate.admit`; vectors and commands are asked for by the deck's own names.
         lines
             Where the first lines of `text` come from (`Deck.lines`), so that ngspice's complaints name the
             user's file and line.
@@ -96,7 +96,7 @@ class Simulator:
         Raises
         ------
         InputError
-            When it holds what no deck may, or with ngspice's own words, when it does not accept the deck.
+            When it holds what no deck may, or, in ngspice's words, when ngspice does not accept it.
         """
         self._deck = name
         written = text.rstrip("\n").split("\n")
@@ -286,7 +286,7 @@ class Simulator:
         """Return the addresses of the C ints that hold the length of each vector of the running analysis.
 
         ngspice keeps every point of every vector to the end of a run. A callback that writes 1 through these
-        addresses now and then keeps its memory constant; `vector` has nothing to tell afterwards. Valid
+        addresses now and then keeps its memory constant; `vector` returns nothing afterwards. Valid
         from `init` to the end of the analysis. The place of the field in ngspice's private structure is
         checked against what is known of a fresh vector; where it does not fit, the array is empty.
         """
@@ -326,7 +326,7 @@ class Simulator:
     def _clear(self) -> None:
         if self._library.loaded:  # by whichever simulator; every old plot would slow each point of a run
             self._library.loaded = False
-            self._run("delete all")  # what `.save` and `stop` asked for: it would be sent again and again
+            self._run("delete all")  # what `.save` and `stop` have set: it would stay in force
             self._run("destroy all")
             self._run("remcirc")
 
@@ -366,7 +366,7 @@ class Simulator:
 
     def _without_operating_point(self, output: list[str]) -> CosimError | None:
         if any(row.endswith("simulation interrupted") for row in output):
-            return None  # an analysis that was stopped may quote what went wrong in one before it
+            return None  # a stopped analysis may repeat an error of an earlier one
         return operating_point_problem(
             output,
             lambda node: has_dc_path(self._rows, node),
@@ -375,7 +375,7 @@ class Simulator:
         )
 
     def _forget_stops(self) -> None:
-        """Remove what `stop` left behind, lest the next analysis stop as well."""
+        """Remove the stop conditions, or the next analysis would stop as well."""
         library = self._library
         if library.exited:
             return

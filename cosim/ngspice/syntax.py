@@ -1,4 +1,4 @@
-"""Slips of the pen that ngspice passes over, reports without a line, or dies of."""
+"""Typing errors that ngspice ignores, reports without a line, or crashes on."""
 
 import re
 from itertools import pairwise

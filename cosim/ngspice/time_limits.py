@@ -6,17 +6,17 @@ from typing import Any
 
 __all__ = ["MOST_PREPARING_S", "Watch"]
 
-#: Nothing imports and compiles for longer than this [s], on whatever machine: what does hangs.
+#: Imports and compilation never take longer than this [s] on any machine: what does hangs.
 MOST_PREPARING_S = 600.0
 
 
 class Watch:
-    """The two limits of a call, and the simulated time last heard of.
+    """The two limits of a call, and the simulated time last reported.
 
     Attributes
     ----------
-    time_s : simulated time last heard of [s]
-    preparing_s : what imports and compilations have taken since the child began, as last heard of [s]
+    time_s : simulated time last reported [s]
+    preparing_s : time of imports and compilations since the child began, as last reported [s]
     """
 
     def __init__(

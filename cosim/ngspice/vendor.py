@@ -1,4 +1,4 @@
-"""One subcircuit out of a vendor's library: what it needs, and nothing of what stands beside it."""
+"""One subcircuit out of a vendor's library, with what it needs and nothing else."""
 
 import re
 from collections.abc import Iterable, Iterator

@@ -1,4 +1,4 @@
-"""What a hard case is, and what runs its scenes."""
+"""Hard cases, and the runner of their scenes."""
 
 from __future__ import annotations
 
@@ -58,11 +58,11 @@ class HardCase:
     ----------
     name : of the case; several cases of one kind differ behind the comma
     row : number in the project's list of hard cases
-    what : what is found, with its unit
+    what : quantity that is computed, with its unit
     expected : from theory, in that unit
     bound : model -> largest difference from it, in that unit; the models it runs on
     reason : where the bound comes from
-    find : what finds it, by a runner, on a model
+    find : computes it, by a runner, on a model
     slow : whether it takes more than some seconds
     broken : a change of the program that made it miss when it was tried
     """
@@ -80,12 +80,12 @@ class HardCase:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a case on one model.
+    """Outcome of a case on one model.
 
     Attributes
     ----------
     case, model : what ran
-    got : what was found; None where it failed
+    got : value computed; None where it failed
     failed : the error, in words
     seconds : wall time
     """
@@ -98,18 +98,18 @@ class Outcome:
 
     @property
     def number(self) -> bool:
-        """Whether what was found is a number."""
+        """Whether the value computed is a number."""
         return self.got is not None and math.isfinite(self.got)
 
     @property
     def held(self) -> bool:
-        """Whether the answer is right; what is no number is wrong."""
+        """Whether the answer is right; NaN is wrong."""
         return self.got is not None and abs(self.got - self.case.expected) <= self.case.bound[self.model]
 
 
 @dataclass(frozen=True)
 class Ran:
-    """What is left of a run: signals and samples by name; measures and stats as in `cosim.results.Run`.
+    """Results of a run: signals and samples by name; measures and stats as in `cosim.results.Run`.
 
     `warnings` are those of the run, as (code, text).
     """
@@ -222,7 +222,7 @@ def toml(tables: Tables) -> str:
 
 
 def _toml(value: Any) -> str:
-    """Return a value as TOML writes it: JSON has no word for what is no number."""
+    """Return a value as TOML writes it: JSON has no word for NaN and infinity."""
     return repr(value) if isinstance(value, float) else json.dumps(value)
 
 
