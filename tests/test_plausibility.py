@@ -66,6 +66,9 @@ def test_shipped_scenes_carry_no_warning(path: Path, model: str, tmp_path: Path)
         ("resistor-absurd", "0.001 Ohm", ["device.values.xdiff1.r12=1m"]),
         ("resistor-absurd", "2e+08 Ohm", ["device.values.r31=200meg"]),
         ("resistor-absurd", "2e+08 Ohm", ["device.values.rsp11=200meg"]),
+        ("resistor-absurd", "write 1meg for mega", ["device.values.r_diff_fb=1MOhm"]),
+        ("capacitor-absurd", "write 1 for farad", ["device.values.c_der_in=1F"]),
+        ("capacitor-absurd", "0.1 fF", ["device.values.c_der_in=0.1Farad"]),
         ("constant-missed", "its circuit makes 5.999 at ksp1", ["device.values.r_sum_fb=20k"]),
         ("constant-missed", "v_nm = 15.62, its circuit makes 7.8", ["device.values.r_sum_fb=20k"]),
         ("constant-missed", "c_fs = 0.06969, its circuit makes 0.0348", ["device.values.c_der_in=500n"]),
@@ -104,6 +107,7 @@ def test_a_slip_is_reported(code: str, doubt: str, overrides: list[str]) -> None
         "device.values.tl072_drop=2",  # read by the amplifier's stated swing
         "device.values.k_fs=3.1",
         "device.values.xsum1.r31=11k",
+        "device.values.c_der_in=1.01uF",
     ],
 )
 def test_a_plain_edit_is_no_slip(override: str) -> None:
@@ -134,20 +138,31 @@ def test_a_shunt_below_an_ohm_may_be_changed() -> None:
     assert [caution.code for caution in cautions] == []
 
 
-def test_a_capital_m_in_the_netlist_itself_is_reported(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("block", "written", "edited", "code", "advice"),
+    [
+        ("diffamp", r"r_diff_fb=\S+", "r_diff_fb=1M", "resistor-absurd", "write 1meg for mega"),
+        ("diffamp", r"r_diff_fb=\S+", "r_diff_fb=1MOhm", "resistor-absurd", "write 1meg for mega"),
+        ("differentiator", r"c_der_in=\S+", "c_der_in=1F", "capacitor-absurd", "write 1 for farad"),
+        ("summer", r"(?m)^R31 .*$", r"\g<0>\nC31 sum out 2f", "capacitor-absurd", "write 2 for farad"),
+    ],
+)
+def test_a_scale_taken_for_a_unit_in_the_netlist_itself_is_reported(
+    tmp_path: Path, block: str, written: str, edited: str, code: str, advice: str
+) -> None:
     board = tmp_path / "netlists" / "board1.cir"
     for folder in ("blocks", "parts"):
         (board.parent / folder).mkdir(parents=True)
         for file in (BOARD1.parent / folder).iterdir():
             (board.parent / folder / file.name).write_bytes(file.read_bytes())
     board.write_text(BOARD1.read_text())
-    block = board.parent / "blocks" / "diffamp.cir"
-    block.write_text(re.sub(r"r_diff_fb=\S+", "r_diff_fb=1M", block.read_text(), count=1))
+    file = board.parent / "blocks" / f"{block}.cir"
+    file.write_text(re.sub(written, edited, file.read_text(), count=1))
     with collected() as cautions:
         resolve(load_scene(SCENES / "drop.toml", [f"device.board={board.as_posix()!r}"]))
-    (doubt,) = [caution for caution in cautions if caution.code == "resistor-absurd"]
-    assert "diffamp.cir:" in doubt.text
-    assert "write 1meg for mega" in doubt.advice
+    (doubt,) = [caution for caution in cautions if caution.code == code]
+    assert f"{block}.cir:" in doubt.text
+    assert advice in doubt.advice
 
 
 def test_degrees_for_radians_are_reported_even_when_the_run_fails() -> None:

@@ -17,10 +17,11 @@ MOST_BYTES = 8 << 20
 
 _SCALE = {
     "t": 1e12, "g": 1e9, "meg": 1e6, "k": 1e3, "mil": 25.4e-6, "m": 1e-3,
-    "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9, "p": 1e-12, "f": 1e-15, "a": 1e-18,
+    "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9, "p": 1e-12, "f": 1e-15,
 }  # fmt: skip
 _NUMBER = re.compile(
-    r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[ed][-+]?\d+)?)(meg|mil|[tgkmuµμnpfa])?(?:[^\W\d_]|[%°Ω])*", re.IGNORECASE
+    r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[ed][-+]?[0-9]+)?)(meg|mil|[tgkmuµμnpf])?((?:[^\W0-9_]|[%°])*)",
+    re.IGNORECASE,
 )
 # Some of them end a line for one reader and not for another, some are seen by none but the computer.
 _STRANGE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u2064\ufeff]")
@@ -220,14 +221,21 @@ def assignments(words: list[str]) -> dict[str, str]:
 def number(text: str) -> float | None:
     """Return the value of a SPICE number such as ``8.2k``, ``3MEG`` or ``100nF``; ``None`` if it is none.
 
-    ``M`` is milli and ``MEG`` mega; a unit after the scale is ignored.
+    ``M`` is milli and ``MEG`` mega; a unit after the scale is ignored. ``1A`` is one ampere.
 
     Examples
     --------
-    >>> number('8.2k'), number('3MEG'), number('1M'), number('ten')
-    (8200.0, 3000000.0, 0.001, None)
+    >>> number('8.2k'), number('3MEG'), number('1M'), number('ten'), number('1kk'), number('1e')
+    (8200.0, 3000000.0, 0.001, None, None, None)
     """
     match = _NUMBER.fullmatch(text.strip())
-    if match is None:
+    if match is None or not _is_unit(match[3].lower(), (match[2] or "").lower()):
         return None
     return float(match[1].lower().replace("d", "e")) * _SCALE.get((match[2] or "").lower(), 1.0)
+
+
+def _is_unit(text: str, scale: str) -> bool:
+    """Whether `text` may follow a number: no second scale (``1kk``, ``1mmeg``), no ``e`` without digits."""
+    if text.startswith("meg") or (not text.isascii() and any(c.isnumeric() for c in text)):
+        return False
+    return text != scale or scale in ("", "m", "f") if scale else text not in ("e", "d")

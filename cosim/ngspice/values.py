@@ -1,8 +1,9 @@
 """Values as they are written: what ngspice would read otherwise than it stands there.
 
 ngspice stops reading a number at the first character that does not fit and drops the rest: ``24k3`` is 24k
-to it, ``0x10`` is 0 x-something, ``4,7k`` is 7k and ``1k 5%`` is 5 Ohm. Such a value is translated where the
-file's dialect gives it a meaning, else it is a fault. Distribution functions give their nominal value:
+to it, ``0x10`` is 0 x-something, ``4,7k`` is 7k, ``1kk`` is 1k, ``1e`` is 1 and ``1k 5%`` is 5 Ohm. Such a
+value is translated where the file's dialect gives it a meaning, else it is a fault. What one ngspice reads
+otherwise than another is written so that all read the same. Distribution functions give their nominal value:
 tolerances are drawn elsewhere, once for each placed component and repeatably.
 """
 
@@ -24,16 +25,30 @@ MOST_DRAWN = 100
 """Calls of distribution functions in one statement."""
 _CALL = re.compile(rf"(?<![\w.])({'|'.join(_DISTRIBUTIONS)})\s*\(", re.IGNORECASE)
 _MICRO = re.compile(r"(?<![\w.])(\d+\.?\d*|\.\d+)(e[-+]?\d+)?[µμ]", re.IGNORECASE)
+#: An ampere: ngspice 39 drops the letter, 44 takes it for atto.
+_AMPERE_INSIDE = re.compile(
+    r"(?<![\w.$#:@])((?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[-+]?[0-9]+)?)a[a-z]*(?![\w.])", re.IGNORECASE
+)
+#: A thousandth of an inch: 25.4u to an element of ngspice, but 1m to a parameter.
+_MIL_INSIDE = re.compile(
+    r"(?<![\w.$#:@])((?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[-+]?[0-9]+)?)mils?(?![\w.])", re.IGNORECASE
+)
+_MEGA_MEANT = re.compile(r"(?<![\w.])([0-9.]+)M(Hz|Ohms?|Ω)(?!\w)")
 _RKM = re.compile(r"([-+]?\d+)(meg|mil|[tgkmunpfar])(\d+)([^\W\d_]*)", re.IGNORECASE)
 _RKM_INSIDE = re.compile(rf"(?<![\w.$#:@]){_RKM.pattern}(?![\w.])", re.IGNORECASE)
 _PROBE = re.compile(r"\b[vi]\([^()]*\)", re.IGNORECASE)
 _NUMERIC = re.compile(r"[-+]?(\d|\.\d)")
 _OPERATOR = re.compile(r"[*/^?<>&|!{}'\"()]|(?<![ed])[-+]", re.IGNORECASE)
 _PARTS = re.compile(r"[\s(){}\[\],]+")
+_DECIMAL_COMMA = re.compile(r"=\s*([-+]?[0-9]+,[0-9]\w*)")
 _POLY = re.compile(r"poly\s*\(\s*(\d+)\s*\)", re.IGNORECASE)
 _SUSPECT = re.compile(
-    r"\d[^\W\d_]+[\d.]|\d[^\s\w.=(){}*/+\-\"^]|\d_|[µμ]|\d\s+[\d.]|\d\.\d*\.", re.IGNORECASE
+    r"(?![0-9])\d|\d[^\x00-\x7f]|\d[a-z]_|\d[^\W\d_]+[\d.]|\d[^\s\w.=(){}*/+\-\"^]|\d_|[µμ]|\d\s+[\d.]|\d\.\d*\."
+    r"|\d\.?(?:[ed](?![-+\w]|\s*=)|e[-+](?!\d)|([kunpgt])\1|[a-z]+meg|mil|a|mhz|mohm|mΩ)|[ =]\.(?!\w)",
+    re.IGNORECASE,
 )
+#: Statements of which the words can hold values.
+_VALUED = frozenset({".param", ".params", ".csparam", ".model", ".func"})
 #: Model parameters whose value is a name.
 _NAMES = ("mfg=", "type=")
 
@@ -66,11 +81,16 @@ def as_meant(line: Line, dialect: Dialect, functions: Collection[str] = ()) -> L
         return replace(line, fault=_second_value(line) or "")
     text = _MICRO.sub(r"\1\2u", text)
     if dialect.reads_rkm:
-        text = _translated(text)
+        text = _translated(text, _RKM_INSIDE, _with_point)
+    text = _translated(text, _AMPERE_INSIDE, lambda match: match[1])
+    text = _translated(text, _MIL_INSIDE, lambda match: f"{float(match[1]) * 25.4:.12g}u")
     line = line.rewritten(text)
     for value in _values(line):
-        if _NUMERIC.match(value) and number(value) is None:
+        if (_NUMERIC.match(value) or value == ".") and number(value) is None:
             return replace(line, fault=_fault(value))
+    if (mega := _MEGA_MEANT.search(text)) is not None:
+        note = f"{mega[0]} is {mega[1]} m{mega[2]}: in SPICE m and M are milli, write {mega[1]}meg for mega"
+        line = replace(line, note=f"{line.note}; {note}" if line.note else note)
     return replace(line, fault=_second_value(line) or "")
 
 
@@ -115,7 +135,8 @@ def _arguments(text: str, start: int) -> tuple[list[str], int | None]:
 def _fault(value: str) -> str:
     rkm = _RKM.fullmatch(value)
     if rkm is None:
-        return f"{value} is not a SPICE number: ngspice reads its beginning and drops the rest"
+        why = " (digits must be 0 to 9)" if any(c.isnumeric() and not c.isascii() for c in value) else ""
+        return f"{value} is not a SPICE number: ngspice reads its beginning and drops the rest{why}"
     scale = "" if rkm[2].lower() == "r" else rkm[2]
     return (
         f"{value}: ngspice reads {rkm[1]}{scale} and drops what stands behind; "
@@ -123,20 +144,24 @@ def _fault(value: str) -> str:
     )
 
 
-def _translated(text: str) -> str:
-    """Write every value with its scale in place of the point the usual way, nodes left alone."""
+def _with_point(match: re.Match[str]) -> str:
+    """Write a value with its scale in place of the point the usual way."""
+    scale = "" if match[2].lower() == "r" else match[2]
+    return f"{match[1]}.{match[3]}{scale}"
 
-    def usual(match: re.Match[str]) -> str:
-        scale = "" if match[2].lower() == "r" else match[2]
-        return f"{match[1]}.{match[3]}{scale}"
+
+def _translated(text: str, pattern: re.Pattern[str], written: Callable[[re.Match[str]], str]) -> str:
+    """Write every value that matches `pattern` otherwise, nodes left alone."""
+    if pattern.search(text) is None:
+        return text
 
     def outside(piece: str) -> str:
         """Translate an expression, the arguments of V() and I() left alone."""
         kept, at = [], 0
         for probe in _PROBE.finditer(piece):
-            kept += [_RKM_INSIDE.sub(usual, piece[at : probe.start()]), probe[0]]
+            kept += [pattern.sub(written, piece[at : probe.start()]), probe[0]]
             at = probe.end()
-        return "".join([*kept, _RKM_INSIDE.sub(usual, piece[at:])])
+        return "".join([*kept, pattern.sub(written, piece[at:])])
 
     words = tokens(text)
     first = _first_value(words)
@@ -163,10 +188,12 @@ def _first_value(words: list[str]) -> int:
             wanted -= len([part for part in _PARTS.split(words[place]) if part])
             place += 1
         return place
-    if letter == "." and words[0].lower() in (".model", ".subckt"):
-        return 2
-    if letter in ".b":
-        return 1 if letter == "." else 3
+    if letter == "b":
+        return 3
+    if words[0].lower() in _VALUED:
+        return 2 if words[0].lower() == ".model" else 1
+    if letter == "." and words[0].lower() != ".subckt":
+        return len(words)
     return next((i for i, word in enumerate(words) if "=" in word), len(words))
 
 
@@ -198,6 +225,7 @@ def _plain(value: str) -> Iterator[str]:
 
 def _settings(word: str) -> Iterator[str]:
     """Yield the numbers among a model's ``(name=value ...)``."""
+    yield from _DECIMAL_COMMA.findall(word)
     for part in _PARTS.split(word):
         _, equals, value = part.partition("=")
         if equals and not part.lower().startswith(_NAMES):

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 
 from cosim.caution import Caution
 from cosim.ngspice.deck import Deck
+from cosim.plausibility.capacitors import capacitors
 from cosim.plausibility.resistors import resistors
 from cosim.scene import Chain, Scene, Slider
 
@@ -34,6 +35,7 @@ def of_plan(scene: Scene, board: Deck, bare: Callable[[], Deck]) -> list[Caution
         *_degrees(scene),
         *_masses(scene),
         *resistors(scene.device.values, board, bare),
+        *capacitors(scene.device.values, board),
     ]
 
 

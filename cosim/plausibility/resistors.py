@@ -8,22 +8,24 @@ from collections.abc import Callable, Iterator, Mapping
 from cosim.caution import Caution
 from cosim.ngspice.deck import Deck
 from cosim.ngspice.lines import number, tokens
+from cosim.plausibility.board_rows import own_rows, sets
 
 __all__ = ["resistors"]
 
 #: Resistors that a board is built with [Ohm]: less is a track, more is its surface.
 _LEAST_OHM, _MOST_OHM = 1.0, 1e8
+_CAPITAL_M = re.compile(r".*[\d.]M(?:Ohms?|Ω)?")
 _MILLI = re.compile(r"[-+]?[\d.]+(?:e[-+]?\d+)?(m)(?!eg|il)\w*", re.IGNORECASE)
 
 
 def resistors(values: Mapping[str, str], board: Deck, bare: Callable[[], Deck]) -> Iterator[Caution]:
     """Yield the resistors that an edit made absurd, and those that the netlist writes with a capital M."""
-    rows = _own_rows(board)
+    rows = own_rows(board)
     before: dict[str, float] | None = None
     for name, written in values.items():
         key, ohms = name.lower().rpartition(".")[2], number(written)
-        if ohms is not None and (doubt := _absurd(ohms)) and _is_resistor(key, rows):
-            before = dict(_stated(_own_rows(bare()))) if before is None else before
+        if ohms is not None and (doubt := _absurd(ohms)) and sets(key, "r", rows):
+            before = dict(_stated(own_rows(bare()))) if before is None else before
             if not _absurd(before.get(key, _LEAST_OHM)):  # a shunt of 0.5 Ohm may become one of 0.4
                 yield _resistor(f"{name} = {written}", ohms, doubt, written)
     edited = {name.lower().rpartition(".")[2] for name in values}
@@ -32,9 +34,9 @@ def resistors(values: Mapping[str, str], board: Deck, bare: Callable[[], Deck]) 
         where = f"{line.file}:{line.lineno}: " if line.file else ""
         for name, written in _resistances(words):
             ohms = number(written)
-            if name in edited or ohms is None or not written.endswith("M") or not _absurd(ohms):
+            if name in edited or ohms is None or _CAPITAL_M.fullmatch(written) is None or not _absurd(ohms):
                 continue
-            if line.keyword.startswith("r") or _is_resistor(name, rows):
+            if line.keyword.startswith("r") or sets(name, "r", rows):
                 yield _resistor(f"{where}{name} = {written}", ohms, _absurd(ohms), written)
 
 
@@ -54,24 +56,6 @@ def _resistor(what: str, ohms: float, doubt: str, written: str) -> Caution:
     )
 
 
-def _own_rows(board: Deck) -> list[list[str]]:
-    """Return the words of the lines that are the board's own, not a part's, in lower case."""
-    parts = {part.name for part in board.parts}
-    rows, inside = [], ""
-    for line in board.lines:
-        words = [word.lower() for word in tokens(line.text)]
-        if not words:
-            continue
-        if words[0] == ".subckt":
-            inside = words[1]
-        elif words[0] == ".ends":
-            inside = ""
-        elif inside.partition("__")[0] in parts:
-            continue
-        rows.append(words)
-    return rows
-
-
 def _stated(rows: list[list[str]]) -> Iterator[tuple[str, float]]:
     for words in rows:
         for name, written in _resistances(words):
@@ -89,13 +73,3 @@ def _resistances(words: list[str]) -> Iterator[tuple[str, str]]:
             name, separator, value = word.partition("=")
             if separator:
                 yield name.lower(), value
-
-
-def _is_resistor(key: str, rows: list[list[str]]) -> bool:
-    """Whether `key` is a resistor or becomes one's value, also through a subcircuit's parameter."""
-    names = {key}
-    for words in rows:
-        if words[0] == ".subckt" or words[0].startswith("x"):
-            names |= {w.partition("=")[0] for w in words if w.partition("=")[2] == f"{{{key}}}"}
-    used = {f"{{{name}}}" for name in names}
-    return any(words[0].startswith("r") and (words[0] == key or used & set(words[3:4])) for words in rows)
