@@ -10,7 +10,7 @@ from support import SCENES, quick, simulate, slider
 
 from cosim.caution import Caution, collected
 from cosim.circuits.decks import Tolerances
-from cosim.circuits.operating_point import STEPPING, AtRest
+from cosim.circuits.operating_point import LOOSE, STEPPING, AtRest
 from cosim.errors import Crawl, InputError, NoOperatingPoint, Problem, SimulationError, StepTooSmall
 from cosim.loop.spice.convergence import ITERATIONS, Aid, aided
 from cosim.loop.state import PATIENCE
@@ -270,7 +270,13 @@ class Lost:
 
 
 @pytest.mark.parametrize(
-    ("wanted", "aid"), [("op", ""), ("reset", ""), (f"load {STEPPING}", "gmin = 1e-10 S")]
+    ("wanted", "aid"),
+    [
+        ("op", ""),
+        ("reset", ""),
+        (f"load {LOOSE}", "to 10 uV"),
+        (f"load {LOOSE} {STEPPING}", "gmin = 1e-10 S"),
+    ],
 )
 def test_a_deck_is_read_again_and_stepped_with_all_that_was_altered(wanted: str, aid: str) -> None:
     ngspice = Lost(wanted)

@@ -35,7 +35,7 @@ REFUSED = {  # written -> what ngspice 39 reads of it as an element's value, in 
 def read_by_ngspice(tmp_path: Path, rows: list[str], names: list[str]) -> list[float]:
     deck = tmp_path / "deck.cir"
     shown = "\n".join(f"print {name}" for name in names)
-    deck.write_text("\n".join(["values", *rows, ".control", "op", shown, "quit 0", ".endc", ".end", ""]))
+    deck.write_text("\n".join(["values", *rows, ".op", ".control", "op", shown, ".endc", ".end", ""]))
     said = ngspice(deck, raw=False)
     return [float(re.search(rf"^{re.escape(name)} = (\S+)", said, re.MULTILINE)[1]) for name in names]
 

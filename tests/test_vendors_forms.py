@@ -26,6 +26,9 @@ from cosim.ngspice.simulator import Simulator
         ("R1 a b 100 TC 3.11M 4.51U", "R1 a b 100 tc1=3.11M tc2=4.51U"),
         ("R1 a b 100 tc 1m,2u", "R1 a b 100 tc1=1m tc2=2u"),
         ("R1 a b 100 tc 1m", "R1 a b 100 tc1=1m"),
+        ("BG1 a 0 i=V(c,d)*2 rpar=1k", "BG1 a 0 i=(V(c,d)*2)+v(a,0)/(1k)"),
+        ("B1 a b I = V(c) + 1 Rpar = {r}", "B1 a b I=(V(c) + 1)+v(a,b)/(r)"),
+        ("B1 a b v=V(c) rpar=1k", "B1 a b v=V(c)"),
     ],
 )  # fmt: skip
 def test_what_pspice_reads_is_put_right(written, read):
@@ -59,6 +62,15 @@ def test_a_table_that_was_put_right_is_reported_and_has_its_values(tmp_path):
     simulator.command("op")
     # between (1, 2 mA) and (2, 6 mA): 4 mA through 1 kOhm
     assert float(np.real(simulator.vector("out")[0])) == pytest.approx(4.0, rel=1e-3)
+
+
+def test_a_current_source_with_a_resistor_of_its_own():
+    simulator = Simulator()
+    row = put_right(Line("B1 0 out i=v(in)*1m rpar=2k")).text
+    simulator.load(f"*\nVin in 0 3\n{row}\nRload out 0 2k\n.end\n")
+    simulator.command("op")
+    # 3 mA into twice 2 kOhm in parallel: 3 V; without its own resistor 6 V, with the wrong sign no end
+    assert float(np.real(simulator.vector("out")[0])) == pytest.approx(3.0, rel=1e-6)
 
 
 @pytest.mark.parametrize(

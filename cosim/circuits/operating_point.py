@@ -7,8 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from cosim.errors import NoOperatingPoint
 from cosim.ngspice.simulator import Simulator
 
-__all__ = ["STEPPING", "AtRest"]
+__all__ = ["LOOSE", "STEPPING", "AtRest"]
 
+#: Newton's method ends at steps of 10 uV and 1 nA, as `spice` does at its loosest, not at 1 uV and 1 pA: a
+#: picoampere is the rounding of the currents of amperes that some models have inside.
+LOOSE = ".options vntol=1e-5 abstol=1e-9"
 #: ngspice's older stepping, in equal steps, and the conductance that stays across every junction [S].
 STEPPING = ".options gminsteps=20 srcsteps=20 gmin=1e-10"
 
@@ -51,7 +54,8 @@ class AtRest:
         """Run an analysis.
 
         ngspice starts from its last solution. If it does not converge from there, it starts again
-        from zero, which takes a new reading of the deck; then with `STEPPING`, which stays on.
+        from zero, which takes a new reading of the deck; then with `LOOSE`, then with `STEPPING` as well,
+        which stay on.
 
         Parameters
         ----------
@@ -67,7 +71,7 @@ class AtRest:
         """
         before = self.aid
         first: NoOperatingPoint | None = None
-        for prepare in (None, self._read_again, self._stepping):
+        for prepare in (None, self._read_again, self._loose, self._stepping):
             try:
                 if prepare is not None:
                     prepare()
@@ -84,9 +88,14 @@ class AtRest:
         self._read_again()
         raise first
 
+    def _loose(self) -> None:
+        self.aid = "operating point found to 10 uV and 1 nA (vntol, abstol)"
+        self._load((LOOSE,))
+        self._read_again()
+
     def _stepping(self) -> None:
-        self.aid = "operating point found with gmin and source stepping, gmin = 1e-10 S"
-        self._load((STEPPING,))
+        self.aid = "operating point found with gmin and source stepping, gmin = 1e-10 S, to 10 uV and 1 nA"
+        self._load((LOOSE, STEPPING))
         self._read_again()
 
     def _read_again(self) -> None:

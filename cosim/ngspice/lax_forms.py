@@ -1,8 +1,8 @@
-"""Forms that PSpice accepts although its manual does not allow them, corrected for ngspice.
+"""Forms that PSpice and LTspice accept and ngspice does not, corrected for ngspice.
 
 Vendors' models were tried on PSpice, which counts no parentheses in a table, takes a comma between nodes for
 a blank and asks for no sign of equality behind `TC`. ngspice counts, takes two nodes with a comma for one,
-and a coefficient for the resistor's value.
+and a coefficient for the resistor's value. LTspice's B sources can have a resistor in parallel, `rpar`.
 """
 
 import re
@@ -18,13 +18,15 @@ _COMMA = re.compile(r",(?![^(){}']*[)}'])")
 _POLY = re.compile(r"([efgh]\S* .*?poly ?\( ?\d+ ?\))((?: ?, ?\([^()]*\))+)(?= |$)", re.IGNORECASE)
 _APART = re.compile(r"[\s(),]+")
 _COEFFICIENTS = re.compile(r"([rcl]\S* \S+ \S+ .*?)\btc ([^\s=,]+)(?:[\s,]+([^\s=,]+))?", re.IGNORECASE)
+_PARALLEL = re.compile(r"(b\S* (\S+) (\S+)) ([iv]) ?= ?(.*?) rpar ?= ?(\S+)", re.IGNORECASE)
 
 
 def put_right(line: Line) -> Line:
     """Return a statement of a PSpice or LTspice file as that program reads it, with a note on a table.
 
     A table whose parentheses do not match becomes its pairs of numbers, ``x1 a,b part`` becomes
-    ``x1 a b part``, ``poly(2),(a,0),(b,0)`` loses its outer commas, ``tc 1m 2u`` becomes ``tc1=1m tc2=2u``.
+    ``x1 a b part``, ``poly(2),(a,0),(b,0)`` loses its outer commas, ``tc 1m 2u`` becomes ``tc1=1m tc2=2u``,
+    ``b1 a b i=f rpar=r`` becomes ``b1 a b i=(f)+v(a,b)/(r)``; beside a voltage the resistor changes nothing.
     Where other things than numbers stand, nothing is changed.
     """
     text, note = line.text, ""
@@ -46,4 +48,9 @@ def put_right(line: Line) -> Line:
         if all(number(word) is not None for word in words):
             stated = " ".join(f"tc{k}={word}" for k, word in enumerate(words, 1))
             text = f"{match[1]}{stated}{text[match.end() :]}"
+    match = _PARALLEL.fullmatch(text)
+    if match is not None:
+        start, plus, minus, kind, formula, ohms = match.groups()
+        shunt = f"+v({plus},{minus})/({ohms.strip('{}')})" if kind in "iI" else ""
+        text = f"{start} {kind}=({formula}){shunt}" if shunt else f"{start} {kind}={formula}"
     return line if text == line.text else replace(line, text=text, note=note or line.note)

@@ -172,7 +172,9 @@ def _energies(spec: StudyFile, points: Points) -> tuple[Table, Table]:
             f"operator={{type='hand',mass_kg=0.05,damping_n_s_per_m=0.0,stiffness_n_per_m={given.hand_n_per_m!r}"
             f",waypoints_s_m=[[0.0,0.0,{-depth!r}]]}}"
         )
-        scene = spec.scene(*common, hand, "effects.gravity=false", f"device.slider.origin_m=[0.0,{-depth!r}]")
+        # it has let go once the run begins: its mass and damping never act
+        off = ("effects.operator_dynamics=false", "effects.gravity=false")
+        scene = spec.scene(*common, hand, *off, f"device.slider.origin_m=[0.0,{-depth!r}]")
         name = f"let go {1e3 * depth:g} mm deep"
         by_case[name] = points.get(name, lambda scene=scene: _taken(scene, given.every_s))  # type: ignore[misc]
     dropped = spec.scene(*common)
