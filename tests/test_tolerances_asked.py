@@ -12,6 +12,7 @@ import pytest
 from support import SCENES, ExactSlider, scene_of, shared_child, slider
 
 from cosim.accuracy.tolerance_control import Wanted, measurer_within
+from cosim.caution import Caution, collected, warn
 from cosim.cli import main
 from cosim.comparisons.effects_ledger import effects_ledger
 from cosim.comparisons.measure_values import Measured
@@ -87,6 +88,27 @@ def test_the_ledger_adds_the_errors_of_both_runs(tmp_path):
 
     assert "+1 ± 1 N" in next(s for s in table(ledger, "peak_force").splitlines() if s.startswith("gravity"))
     assert "±" not in table(ledger, "heat")
+
+
+def test_what_the_stated_model_cannot_carry_is_told_and_not_run():
+    """`opamp = full` needs `spice`: two runs were made before this ended the whole ledger."""
+    ran: list[str] = []
+
+    def pretend(plan: Any, names: Any, *, child: Any = None, lenient: bool = False) -> Measured:
+        ran.append(plan.scene.effects.opamp)
+        warn(Caution("ledger-open", "", ""))  # that is so without velocity products, and no slip
+        return Measured({"peak_force": {"value": 1.0, "unit": "N", "text": "", "error": None}}, {}, 0.0)
+
+    with collected() as heard:
+        ledger = effects_ledger(SCENES / "press.toml", ("solver.model=linear",), measurer=pretend)
+    assert set(ran) == {"ideal", "gbw"}
+    (row,) = [row for row in ledger.rows if (row.effect, row.value) == ("opamp", "full")]
+    assert (row.on, row.off, row.note) == ({}, {}, "the model linear cannot carry this effect")
+    without = [row for row in ledger.rows if row.effect == "coriolis"]
+    assert without[0].on == {"peak_force": 0.0}
+    # "every effect", what is switched off from there with coriolis kept, and coriolis alone
+    assert all("no effect" not in str(caution) for caution in heard)
+    assert any("every effect" in str(caution) for caution in heard)
 
 
 def test_a_result_is_held_against_a_tolerance(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

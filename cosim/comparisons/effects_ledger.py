@@ -128,19 +128,23 @@ def _measured(runner: _Runner) -> EffectsLedger:
             more = _with_required({**everything, effect.name: _on(effect, scene)}, effect)
             if not runner.objection(more):  # of two that exclude one another, the first is in
                 everything = more
-    pairs: list[tuple[Effect, Any, tuple[Settings, Settings], tuple[Settings, Settings] | None]] = []
+    pairs: list[tuple[Effect, Any, tuple[Settings, Settings] | str, tuple[Settings, Settings] | str]] = []
     for effect in EFFECTS:
         if effect.name in apart:
             continue
         bare = {**_with_required(nothing, effect), effect.name: effect.null}
         without = _without({**everything, effect.name: effect.null}, effect)
         for value in _values(effect, _on(effect, scene)):
-            among = {**everything, effect.name: value}
-            possible = not (runner.objection(among) or runner.objection(without))
+            alone, among = {**bare, effect.name: value}, {**everything, effect.name: value}
+            excluded = runner.objection(among) or runner.objection(without)
             pairs.append(
-                (effect, value, ({**bare, effect.name: value}, bare), (among, without) if possible else None)
-            )
-    sides = [side for _, _, alone, top in pairs for pair in (alone, top) if pair for side in pair]
+                (
+                    effect, value, runner.objection(alone) or (alone, bare),
+                    "excluded by what is in force" if excluded else (among, without),
+                )
+            )  # fmt: skip
+    both = [pair for _, _, *two in pairs for pair in two]
+    sides = [side for pair in both if not isinstance(pair, str) for side in pair]
     runner.total = len({_key(side) for side in (nothing, everything, *sides)})
     (null, null_s), (full, full_s) = (
         runner.baseline(settings, f"{words} effect in force")
@@ -149,9 +153,9 @@ def _measured(runner: _Runner) -> EffectsLedger:
     rows = []
     for effect, value, alone, top in pairs:
         on = runner.difference(alone, f"{effect.name} = {value} alone")
-        off = _Change(why="excluded by what is in force")
-        if top is not None:
-            off = runner.difference(top, f"all, with and without {effect.name} = {value}")
+        off = runner.difference(top, f"all, with and without {effect.name} = {value}")
+        if isinstance(alone, str):  # what cannot be alone can be nowhere
+            off = _Change()
         note = "; ".join(dict.fromkeys(filter(None, (on.why, off.why))))
         rows.append(
             Row(
@@ -261,8 +265,10 @@ class _Runner:
             raise SimulationError(f"with {name}: {got}")
         return got
 
-    def difference(self, pair: tuple[Settings, Settings], name: str) -> _Change:
-        """Return what the first settings change over the second."""
+    def difference(self, pair: tuple[Settings, Settings] | str, name: str) -> _Change:
+        """Return what the first settings change over the second; a reason given instead is passed on."""
+        if isinstance(pair, str):
+            return _Change(why=pair)
         first, second = (self._measure(settings, name) for settings in pair)
         if isinstance(first, str) or isinstance(second, str):
             return _Change(why=first if isinstance(first, str) else str(second))
@@ -289,7 +295,10 @@ class _Runner:
                 raise plan
             try:
                 with collected(name):
-                    measured = self._measurer(plan, self._names, child=self._child, lenient=True)
+                    with collected(forward=False) as heard:
+                        measured = self._measurer(plan, self._names, child=self._child, lenient=True)
+                    # that energy is open without velocity products is what the ledger itself has switched off
+                    warn(*(each for each in heard if settings["coriolis"] or each.code != "ledger-open"))
                     warn(*(caution for caution in measured.warnings if caution.code == "tolerance-missed"))
                 self.lacking |= measured.lacking
                 self._known[key] = measured.rows, measured.cpu_s
