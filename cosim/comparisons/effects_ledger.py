@@ -135,11 +135,11 @@ def _measured(runner: _Runner) -> EffectsLedger:
         bare = {**_with_required(nothing, effect), effect.name: effect.null}
         without = _without({**everything, effect.name: effect.null}, effect)
         for value in _values(effect, _on(effect, scene)):
-            alone, among = {**bare, effect.name: value}, {**everything, effect.name: value}
+            single, among = {**bare, effect.name: value}, {**everything, effect.name: value}
             excluded = runner.objection(among) or runner.objection(without)
             pairs.append(
                 (
-                    effect, value, runner.objection(alone) or (alone, bare),
+                    effect, value, runner.objection(single) or (single, bare),
                     "excluded by what is in force" if excluded else (among, without),
                 )
             )  # fmt: skip
