@@ -66,6 +66,16 @@ def test_importing_costs_no_heavy_import():
     assert result.strip() == "[]"
 
 
+def test_importing_costs_at_most_half_more_than_numpy():
+    """In processor time, of pairs one after the other, so that the machine's load drops out."""
+
+    def seconds(name: str) -> float:
+        code = f"import {name}, time; print(time.process_time())"
+        return float(python(code)) - float(python("import time; print(time.process_time())"))
+
+    assert np.median([seconds("cosim") / seconds("numpy") for _ in range(5)]) <= 1.5
+
+
 def test_types_are_shipped():
     """PEP 561: a package says that its annotations are meant for others."""
     assert all((ROOT / package / "py.typed").is_file() for package in ("cosim", "mech", "reports"))

@@ -1,6 +1,8 @@
 """What a command says beside its result: --quiet, --verbose, NO_COLOR, completion."""
 
+import argparse
 import os
+import re
 import subprocess
 import sys
 
@@ -58,6 +60,19 @@ def test_no_color_is_obeyed():
         for env in ({**os.environ, "NO_COLOR": "1"}, {k: v for k, v in os.environ.items() if k != "NO_COLOR"})
     ]
     assert [text.strip() for text in output] == ["True", "False"]
+
+
+def test_an_option_is_spelled_alike_in_every_command():
+    (commands,) = [a for a in cli.build_parser()._actions if isinstance(a, argparse._SubParsersAction)]
+    options = [(name, a) for name, parser in commands.choices.items() for a in parser._actions
+               if a.option_strings]  # fmt: skip
+    spellings = {}
+    for _, action in options:
+        for option in action.option_strings:
+            spellings.setdefault(option, set()).add(tuple(action.option_strings))
+    assert {option: ways for option, ways in spellings.items() if len(ways) > 1} == {}
+    assert [option for option in spellings if not re.fullmatch(r"-[a-z]|--[a-z]+(-[a-z]+)*", option)] == []
+    assert [(name, action.dest) for name, action in options if not action.help] == []
 
 
 @pytest.mark.parametrize("shell", cli.SHELLS)

@@ -12,8 +12,9 @@ _MOST = 12
 def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", help="result of `cosim run` or `cosim mc`")
     parser.add_argument(
-        "--samples", type=int, default=8, metavar="N", help="of a study: samples to repeat (default: 8)"
-    )
+        "-n", "--samples", type=int, default=8, metavar="N",
+        help="of a study: samples to repeat (default: 8)",
+    )  # fmt: skip
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="chooses the samples (default: 0)")
     trust_arguments(parser)
 

@@ -31,7 +31,9 @@ def main() -> int:
     parser.add_argument("--mc-kills", type=int, default=50, help="kills of Monte Carlo studies")
     args = parser.parse_args()
     os.environ.setdefault("SOURCE_DATE_EPOCH", "0")  # else two runs differ in their dates
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's `&` leaves it ignored, here and below
+    signal.signal(
+        signal.SIGINT, signal.default_int_handler
+    )  # a shell's `&` leaves it ignored, here and below
     failed = 0
     with tempfile.TemporaryDirectory(prefix="cosim fuzz ") as name:
         folder = Path(name)
