@@ -1,6 +1,7 @@
 """What a command says beside its result: --quiet, --verbose, NO_COLOR, completion."""
 
 import argparse
+import io
 import os
 import re
 import subprocess
@@ -12,7 +13,7 @@ from cosim import cli
 from cosim.caution import MOST_ALIKE, Caution
 from cosim.commands import verbosity
 from cosim.commands.command import caution_lines
-from cosim.commands.progress import progress
+from cosim.commands.progress import COMPILING, progress
 
 MANY = [Caution("odd", f"value {number} looks odd", "look again") for number in range(MOST_ALIKE + 2)]
 
@@ -37,6 +38,31 @@ def test_verbose_says_each_step_and_every_warning(capsys):
         show(1, 3, "a point")
     assert "work: a point (1 of 3)" in capsys.readouterr().err
     assert len(caution_lines(MANY)) == len(MANY)
+
+
+class Terminal(io.StringIO):
+    """A terminal of 120 columns."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize("warm", [True, False])
+def test_a_first_run_says_that_it_compiles_until_its_first_step_is_done(monkeypatch, warm):
+    """A first sweep stood at 0 % for four minutes; broken once: without `more` in `show` it fails."""
+    monkeypatch.setattr("cosim.numba_cache.is_warm", lambda: warm)
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    said: list[str] = []
+    for name in ("add_task", "update"):
+        monkeypatch.setattr(
+            f"rich.progress.Progress.{name}",
+            lambda *words, description="", **_: said.append(description or str(words[1])),
+        )
+    with progress("sweep") as show:
+        for done in range(2):
+            show(done, 2, f"r = {done}")
+    assert [COMPILING in text for text in said] == [not warm, not warm, False]
+    assert ["r = 0" in said[1], "r = 1" in said[2]] == [True, True]
 
 
 def test_usual_says_the_first_of_many():

@@ -30,12 +30,14 @@ def progress(title: str) -> Iterator[Callable[[int, int, str], None] | None]:
 
     from cosim.numba_cache import is_warm
 
+    cold = not is_warm()
     columns = (*Progress.get_default_columns(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(shown(title if is_warm() else f"{title}: {COMPILING}"), total=None)
+        task = bar.add_task(shown(f"{title}: {COMPILING}" if cold else title), total=None)
 
         def show(done: int, total: int, name: str) -> None:
-            bar.update(task, completed=done, total=total, description=shown(f"{title}: {name}"))
+            more = f": {COMPILING}" if cold and done == 0 else ""  # the first step is where code is compiled
+            bar.update(task, completed=done, total=total, description=shown(f"{title}: {name}{more}"))
 
         yield show
 
