@@ -1,9 +1,9 @@
 """A plane through samples of the cheap model: its mean and its variance are known, and need no samples.
 
 Every random variable enters by its standardised deviation. These are independent, of mean 0 and variance 1,
-so a plane c + s z has the mean c and the variance s s. What is left to the cheap level is the distance from the
-plane (a control variate of known mean; Asmussen and Glynn, Stochastic Simulation, V.2). The plane comes from
-samples of its own, which are not used again: nothing is biased, however badly it fits.
+so a plane c + s z has the mean c and the variance s s. What is left to the cheap level is the distance from
+the plane (a control variate of known mean; Asmussen and Glynn, Stochastic Simulation, V.2). The plane comes
+from samples of its own, which are not used again: nothing is biased, however badly it fits.
 """
 
 from __future__ import annotations
