@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from cosim.caution import Caution, caution_of
 from cosim.errors import CosimError, InputError, fail
+from cosim.notebook_view import view
 from cosim.scene import Scene, scene_from_dict
 from cosim.storage import field_types
 from cosim.storage.checksums import check_files, file_sums, intact, listed, read_sealed, sealed
@@ -146,11 +147,11 @@ class Run:
         ValueError
             For an unknown name, or a figure for which the run lacks the signals.
         """
-        return importlib.import_module("reports.notebook").figure(self, name)
+        return view("figure", self, name)
 
     def _repr_html_(self) -> str:
         """Return summary, cautions, measures with units and the main picture, for notebooks."""
-        text: str = importlib.import_module("reports.notebook").html(self)
+        text: str = view("html", self)
         return text
 
     def save(self, folder: str | os.PathLike[str], formats: Collection[str] = ("parquet",)) -> Path:

@@ -14,6 +14,7 @@ FLOORS = {
     "cosim.caution": 0,
     "cosim.assets": 0,
     "cosim.catalogue": 0,
+    "cosim.notebook_view": 0,
     "cosim.codecache": 0,
     "cosim.numba_cache": 0,
     "cosim.quick_start": 0,

@@ -84,6 +84,18 @@ def test_functions_named_in_words_exist_and_lie_no_higher():
         assert floor(module)[0] <= floor(name)[0], f"{name} names {module} of a higher floor"
 
 
+def test_one_module_reaches_up_to_the_pictures():
+    """Results draw themselves: by one module, whose calls name functions that there are."""
+    above = [name for name, path in MODULES if name.startswith("cosim.") and floor(name)[0] < 6
+             and re.search(r"[\"']reports\.", path.read_text(encoding="utf-8"))]  # fmt: skip
+    assert above == ["cosim.notebook_view"]
+    called = {match for name, path in MODULES if name.startswith("cosim.")
+              for match in re.findall(r"\bview\(\"(\w+)\"", path.read_text(encoding="utf-8"))}  # fmt: skip
+    tree = ast.parse((ROOT / "reports" / "notebook.py").read_text(encoding="utf-8"))
+    views = {each.name for each in tree.body if isinstance(each, ast.FunctionDef) and each.name[0] != "_"}
+    assert called == views
+
+
 def test_mechanics_knows_no_circuit():
     for name, path in MODULES:
         if name.split(".")[0] == "mech":

@@ -11,7 +11,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import Any, NotRequired
 
@@ -24,6 +23,7 @@ from cosim.comparisons.measure_values import Measurer, check_measures, measure, 
 from cosim.errors import InputError, SimulationError, StorageError, fail
 from cosim.ngspice.child import Child
 from cosim.ngspice.lines import number
+from cosim.notebook_view import view
 from cosim.plan import Plan, resolve
 from cosim.scene import load_scene
 from cosim.scene.keys import keys
@@ -82,11 +82,11 @@ class Sweep:
         ValueError
             Where the first range is not of numbers, or no point has a measure.
         """
-        return import_module("reports.notebook").sweep_figure(self)
+        return view("sweep_figure", self)
 
     def _repr_html_(self) -> str:
         """Return table and picture, for notebooks."""
-        text: str = import_module("reports.notebook").sweep_html(self)
+        text: str = view("sweep_html", self)
         return text
 
 

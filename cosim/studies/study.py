@@ -21,6 +21,7 @@ from typing import Any
 
 import cosim
 from cosim.errors import InputError, Problem, fail, nearest
+from cosim.notebook_view import view
 from cosim.plan import resolve
 from cosim.results import json_text
 from cosim.scene import Scene, load_scene
@@ -128,11 +129,11 @@ class StudyResult:
         ValueError
             For a name that the study does not draw.
         """
-        return import_module("reports.notebook").study_figure(self, name)
+        return view("study_figure", self, name)
 
     def _repr_html_(self) -> str:
         """Return notes, verdicts, tables and pictures, for notebooks."""
-        text: str = import_module("reports.notebook").study_html(self)
+        text: str = view("study_html", self)
         return text
 
 

@@ -7,13 +7,13 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.catalogue import UNITS
+from cosim.notebook_view import view
 from cosim.tolerance.bill import Line, best_pair, bill, grade_text
 from cosim.tolerance.border_strata import STRATA
 from cosim.tolerance.corner_search import Corner
@@ -77,11 +77,11 @@ class Findings:
         ValueError
             For an unknown name or measure, or a measure without a fitted surface.
         """
-        return import_module("reports.notebook").findings_figure(self, name, measure)
+        return view("findings_figure", self, name, measure)
 
     def _repr_html_(self) -> str:
         """Return yields, distribution and the head of the bill, for notebooks."""
-        text: str = import_module("reports.notebook").findings_html(self)
+        text: str = view("findings_html", self)
         return text
 
     def correlation(self) -> NDArray[np.float64]:
