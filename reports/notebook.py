@@ -132,12 +132,13 @@ def study_figure(result: "StudyResult", name: str | None = None) -> "Figure":
     ValueError
         For a name that the study does not draw.
     """
+    from reports.study_page import drawer
+
     with look():
-        drawn = import_module(f"reports.studies.{result.study}").draw(result)
+        drawn = drawer(result.study)(result)
         for each, _, drawing in drawn:
             if name is None or each == name:
-                chosen: Figure = drawing.figure
-                return chosen
+                return drawing.figure
     raise ValueError(f"no figure {name!r}; there are {', '.join(each[0] for each in drawn)}")
 
 

@@ -1,7 +1,7 @@
 """From the results of studies to one self-contained page: verdicts first, then study by study."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -11,13 +11,13 @@ from cosim.caution import Caution, grouped
 from cosim.storage.field_types import used
 from cosim.storage.owned_files import manifest_of
 from cosim.studies.claims import Claim
-from cosim.studies.study import StudyResult, Verdict, table_text
+from cosim.studies.study import STUDIES, StudyResult, Verdict, table_text
 from cosim.studies.study import Table as StudyTable
 from cosim.units import unit_in
 from reports.page import Picture, picture, render, write_page
-from reports.style import look
+from reports.style import Drawn, look
 
-__all__ = ["Section", "TextTable", "write_study_page"]
+__all__ = ["Section", "TextTable", "drawer", "write_study_page"]
 
 MANIFEST = manifest_of("study")
 #: A longer table is data for a program: the page only links it.
@@ -185,9 +185,16 @@ def _summary(claims: Sequence[_Claim]) -> list[str]:
     return sentences
 
 
+def drawer(study: str) -> Callable[[StudyResult], list[tuple[str, str, Drawn]]]:
+    """Return what draws a study's result: its module has the name of the study's own."""
+    module = import_module(f"reports.studies.{STUDIES[study].rpartition('.')[2]}")
+    draw: Callable[[StudyResult], list[tuple[str, str, Drawn]]] = module.draw
+    return draw
+
+
 def draw_study(name: str, result: StudyResult) -> list[Picture]:
     """Return a study's figures, their names begun with `name`."""
-    draw = import_module(f"reports.studies.{result.study}").draw
+    draw = drawer(result.study)
     with look(), used(result.kept_in, bool(result.kept_in)):
         return [picture(f"{name}_{part}", heading, drawn) for part, heading, drawn in draw(result)]
 

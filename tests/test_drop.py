@@ -247,7 +247,7 @@ ratio = 1.2
         verdict = by_name[f"the limit goes with one over the period: {name}"]
         assert verdict.holds is None
         assert "linear theory knows no limit" in verdict.outcome
-    from reports.studies import drop as pictures
+    from reports.studies import drop_test as pictures
 
     drawn = pictures.draw(result)
     assert [name for name, _, _ in drawn] == ["limits", "shares"]

@@ -239,7 +239,7 @@ def test_the_maps_hold_what_theory_says(tmp_path):
     assert all(verdict.holds is not False for verdict in result.verdicts)
     walls = result.table("walls").columns
     assert walls["displayed [N/m]"][1] > 2 * walls["displayed [N/m]"][0]
-    from reports.studies.maps import draw
+    from reports.studies.stability_maps import draw
     from reports.style import look
 
     with look():
