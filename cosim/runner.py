@@ -305,6 +305,7 @@ def _read_samples(file: Path, columns: Sequence[str]) -> dict[str, NDArray[np.fl
 def _amplifiers(plan: Plan, answer: RunAnswer) -> list[dict[str, Any]]:
     """Peak output of every amplifier against its limit."""
     out = []
+    stated = plan.board.text.lower()
     for amplifier in plan.board.amplifiers:
         peak = answer.peaks.get(amplifier.out_node)
         swing = answer.swings.get(amplifier.out_node)
@@ -318,6 +319,7 @@ def _amplifiers(plan: Plan, answer: RunAnswer) -> list[dict[str, Any]]:
                 "node": amplifier.out_node,
                 "peak_v": peak,
                 "swing_v": swing,
+                "swing_stated": f".csparam {amplifier.swing_param}=" in stated,
                 "clipped_s": answer.clipped_s.get(amplifier.out_node, 0.0),
                 "headroom": 1.0 - peak / swing if swing else 0.0,
             }

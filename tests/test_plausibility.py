@@ -190,6 +190,29 @@ def test_an_amplifier_that_clips_is_reported_with_its_time() -> None:
     assert any("the model does not" in c.text for c in unlimited.warnings if c.code == "amplifier-clipped")
 
 
+WEAK = """* A vendor's model that limits its output current to 0.8 mA: 8 V into the 10 kOhm of a data sheet
+.subckt weak 1 2 3 4 5
+Rin 1 2 10meg
+Gm 0 6 value={limit(v(1,2)*1m, -300u, 300u)}
+Ro 6 0 316meg
+Cc 6 0 31.83p
+Bout 0 5 i=0.8m*tanh((v(6)-v(5))/60m)
+Rp 3 4 100k
+.ends weak
+"""
+
+
+def test_a_current_limit_is_no_clipping_under_a_lighter_load(tmp_path: Path) -> None:
+    """At 9.3 V the difference amplifier's 165 kOhm take 0.06 mA: the model reaches that, and rightly."""
+    (tmp_path / "weak.lib").write_text(WEAK)
+    part = {"file": str(tmp_path / "weak.lib"), "subckt": "weak", "pins": "1 2 3 4 5", "dialect": "pspice"}
+    table = ",".join(f"{key}={value!r}" for key, value in part.items())
+    run = press("solver.model=spice", f"device.parts.tl072={{{table}}}")
+    texts = [str(c) for c in run.warnings if c.code == "amplifier-clipped"]
+    assert texts
+    assert all("into 10 kOhm" in text and "the model does not" not in text for text in texts)
+
+
 def test_the_time_at_the_limit_is_that_of_the_recorded_node() -> None:
     push = "operator.force_s_n=[[0.2,0.0,0.0],[0.7,0.0,-40.0]]"
     first = press("solver.model=spice", push)

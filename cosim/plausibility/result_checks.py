@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.caution import Caution
+from cosim.circuits.decks import SUPPLY_V
 from cosim.circuits.design_constants import DesignConstants
 from cosim.measures import AT_LIMIT, Signals, wall_frame
 from cosim.plausibility.constants import DEVIATION
@@ -72,10 +73,19 @@ def _clipped(scene: Scene, amplifiers: Sequence[Mapping[str, Any]]) -> Iterator[
             long_s = a.get("clipped_s")
             share = f" for {quantity(long_s, 's')} of {quantity(scene.duration_s, 's', 4)}" if long_s else ""
             beyond = a["peak_v"] > _UNLIMITED * a["swing_v"]
+            reached = f"{a['path']} ({a['part']}) reaches {quantity(a['peak_v'], 'V')}"
+            if beyond and not a.get("swing_stated", True) and a["swing_v"] < SUPPLY_V:
+                # a model that limits its current: its load here is lighter than that of the bench
+                yield Caution(
+                    "amplifier-clipped",
+                    f"{reached}{share}: into 10 kOhm its model goes no further than "
+                    f"{quantity(a['swing_v'], 'V')}, so its current is near its limit",
+                    "keep the load light, or take a part with more current",
+                )
+                continue
             yield Caution(
                 "amplifier-clipped",
-                f"{a['path']} ({a['part']}) reaches {quantity(a['peak_v'], 'V')} of "
-                f"{quantity(a['swing_v'], 'V')}{share}"
+                f"{reached} of {quantity(a['swing_v'], 'V')}{share}"
                 + (": the real one clips, at this level the model does not" if beyond else ""),
                 "lower the gain before it or the command"
                 + (", or switch on its saturation (level full)" if beyond else ""),

@@ -27,6 +27,7 @@ class _Amplifier(TypedDict):
     part: str
     peak_v: float
     swing_v: float | None
+    swing_stated: NotRequired[bool]
     headroom: float
 
 
