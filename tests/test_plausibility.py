@@ -85,6 +85,11 @@ def test_shipped_scenes_carry_no_warning(path: Path, model: str, tmp_path: Path)
         # the side of the wall, and a start 55 mm below: 5.5 N at 100 N/m, rated are 0.035 N m x 8 / 0.133 m
         ("start-inside-wall", "2 mm inside the wall, leaves it", ["wall.normal=[0,-1]"]),
         ("start-inside-wall", "55 mm inside the wall, where", ["device.start.tip_m=[0.07,0.1]"]),
+        (
+            "schedule-beyond-run",
+            "force_s_n begins at 200 s",
+            ["operator.force_s_n=[[200,0,0],[700,0,-2.35]]"],
+        ),
         ("value-unused", "tl072_vos", ["device.values.tl072_vos=1"]),
         ("value-unused", "tl072_sr", ["device.values.tl072_sr=1meg"]),
         ("key-unused", "effects.delay is off", ["computer.delay_periods=2"]),
@@ -200,6 +205,12 @@ Bout 0 5 i=0.8m*tanh((v(6)-v(5))/60m)
 Rp 3 4 100k
 .ends weak
 """
+
+
+def test_a_schedule_that_ends_behind_the_run_is_no_slip() -> None:
+    with collected() as cautions:
+        resolve(load_scene(PRESS, ["duration_s=0.3"]))  # its push goes on to 0.7 s
+    assert [c.code for c in cautions] == []
 
 
 def test_a_current_limit_is_no_clipping_under_a_lighter_load(tmp_path: Path) -> None:

@@ -34,6 +34,7 @@ def of_plan(scene: Scene, board: Deck, bare: Callable[[], Deck]) -> list[Caution
         *_outside_stops(scene),
         *_degrees(scene),
         *_masses(scene),
+        *_late(scene),
         *resistors(scene.device.values, board, bare),
         *capacitors(scene.device.values, board),
     ]
@@ -116,4 +117,16 @@ def _masses(scene: Scene) -> Iterator[Caution]:
                 "masses-far-apart",
                 f"{heavy} has {known[heavy]:g} kg, {light} {known[light]:g} kg",
                 "masses are in kilograms: look at their units",
+            )
+
+
+def _late(scene: Scene) -> Iterator[Caution]:
+    """Yield the operator's schedules that begin when the run is over: milliseconds, most likely."""
+    for key in ("waypoints_s_m", "force_s_n"):
+        times = [float(row[0]) for row in getattr(scene.operator, key, ()) if row[0] > 0.0]
+        if times and min(times) > scene.duration_s:
+            yield Caution(
+                "schedule-beyond-run",
+                f"operator.{key} begins at {min(times):g} s, when the run of {scene.duration_s:g} s is over",
+                "its times are in seconds; shorten them or lengthen duration_s",
             )
