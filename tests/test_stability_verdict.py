@@ -211,6 +211,21 @@ def test_hard_case_48_every_model_refuses_swapped_inputs(tmp_path, block, old, n
     assert not (tmp_path / "out").exists()
 
 
+def test_a_pole_at_the_end_of_the_band_hides_no_slower_one(tmp_path):
+    """Two fits agree on +2.5e8 +- 2.8e10j as well, which is none: the board ran with a caution only.
+
+    Found by the random search; seen to fail where the fastest candidate alone is kicked.
+    """
+    lags = "Rs1 out f1 10k\nCs1 f1 0 4.308e-08\nRs2 f1 f2 10k\nCs2 f2 0 4.308e-08\nxop wiper f2"
+    path, _ = swapped(tmp_path, "angle", "xop wiper out", lags)
+    values = {"r_sum_spring": "23332", "r_sum_damper": "5712.7", "r_diff_fb": "1.3887e+05"}
+    board = load_deck(path, levels={**FINITE, "driver": "voltage"}, overrides=values)
+    pole = fastest(board, 0.0)
+    (instability,) = judged(board).refused
+    told = complex(instability.real, instability.imag)
+    assert abs(told - complex(pole.real, abs(pole.imag))) < 0.05 * abs(pole)
+
+
 def test_whoever_allows_it_may_look(tmp_path):
     board, _ = swapped(tmp_path, "summer", "xop 0 sum", "xop sum 0")
     tables = slider(

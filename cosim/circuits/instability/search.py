@@ -37,6 +37,8 @@ _BEYOND, _BEYOND_HZ = "dec 20 1g 100t", (1e9, 1e14)
 _STEP, _FOLDS, _KICK_V = 0.1, 6.0, 1e-4
 #: Steps beyond which a transient is not worth its time: a pole so near to the axis grows that slowly.
 _MOST_STEPS = 400_000
+#: Candidates that are kicked, one after the other.
+_MOST_POLES = 4
 #: Growth between the middle and the last part of the transient; it is exp(2.5) if the pole is right.
 _GROWS = 2.0
 #: Share of the supply at which an output stands at its limit, whatever its part states.
@@ -166,12 +168,16 @@ class _Court:
     ) -> Instability:
         owners = tuple(dict.fromkeys(self.ports[port].owner for port in loop))
         declared = all(map(self._is_declared, owners))
-        at, pole = _pole(seen, loop)
-        none = Instability(np.nan, np.nan, owners, condition, confirmed=False, declared=declared)
-        if pole is None:
-            return none
-        grows = declared or self._grows(self.ports[at], pole, _level(seen, at, pole), volts)
-        return replace(none, real=float(pole.real), imag=float(pole.imag), confirmed=grows)
+        unknown = Instability(np.nan, np.nan, owners, condition, confirmed=False, declared=declared)
+        told = [
+            (replace(unknown, real=float(pole.real), imag=float(pole.imag)), at, pole)
+            for at, pole in _poles(seen, loop)
+        ]
+        # two fits may agree on what is no pole, at the end of the band: what grows when it is kicked is one
+        for instability, at, pole in told:
+            if declared or self._grows(self.ports[at], pole, _level(seen, at, pole), volts):
+                return replace(instability, confirmed=True)
+        return told[0][0] if told else unknown
 
     def _grows(self, port: Port, pole: complex, ohms: float, volts: Mapping[str, float]) -> bool:
         """Kick a port and see whether what is left of it grows, with steps that resolve the pole."""
@@ -205,14 +211,18 @@ def _level(seen: Impedances, port: int, pole: complex) -> float:
     return float(np.abs(seen.z[near, port, port]))
 
 
-def _pole(seen: Impedances, loop: Sequence[int]) -> tuple[int, complex | None]:
-    """Return the fastest growing pole that two fits of different order agree on, and a port that shows it."""
-    best: tuple[int, complex | None] = (loop[0], None)
-    for port in loop:
-        for pole in _right(seen.hz, seen.z[:, port, port], _BAND_HZ):
-            if best[1] is None or pole.real > best[1].real:
-                best = (port, pole)
-    return best
+def _poles(seen: Impedances, loop: Sequence[int]) -> list[tuple[int, complex]]:
+    """Return the growing poles that two fits of different order agree on, fastest first, each with a port.
+
+    A pole that several ports show is of the first.
+    """
+    every = [(port, pole) for port in loop for pole in _right(seen.hz, seen.z[:, port, port], _BAND_HZ)]
+    apart: list[tuple[int, complex]] = []
+    for port, pole in sorted(every, key=lambda each: -each[1].real):
+        alone = all(min(abs(pole - p), abs(pole.conjugate() - p)) > _AGREE * abs(p) for _, p in apart)
+        if alone and len(apart) < _MOST_POLES:
+            apart.append((port, pole))
+    return apart
 
 
 def _right(hz: Array, h: Complex, band_hz: tuple[float, float]) -> list[complex]:
