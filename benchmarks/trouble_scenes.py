@@ -31,9 +31,10 @@ _BY_ANGLE = {"encoder": False, "dac": False, "pot_linearity": False, "pot_calibr
              "opamp_offset": False, "vca_offset": False, "end_stops": False, "pot_noise": "none",
              "vca_nonlinearity": False, "vca_gain_error": False,
              "component_noise": False, "opamp_saturation": False, "opamp_slew": False}  # fmt: skip
-#: What keeps a device from resting until its hand moves, or is drawn by the number of the sample.
+#: What keeps a device or its currents from resting until the hand moves, or is drawn by the sample's number.
 _BY_TIME = {"gravity": False, "opamp_offset": False, "vca_offset": False, "pot_noise": "none",
-            "component_noise": False, "period_jitter": "none", "pot_calibration": False}  # fmt: skip
+            "component_noise": False, "period_jitter": "none", "pot_calibration": False,
+            "pot_linearity": False, "vca_nonlinearity": False}  # fmt: skip
 #: Keys that hold places and directions of the plane.
 _PLANE = ("wall.point_m", "wall.normal", "device.start.tip_m", "device.chain.gravity_m_per_s2",
           "device.slider.direction", "device.slider.origin_m", "device.slider.gravity_m_per_s2",

@@ -71,7 +71,7 @@ def twin_of(plan: Plan, *, own: bool = False) -> Twin:
     if model == "spice":
         finer = {
             "rtol": max(solver.rtol / 10.0, 1e-9),
-            "max_step_s": solver.max_step_s / 2.0,
+            "max_step_s": max(min(solver.max_step_s, scene.computer.period_s) / 2.0, 1e-9),
             "coupling_tolerance_rad": max(solver.coupling_tolerance_rad / 10.0, 1e-14),
             "charge_tolerance_c": max(solver.charge_tolerance_c / 10.0, 1e-18),
         }
