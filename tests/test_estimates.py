@@ -88,7 +88,7 @@ def test_rounding_of_the_converters_is_no_jump(tmp_path: Path, model: str) -> No
     jumps, peaks = [], []
     for direction in ([0.0, 1.0], [cos, sin]):
         tables = merge(THROWN, {
-            "solver": {"model": model}, "device": {"slider": {"direction": direction, "origin_m": [0.0, 0.0]}},
+            "solver": {"model": model}, "device": {"slider": {"direction": direction}},
             "wall": {"point_m": [0.0, 0.0], "normal": direction},
         })  # fmt: skip
         done = quick(tmp_path, tables)
