@@ -10,6 +10,7 @@ import statistics
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cosim.accuracy.pareto import resolved
 from cosim.scene import PotNoise
 from cosim.storage.owned_files import manifest_of
 from cosim.units import quantity
@@ -88,7 +89,8 @@ def words(study: Accuracy) -> list[str]:
         ]
     sentences.append(
         f"Errors are shares of the largest value, against {study.references[0]}; the floor is what "
-        f"{', '.join(study.references[1:])} differ from it by, and nothing is claimed below it."
+        f"{', '.join(study.references[1:])} differ from it by, and nothing is claimed below it. Within ten "
+        "times the floor an error is bounded, not known: such points are hollow."
     )
     for model, gone in study.left_out.items():
         error = max((study.model_error[model].get(n, math.inf) for n in study.quantities), default=math.inf)
@@ -136,9 +138,9 @@ def draw(study: Accuracy) -> Drawn:
     caption = (
         f"Error of each quantity over the time of the simulation alone, medians of {count} runs with their "
         "spread. The line is the Pareto front of this program's own settings; grey below is the floor, where "
-        "the references disagree. Dashed: what a model's missing effects cost; dotted: the largest effect "
-        "that the scene itself leaves out, from above. Crosses: one deck in plain ngspice, which is given "
-        "the recorded voltages of the DACs and closes no loop."
+        "the references disagree; hollow points lie within ten times of it. Dashed: what a model's missing "
+        "effects cost; dotted: the largest effect that the scene itself leaves out, from above. Crosses: one "
+        "deck in plain ngspice, which is given the recorded voltages of the DACs and closes no loop."
     )
     failed = sum(bool(row.failed) for row in study.rows)
     if failed:
@@ -157,10 +159,12 @@ def _panel(axes: Axes, study: Accuracy, name: str, clock: str) -> None:
         error = max(row.errors[name], _ROUNDING)
         spread = [[middle - min(times)], [max(times) - middle]]
         stated = row.setting.series == "as the scene states it"
+        known = resolved(row, name, study.floor)
         axes.errorbar(
             [middle], [error], xerr=spread, fmt=_MARKS[row.setting.series], color=_COLORS[row.setting.model],
-            markersize=9 if stated else 4.5, markeredgecolor="white" if stated else None, elinewidth=0.7,
-            zorder=5 if stated else 3, label="_",
+            markersize=9 if stated else 4.5, markeredgecolor="white" if stated and known else None,
+            markerfacecolor=None if known else "none", elinewidth=0.7, zorder=5 if stated else 3,
+            label="_known" if known else "_bounded",
         )  # fmt: skip
         if row.setting.model != "peer":
             shown.append((middle, error))
@@ -175,7 +179,7 @@ def _panel(axes: Axes, study: Accuracy, name: str, clock: str) -> None:
     axes.set_yscale("log")
     low, high = axes.get_ylim()
     low = min(low, floor / 3.0)
-    axes.axhspan(low * 1e-3, floor, color="#E6E6E6", zorder=0)
+    axes.axhspan(low * 1e-3, floor, color="#E6E6E6", zorder=0, label="_floor")
     for model, errors in study.model_error.items():
         if name in errors:
             axes.axhline(errors[name], color=_COLORS[model], linestyle="--", linewidth=0.9, zorder=1)
@@ -221,6 +225,9 @@ def _key(study: Accuracy) -> list[object]:
     if gone is not None:
         label = f"scene leaves out {gone[0]}"
         handles.append(Line2D([], [], color=LIMIT, linestyle=":", label=label))
+    if any(not resolved(row, name, study.floor) for row in study.rows for name in row.errors):
+        handles.append(Line2D([], [], color=INK, marker="o", linestyle="", markerfacecolor="none",
+                              label="bounded only: within 10x the floor"))  # fmt: skip
     handles.append(Patch(color="#E6E6E6", label="below the references' floor"))
     return handles
 

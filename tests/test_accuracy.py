@@ -10,13 +10,14 @@ import pytest
 from support import SCENES, ExactSlider, merge, quick, scene_of, shared_child, slider
 
 from cosim.accuracy import work_precision as module
-from cosim.accuracy.solver_settings import carries, grid, reference, second_reference
-from cosim.accuracy.work_precision import POINTS, accuracy
+from cosim.accuracy.pareto import Row, clipped
+from cosim.accuracy.solver_settings import Setting, carries, grid, reference, second_reference
+from cosim.accuracy.work_precision import POINTS, Accuracy, accuracy
 from cosim.cli import main
 from cosim.effects import lesser
 from cosim.errors import InputError
 from cosim.scene import load_scene
-from reports.accuracy import words, write_accuracy
+from reports.accuracy import draw, words, write_accuracy
 
 RADIUS = 0.1333
 #: A carriage thrown at the wall, ideal parts, no rounding: between its samples a matrix exponential.
@@ -38,6 +39,34 @@ def few(scene, models=("spice",)):
 def thrown(tmp_path: Path) -> Path:
     scene_of(tmp_path, THROWN)
     return tmp_path / "scene.toml"
+
+
+def test_no_point_is_known_within_ten_times_the_floor(thrown):
+    """Two references say nothing of an error near what they differ by: its point is hollow, its number a bound.
+
+    Broken once: with `RESOLVED` at 1 all three are drawn as known.
+    """
+    scene, floor = load_scene(thrown), 1e-6
+    errors = {"far": 1.01e-5, "near": 9.9e-6, "below": 1e-9}
+    rows = [
+        clipped(Row(Setting("spice", "longest step", label, ()), (1.0,), (1.0,), (1.0,), errors={"force": e}),
+                {"force": floor})
+        for label, e in errors.items()
+    ]  # fmt: skip
+    study = Accuracy(
+        scene, ("force",), ("one", "other"), {"force": floor}, {}, tuple(rows), {}, {}, {}, 1e-3, None
+    )
+    assert [row.errors["force"] for row in rows] == [1.01e-5, 9.9e-6, floor]
+    axes = draw(study).figure.axes[0]
+    points = {each.get_label(): [] for each in axes.containers}
+    for each in axes.containers:
+        line = each.lines[0]
+        points[each.get_label()].append((line.get_ydata()[0], line.get_markerfacecolor()))
+    assert [y for y, _ in points["_known"]] == [1.01e-5]
+    assert points["_bounded"] == [(9.9e-6, "none"), (floor, "none")]
+    (band,) = (each for each in axes.patches if each.get_label() == "_floor")
+    assert band.get_y() + band.get_height() == pytest.approx(floor)
+    assert any("bounded, not known" in line for line in words(study))
 
 
 def test_errors_fall_with_the_tolerance_and_the_references_agree(tmp_path, thrown, monkeypatch):

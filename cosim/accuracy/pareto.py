@@ -10,7 +10,10 @@ from typing import Any
 
 from cosim.accuracy.solver_settings import Setting
 
-__all__ = ["Row", "cheapest", "clipped", "finest", "marked"]
+__all__ = ["RESOLVED", "Row", "cheapest", "clipped", "finest", "marked", "resolved"]
+
+#: An error is known where it is so many times what the references disagree by; a smaller one is a bound.
+RESOLVED = 10.0
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,11 @@ class Row:
 def clipped(row: Row, floor: Mapping[str, float]) -> Row:
     """Claim no error below the floor."""
     return replace(row, errors={name: max(e, floor.get(name, 0.0)) for name, e in row.errors.items()})
+
+
+def resolved(row: Row, name: str, floor: Mapping[str, float]) -> bool:
+    """Return whether the error of a quantity is known, ten times above the floor, and not only bounded."""
+    return row.errors.get(name, 0.0) >= RESOLVED * floor.get(name, 0.0)
 
 
 def marked(rows: Sequence[Row], quantities: Sequence[str]) -> list[Row]:
