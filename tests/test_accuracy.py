@@ -42,7 +42,7 @@ def thrown(tmp_path: Path) -> Path:
 
 
 def test_no_point_is_known_within_ten_times_the_floor(thrown):
-    """Two references say nothing of an error near what they differ by: its point is hollow, its number a bound.
+    """References say nothing of an error near what they differ by: its point is hollow, its number a bound.
 
     Broken once: with `RESOLVED` at 1 all three are drawn as known.
     """
