@@ -253,6 +253,17 @@ def test_a_device_that_only_ltspice_has(tmp_path: Path) -> None:
         library(tmp_path, MYOP.replace(".ends", "A1 1 2 0 0 0 0 x 0 OTA g=1m\n.ends"), "ltspice")
 
 
+@pytest.mark.parametrize("pins", ["p m vcc vee out", "out p m vee vcc"])
+def test_pins_that_are_named_alike_meet_by_name(tmp_path: Path, pins: str) -> None:
+    """In the part's order, as the guide says, or in the model's: the first once met by place, in silence."""
+    file = tmp_path / "alike.lib"
+    file.write_text(".subckt alike out p m vee vcc\nR1 p m 1meg\nE1 out 0 p m 1e5\n.ends alike\n")
+    board = load_deck(BOARD, parts={"opamp": PartSwap(file, "alike", pins)})
+    assert "xop out inp inn vee vcc alike" in [line.text for line in board.lines]
+    with pytest.raises(InputError, match=r"in the model's order, out p m vee vcc, or in the part's"):
+        load_deck(BOARD, parts={"opamp": PartSwap(file, "alike", "m p vcc vee out")})
+
+
 def test_dialects_of_the_parts_make_that_of_the_deck(tmp_path: Path) -> None:
     assert library(tmp_path, MYOP, "ltspice").lines[1].text == "*@ ngbehavior=ltpsa"
     power = PartSwap(tmp_path / "vendor.lib", "MYOP", "1 2 3 4 5", "pspice")

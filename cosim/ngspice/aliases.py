@@ -26,6 +26,8 @@ _SCALES = frozenset(
 )
 """Vectors that are named by ngspice itself."""
 _BINNED = re.compile(r"(.+)(\.\d+)")
+#: A node that ngspice itself puts into a source with a formula: ``e1_int1``.
+_INTERNAL = re.compile(r"_int\d+$")
 _PLAIN = re.compile(r"[a-z_][a-z0-9_]*")
 
 
@@ -125,6 +127,8 @@ class Aliases:
         if path is None and low.endswith("#branch"):
             inner = self.element_path(low.removesuffix("#branch"))
             path = None if inner is None else inner + "#branch"
+        if path is None and _INTERNAL.search(low):
+            path = self._with_tail(low)
         return low if path is None and _PLAIN.fullmatch(low) else path
 
     def restore(self, text: str) -> str:
@@ -155,7 +159,7 @@ class Aliases:
                 return alias
 
     def _with_tail(self, name: str) -> str | None:
-        """Resolve an element behind which ``.noise`` puts the kind of noise: ``r1_thermal``."""
+        """Resolve an element behind whose name ngspice puts more: ``r1_thermal`` in noise, ``e1_int1``."""
         ends = [len(name), *(k for k, c in enumerate(name) if c == "_")]
         for end in sorted(ends, reverse=True):
             path = self.element_path(name[:end]) if end else None

@@ -250,6 +250,14 @@ def _pin_map(swap: PartSwap, original: Block, vendor: Block) -> dict[str, str]:
         w.lower()
         for w in (re.split(r"[\s,]+", swap.pins.strip()) if isinstance(swap.pins, str) else swap.pins)
     ]
+    if sorted(original.pins) == sorted(vendor.pins) == sorted(words):  # named alike: each meets its namesake
+        if words not in (list(original.pins), list(vendor.pins)):
+            fail(
+                "the model's pins have the names of the part's: list them in the model's order, "
+                f"{' '.join(vendor.pins)}, or in the part's, {' '.join(original.pins)}",
+                file=str(swap.file), key="pins", value=" ".join(words),
+            )  # fmt: skip
+        return {pin: pin for pin in original.pins}
     if sorted(words) == sorted(original.pins) and len(words) == len(vendor.pins):
         return dict(zip(words, vendor.pins, strict=True))
     if sorted(words) == sorted(vendor.pins) and len(words) == len(original.pins):

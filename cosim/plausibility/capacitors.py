@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 
 from cosim.caution import Caution
 from cosim.ngspice.deck import Deck
-from cosim.ngspice.lines import assignments, tokens
-from cosim.plausibility.board_rows import own_rows, sets
+from cosim.ngspice.lines import assignments
+from cosim.plausibility.board_rows import own_lines, own_rows, sets
 
 __all__ = ["capacitors"]
 
@@ -21,14 +21,8 @@ def capacitors(values: Mapping[str, str], board: Deck) -> Iterator[Caution]:
         if sets(name.lower().rpartition(".")[2], "c", own_rows(board)):
             yield from _doubt(f"{name} = {written}", written)
     edited = {name.lower().rpartition(".")[2] for name in values}
-    parts = {part.name for part in board.parts}
-    inside, rows = "", own_rows(board)
-    for line in board.lines:
-        words = tokens(line.text)
-        if line.keyword in (".subckt", ".ends"):
-            inside = words[1].lower().partition("__")[0] if line.keyword == ".subckt" else ""
-        if inside in parts:
-            continue
+    rows = own_rows(board)
+    for line, words in own_lines(board):
         where = f"{line.file}:{line.lineno}: " if line.file else ""
         if line.keyword.startswith("c") and len(words) > 3 and line.keyword not in edited:
             yield from _doubt(f"{where}{words[0]} = {words[3]}", words[3])

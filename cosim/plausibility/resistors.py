@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator, Mapping
 
 from cosim.caution import Caution
 from cosim.ngspice.deck import Deck
-from cosim.ngspice.lines import number, tokens
-from cosim.plausibility.board_rows import own_rows, sets
+from cosim.ngspice.lines import number
+from cosim.plausibility.board_rows import own_lines, own_rows, sets
 
 __all__ = ["resistors"]
 
@@ -29,8 +29,7 @@ def resistors(values: Mapping[str, str], board: Deck, bare: Callable[[], Deck]) 
             if not _absurd(before.get(key, _LEAST_OHM)):  # a shunt of 0.5 Ohm may become one of 0.4
                 yield _resistor(f"{name} = {written}", ohms, doubt, written)
     edited = {name.lower().rpartition(".")[2] for name in values}
-    for line in board.lines:
-        words = tokens(line.text)
+    for line, words in own_lines(board):
         where = f"{line.file}:{line.lineno}: " if line.file else ""
         for name, written in _resistances(words):
             ohms = number(written)

@@ -11,6 +11,7 @@ counted in Newton iterations and never in seconds, so that the same input goes t
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -44,6 +45,8 @@ _COST = (
     f"; at rtol {LOOSE_RTOL:g} the shipped scenes' forces, currents and stiffness move by up to 0.12 %, and "
     "the ripple of the force by 1.6 %: look at yours with `cosim run --set solver.rtol=...`"
 )
+
+_INTERNAL = re.compile(r"_int\d+$")
 
 Result = TypeVar("Result")
 
@@ -175,6 +178,7 @@ def plain_start(
     # the board's probes may be external, for noise that begins at zero: ngspice 47 reads them here as well
     simulator.attach(source=lambda name, t: 0.0)
     simulator.command("op")
-    nodes = [name for name in simulator.vector_names() if "#" not in name]
+    # nodes that ngspice itself adds have no name in a deck
+    nodes = [name for name in simulator.vector_names() if "#" not in name and not _INTERNAL.search(name)]
     by_node = {name: float(np.real(simulator.vector(name)[0])) for name in nodes}
     return [f".nodeset v({name})={value!r}" for name, value in by_node.items()]
