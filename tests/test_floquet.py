@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from held_scenes import at_wall
 from linear_runs import ideal
-from support import BOARD2, SCENES, merge, scene_of, slider
+from support import BOARD2, SCENES, merge, scene_of, shared_child, slider
 
 from cosim.analysis.extracted import circuit_of
-from cosim.analysis.held_contact import HeldContact, with_computer
+from cosim.analysis.held_contact import HeldContact, touching, with_computer
 from cosim.analysis.stability import held, stability
 from cosim.analysis.stiffness_limits import limits
 from cosim.circuits.design_constants import DesignConstants
@@ -144,3 +144,18 @@ def test_a_device_without_damping_has_limits_all_the_same(tmp_path: Path) -> Non
     assert result.design[0] == 0.0
     assert "no stiffness is stable" in describe(result)
     assert "UNSTABLE" in describe(result)
+
+
+@pytest.mark.parametrize(
+    ("origin", "point", "normal", "angle"),
+    [
+        ([0.0, 0.01], [0.0, 0.0], [0.0, 1.0], -0.01 / 0.1333),  # a fall of 10 mm at a radius of 133.3 mm
+        ([0.0, -0.02], [0.3, 0.01], [0.0, 1.0], 0.03 / 0.1333),
+        ([0.0, 0.01], [0.0, 0.0], [0.6, 0.8], -0.01 / 0.1333),  # along a slope as well: 0.8 s = -0.8 x 10 mm
+    ],
+)
+def test_a_slider_that_touches_stands_on_the_wall(origin, point, normal, angle):
+    """Broken once: with + in place of - no test failed, for a slider's theory is the same at every angle."""
+    where = [f"device.slider.origin_m={origin}", f"wall.point_m={point}", f"wall.normal={normal}"]
+    plan = resolve(load_scene(SCENES / "drop.toml", where))
+    assert touching(plan.scene, plan.stated(shared_child())) == pytest.approx([angle], rel=1e-12)

@@ -171,7 +171,7 @@ def test_a_scale_taken_for_a_unit_in_the_netlist_itself_is_reported(
 
 
 def test_what_a_vendor_s_model_is_made_of_is_no_slip(tmp_path: Path) -> None:
-    """Macro-models do have capacitors of 3 fF and resistors of a milliohm, also in subcircuits of their own."""
+    """Macro-models have capacitors of 3 fF and resistors of a milliohm, also in their own subcircuits."""
     inner = ".subckt inside a b\nC1 a b 3F\nR1 a b 1M\n.ends inside\n"
     outer = ".subckt outer 1 2 3 4 5\nX1 1 2 inside\nE1 5 0 1 2 1e5\n.ends outer\n"
     (tmp_path / "outer.lib").write_text(inner + outer)
