@@ -9,7 +9,16 @@ from scipy import special, stats
 from support import SCENES
 
 from cosim import cli
-from cosim.tolerance.border_strata import allocation, failure_rate, learned, replicate_weights
+from cosim.tolerance.border_strata import (
+    _LEAST,
+    BORDER,
+    FAILS,
+    PASSES,
+    allocation,
+    failure_rate,
+    learned,
+    replicate_weights,
+)
 from cosim.tolerance.spec import Spec
 from cosim.tolerance.unit_cube import sampling
 from reports.monte_carlo import write_monte_carlo
@@ -68,6 +77,17 @@ def estimate(seed, fails_at, n=600, cheap_samples=1 << 13):
         failed.append(int(np.sum(~SPEC.passed(dear(pool[taken], fails_at)))))
         counted.append(len(taken))
     return failure_rate(weights, failed, counted, cube.n)
+
+
+def test_dear_samples_are_added_only_where_they_lack():
+    """Of the strata 1 %, 9 % and 90 %, a thousand plain samples hold 10, 90 and 900: four times the failing
+    are wanted, and of what passes none more. Broken once: with `wanted + there` no test failed."""
+    weights = np.zeros(3)
+    weights[[FAILS, BORDER, PASSES]] = 0.01, 0.09, 0.9
+    failing, _, passing = allocation(weights, 1000, 10**9)
+    assert (failing, passing) == (max(40, _LEAST), 900)
+    few = allocation(weights, 1000, 8)  # eight at most on top of the thousand, each stratum rounded up
+    assert 1000 <= sum(few) <= 1008 + 3
 
 
 @pytest.mark.parametrize("fails_at", [math.inf, 3.0])
