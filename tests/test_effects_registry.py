@@ -113,6 +113,18 @@ def test_sizes_are_their_formulas() -> None:
     assert size(plan, "pot_linearity").force_n == pytest.approx(100 * radius * 0.006)
 
 
+def test_sizes_of_a_hand_s_path_and_of_a_shaft() -> None:
+    """Two places where a turned sign was seen by no test: the path's peak speed, and springs in series."""
+    shafts = ("device.chain.shaft_stiffness_n_m_per_rad=[10.0,40.0]", "effects.shaft=true")
+    plan = shipped("press", "operator.waypoints_s_m=[[0.0,0.07,0.157],[0.2,0.07,0.117]]", *shafts)
+    at = scale(plan.scene, plan.stated())
+    # 40 mm in 0.2 s by minimum jerk: 15/8 of the mean speed (Flash and Hogan 1985)
+    assert at.speed_m_per_s == pytest.approx(15 / 8 * 0.04 / 0.2, rel=1e-12)
+    wall, shaft = 100.0, 10.0 / at.reach_m**2  # N/m, the softer shaft at the tip
+    both = 1.0 / (1.0 / wall + 1.0 / shaft)
+    assert size(plan, "shaft").force_n == pytest.approx(at.force_n * (1.0 - both / wall), rel=1e-9)
+
+
 def test_sizes_follow_the_board_and_its_parts() -> None:
     """No number about the board stands in Python: what the netlist states decides."""
     plain = shipped("slope")
