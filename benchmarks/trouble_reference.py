@@ -58,7 +58,9 @@ def compared(scene: Drawn, child: Child) -> dict[str, Any]:
     rows: dict[str, dict[str, Any]] = {}
     codes = None
     for model in models:
-        tables = load_scene(scene.file, scene.overrides({"solver.model": model, "solver.time_limit_s": 900.0}))
+        tables = load_scene(
+            scene.file, scene.overrides({"solver.model": model, "solver.time_limit_s": 900.0})
+        )
         with scratch_folder("trouble") as folder, collected(forward=False):
             plan = resolve(tables)
             done = run(plan, folder / "run", formats=(), child=child, errors=estimator(plan, child))
