@@ -114,7 +114,7 @@ def test_sizes_are_their_formulas() -> None:
 
 
 def test_sizes_of_a_hand_s_path_and_of_a_shaft() -> None:
-    """Two places where a turned sign was seen by no test: the path's peak speed, and springs in series."""
+    """Places where a turned operator was seen by no test: peak speed of a path, springs in series, offsets."""
     shafts = ("device.chain.shaft_stiffness_n_m_per_rad=[10.0,40.0]", "effects.shaft=true")
     plan = shipped("press", "operator.waypoints_s_m=[[0.0,0.07,0.157],[0.2,0.07,0.117]]", *shafts)
     at = scale(plan.scene, plan.stated())
@@ -122,6 +122,10 @@ def test_sizes_of_a_hand_s_path_and_of_a_shaft() -> None:
     assert at.speed_m_per_s == pytest.approx(15 / 8 * 0.04 / 0.2, rel=1e-12)
     wall, shaft = 100.0, 10.0 / at.reach_m**2  # N/m, the softer shaft at the tip
     both = 1.0 / (1.0 / wall + 1.0 / shaft)
+    # four multipliers of a joint's spring and damper, 5 mV out and twice 5 mV in at full scale each; 5.316 V
+    # at one of them are 0.875 A
+    offset = 4 * 15e-3 * 0.875 / 5.316 * KT * GEAR / at.reach_m
+    assert size(plan, "vca_offset").force_n == pytest.approx(offset, rel=1e-9)
     assert size(plan, "shaft").force_n == pytest.approx(at.force_n * (1.0 - both / wall), rel=1e-9)
 
 
