@@ -114,7 +114,7 @@ def test_sizes_are_their_formulas() -> None:
 
 
 def test_sizes_of_a_hand_s_path_and_of_a_shaft() -> None:
-    """Places where a turned operator was seen by no test: peak speed of a path, springs in series, offsets."""
+    """Turned operators that no test saw: the peak speed of a path, springs in series, offsets."""
     shafts = ("device.chain.shaft_stiffness_n_m_per_rad=[10.0,40.0]", "effects.shaft=true")
     plan = shipped("press", "operator.waypoints_s_m=[[0.0,0.07,0.157],[0.2,0.07,0.117]]", *shafts)
     at = scale(plan.scene, plan.stated())
