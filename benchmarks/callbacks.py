@@ -256,9 +256,9 @@ class CallLog:
         """Write the buffers to a file, as the run's recorder does."""
         state = self.memory.state[0]
         self._sink.seek(0)
-        for buffer, used in ((self.memory.rows, "rows_used"), (self.memory.samples, "samples_used")):
-            self._sink.write(buffer[: state[used]].data)
-            state[used] = 0
+        for buffer, kind in ((self.memory.rows, "rows"), (self.memory.samples, "samples")):
+            self._sink.write(buffer[: state[kind]["used"]].data)
+            state[kind]["used"] = 0
 
     def _build(self, width: int) -> None:
         """Lay out ngspice's `vecvaluesall` {count, index, vecvalues **} and the sources' names."""

@@ -87,9 +87,9 @@ def finished(run: Propagation) -> Propagation:
 
 def signals(run: Propagation) -> dict[str, Array]:
     """Run with every accepted point kept, and no point more than without."""
-    run.memory.state[0]["rows_capacity"] = ROOM
+    run.memory.state[0]["rows"]["capacity"] = ROOM
     state = finished(run).memory.state[0]
-    rows = run.memory.rows[: int(state["rows_used"])]
+    rows = run.memory.rows[: int(state["rows"]["used"])]
     return {name: rows[:, i] for i, name in enumerate(columns(run.memory.drive, ()))}
 
 

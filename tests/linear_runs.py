@@ -80,9 +80,9 @@ def propagate(
 
 def rows(made: Propagation, name: str) -> Array:
     state = made.memory.state[0]
-    return made.memory.rows[: state["rows_used"], columns(made.memory.drive, ()).index(name)]
+    return made.memory.rows[: state["rows"]["used"], columns(made.memory.drive, ()).index(name)]
 
 
 def samples(made: Propagation, name: str) -> Array:
     state = made.memory.state[0]
-    return made.memory.samples[: state["samples_used"], sample_columns(int(state["n"])).index(name)]
+    return made.memory.samples[: state["samples"]["used"], sample_columns(int(state["n"])).index(name)]

@@ -327,10 +327,10 @@ def test_a_million_periods_without_drift(tmp_path: Path) -> None:  # 29
     last: list[tuple[float, float]] = []
 
     def drain() -> None:
-        used = int(state["samples_used"])
+        used = int(state["samples"]["used"])
         if used:
             last[:] = [tuple(made.memory.samples[used - 1, :2])]
-        state["samples_used"] = 0
+        state["samples"]["used"] = 0
 
     callback = ctypes.CFUNCTYPE(None)(drain)
     state["drain_address"] = ctypes.cast(callback, ctypes.c_void_p).value

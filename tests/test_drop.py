@@ -66,7 +66,7 @@ def test_phases_shift_the_samples_and_nothing_else():
         run.run()
         state = run.memory.state[0]
         ends.append(float(state["q"][0]))
-        times.append(run.memory.samples[: int(state["samples_used"]), 1].copy())
+        times.append(run.memory.samples[: int(state["samples"]["used"]), 1].copy())
     assert ends[0] == pytest.approx(ends[1], rel=1e-9)  # 40 ms of a 45 ms fall: no contact
     assert times[1][1:4] == pytest.approx(times[0][1:4] - 0.003, abs=1e-15)
 

@@ -114,7 +114,7 @@ def test_a_leap_over_a_ramp_is_the_ramp_stepped_over(tmp_path: Path) -> None:
         state = made.memory.state[0]
         ends.append(np.array([state["q"][0], state["v"][0], made.step.current[0]]))
         points.append(int(state["points"]))
-        assert (made.memory.samples[: int(state["samples_used"]), 2] == 1).all()
+        assert (made.memory.samples[: int(state["samples"]["used"]), 2] == 1).all()
     assert points == [1 + 1 + 5 * 2, 1 + 6]  # no ramp at power-up
     assert ends[1] == pytest.approx(ends[0], rel=1e-12)
 

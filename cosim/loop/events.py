@@ -28,9 +28,9 @@ def instant(s: Record, tick: int) -> float:
 @inner
 def _release(s: Record, group: int) -> bool:
     """Let the oldest waiting sample reach the DACs of a group; True if a driven voltage changes."""
-    slot = s.queue_out[group] % QUEUE
-    start = s.queue_time[slot] + (s.skew if group == 1 else 0.0)
-    s.queue_out[group] += 1
+    slot = s.queue.taken[group] % QUEUE
+    start = s.queue.time[slot] + (s.skew if group == 1 else 0.0)
+    s.queue.taken[group] += 1
     part = 1.0  # of the ramp before, which a settling time longer than the period leaves unfinished
     if s.ramping:
         part = min(max((start - s.dac_start[group]) / s.settle, 0.0), 1.0)
@@ -43,8 +43,8 @@ def _release(s: Record, group: int) -> bool:
         reached = s.dac_to[k] if part == 1.0 else s.dac_from[k] + part * (s.dac_to[k] - s.dac_from[k])
         s.dac_from[k] = reached
         # rounding of a converter without steps is no jump: each would have the integrator start afresh
-        moves = abs(s.queue[slot, k] - reached) > _ROUNDING_V
-        s.dac_to[k] = s.queue[slot, k] if moves else reached
+        moves = abs(s.queue.volts[slot, k] - reached) > _ROUNDING_V
+        s.dac_to[k] = s.queue.volts[slot, k] if moves else reached
         changed = changed or s.dac_to[k] != s.dac_from[k]
         if s.settle == 0.0:
             s.out[s.dac_first + i] = s.dac_to[k]
@@ -61,13 +61,13 @@ def compute_sample(s: Record) -> None:
         call_plain(s.law_address)
     else:
         law(s.c, s.known, s.x)
-    slot = s.queue_in % QUEUE
-    to_volts(s.c, s.x, s.queue[slot])
-    s.queue_time[slot] = (s.tick + s.delay_ticks) * s.c.period + s.delay_s
+    slot = s.queue.put % QUEUE
+    to_volts(s.c, s.x, s.queue.volts[slot])
+    s.queue.time[slot] = (s.tick + s.delay_ticks) * s.c.period + s.delay_s
     if s.jitter != 0:
-        s.queue_time[slot] += instant(s, s.tick) - s.tick * s.c.period
-    s.queue_in += 1
-    if s.queue_in - min(s.queue_out[0], s.queue_out[1]) > QUEUE:
+        s.queue.time[slot] += instant(s, s.tick) - s.tick * s.c.period
+    s.queue.put += 1
+    if s.queue.put - min(s.queue.taken[0], s.queue.taken[1]) > QUEUE:
         s.fault = _SAMPLE_LOST
     s.tick += 1
     s.points_before = s.points
@@ -78,7 +78,7 @@ def compute_sample(s: Record) -> None:
 def _write_sample(s: Record) -> None:
     n = s.n
     width = 8 + 4 * n + 2 * n * n
-    row = carray(doubles_at(s.samples + 8 * width * s.samples_used), (width,))
+    row = carray(doubles_at(s.samples.address + 8 * width * s.samples.used), (width,))
     x = s.x
     row[0], row[1], row[2], row[3] = x.tick, instant(s, x.tick), x.contact, x.pen
     row[4], row[5], row[6], row[7] = x.saturated, x.unsolved, x.r[0], x.r[1]
@@ -91,8 +91,8 @@ def _write_sample(s: Record) -> None:
         for j in range(n):
             row[at], row[at + n * n] = x.ksp[i, j], x.ksd[i, j]
             at += 1
-    s.samples_used += 1
-    if s.samples_used == s.samples_capacity:
+    s.samples.used += 1
+    if s.samples.used == s.samples.capacity:
         call_plain(s.drain_address)
 
 
@@ -103,9 +103,9 @@ def next_event(s: Record) -> float:
     if s.tick <= s.last_tick:
         at = min(at, instant(s, s.tick))
     for group in range(2):
-        if s.queue_out[group] < s.queue_in:
-            slot = s.queue_out[group] % QUEUE
-            at = min(at, s.queue_time[slot] + (s.skew if group == 1 else 0.0))
+        if s.queue.taken[group] < s.queue.put:
+            slot = s.queue.taken[group] % QUEUE
+            at = min(at, s.queue.time[slot] + (s.skew if group == 1 else 0.0))
     if s.ramping:
         for group in range(2):
             end = s.dac_start[group] + s.settle
@@ -127,7 +127,7 @@ def announce(s: Record, now: float) -> None:
         return
     if s.tick <= s.last_tick:
         call_with_time(s.breakpoint_address, instant(s, s.tick))
-    change = s.queue_time[(s.queue_in - 1) % QUEUE]
+    change = s.queue.time[(s.queue.put - 1) % QUEUE]
     if change > now:
         call_with_time(s.breakpoint_address, change)
     if s.skew > 0.0:
@@ -144,7 +144,7 @@ def begin(s: Record) -> None:
         s.dac_to[j] = s.c.v_rad * s.q[s.motor + j]
     compute_sample(s)
     for group in range(2):
-        if s.queue_time[0] + (s.skew if group == 1 else 0.0) <= s.delta_min:
+        if s.queue.time[0] + (s.skew if group == 1 else 0.0) <= s.delta_min:
             _release(s, group)
     s.ramping = 0
     for i in range(s.dacs):
@@ -190,9 +190,9 @@ def process_events(s: Record, t: float) -> bool:
             _watch_rest(s, t)
     jumped = False
     for group in range(2):
-        while s.queue_out[group] < s.queue_in:
-            slot = s.queue_out[group] % QUEUE
-            if s.queue_time[slot] + (s.skew if group == 1 else 0.0) > now:
+        while s.queue.taken[group] < s.queue.put:
+            slot = s.queue.taken[group] % QUEUE
+            if s.queue.time[slot] + (s.skew if group == 1 else 0.0) > now:
                 break
             jumped = _release(s, group) or jumped
     if jumped:

@@ -82,8 +82,8 @@ class Recorder:
         try:
             s = self.memory.state[0]
             with disk_errors(self.folder):
-                self._write(self.rows, self.memory.rows, "rows_used")
-                self._write(self.samples, self.memory.samples, "samples_used")
+                self._write(self.rows, self.memory.rows, "rows")
+                self._write(self.samples, self.memory.samples, "samples")
             self.simulator.truncate_vectors()
             try:
                 self.memory.operator.raise_pending()
@@ -100,7 +100,7 @@ class Recorder:
         """Return what a fault means; voltages that no circuit has are of the node that is worst."""
         if not self.nodes or state["fault"] != Fault.NOT_FINITE:
             return _FAULTS[int(state["fault"])]
-        peaks = state["node_peak"][: len(self.nodes)]
+        peaks = state["node"]["peak"][: len(self.nodes)]
         if not np.all(peaks < NO_VOLTAGE):
             worst = int(np.argmax(np.where(np.isnan(peaks), math.inf, peaks)))
             return (
@@ -115,10 +115,10 @@ class Recorder:
         if self.running:
             self.simulator.stop()
 
-    def _write(self, file: BinaryIO, buffer: np.ndarray[Any, Any], used: str) -> None:
-        state = self.memory.state[0]
-        file.write(buffer[: state[used]].data)
-        state[used] = 0
+    def _write(self, file: BinaryIO, buffer: np.ndarray[Any, Any], kind: str) -> None:
+        memory = self.memory.state[0][kind]
+        file.write(buffer[: memory["used"]].data)
+        memory["used"] = 0
 
     def close(self) -> None:
         """Write the rest and close; raises what went wrong while compiled code was running."""
@@ -141,7 +141,7 @@ def statistics(memory: Memory, wall_s: float, cpu_s: float) -> dict[str, Any]:
         "cpu_s": cpu_s,
         "points": int(s["points"]),
         "rejected": int(s["rejected"]),
-        "source_calls": int(s["source_calls"]),
+        "source_calls": int(s["calls"]["count"]),
         "discontinuities": int(s["discontinuities"]),
         "random_draws": memory.draws,
         "defect_max_rad": float(s["defect_max"]),

@@ -189,8 +189,8 @@ def pack(
     _put_steps(s, scene, grids)
     rows = np.zeros((row_capacity, len(columns(circuit, recorded, shafts=scene.effects.shaft))))
     samples = np.zeros((sample_capacity, len(sample_columns(n))))
-    s["rows"], s["rows_capacity"], s["columns"] = rows.ctypes.data, len(rows), rows.shape[1]
-    s["samples"], s["samples_capacity"] = samples.ctypes.data, len(samples)
+    s["rows"]["address"], s["rows"]["capacity"], s["columns"] = rows.ctypes.data, len(rows), rows.shape[1]
+    s["samples"]["address"], s["samples"]["capacity"] = samples.ctypes.data, len(samples)
     s["nodes"], s["nodes_recorded"] = len(recorded) + len(watched), len(recorded)
     knots = np.array([t for t in person.knots_s if 0.0 < t < scene.duration_s])
     s["knot_times"], s["knots"] = knots.ctypes.data, len(knots)
@@ -228,7 +228,7 @@ def _put_steps(s: np.void, scene: Scene, grids: list[float]) -> None:
     # A million is thousands of times what a period needs, ten times more than it was asked for is too.
     fine = min([float(s["h_max"]), *grids])
     s["most_points"] = max(1_000_000, math.ceil(10 * period / fine))
-    s["calls_free"] = math.inf  # `convergence` bounds what may be tried again
+    s["calls"]["free"] = math.inf  # `convergence` bounds what may be tried again
     s["delta_min"] = 1e-12 * max(period, scene.duration_s * 1e-3)
 
 
@@ -237,10 +237,10 @@ def _put_component(s: np.void, component: ComponentGrid) -> None:
     s["component"], s["component_rows"] = component.values.ctypes.data, len(component.values)
     s["component_dt"], s["component_inputs"] = component.dt, component.inputs
     names = [np.frombuffer(name.encode(), np.uint8) for name, _ in component.probes]
-    s["probes"] = len(names)
-    s["probe_name"][: len(names)] = [name_hash(name, len(name)) for name in names]
-    s["probe_input"][: len(names)] = component.group[: len(names)]
-    s["probe_sign"][: len(names)] = [sign for _, sign in component.probes]
+    s["probe"]["count"] = len(names)
+    s["probe"]["name"][: len(names)] = [name_hash(name, len(name)) for name in names]
+    s["probe"]["input"][: len(names)] = component.group[: len(names)]
+    s["probe"]["sign"][: len(names)] = [sign for _, sign in component.probes]
 
 
 def shift_samples(memory: Memory, share: float) -> None:

@@ -25,6 +25,64 @@ PATIENCE = 30.0
 #: ngspice a division by zero gives some 1e32, with which a loose tolerance can go on.
 NO_VOLTAGE = 1e12
 
+#: What is on its way from the computer to the DACs: a ring of samples.
+_QUEUED = np.dtype(
+    [
+        ("volts", "f8", (QUEUE, CHANNELS)),
+        ("time", "f8", QUEUE),  # s, when the gains change
+        ("put", "i8"),  # samples ever put in
+        ("taken", "i8", 2),  # and taken out, by group of channels (`dac_start`)
+    ],
+    align=True,
+)
+#: The X probes inside the board, which component noise acts through.
+_PROBES = np.dtype(
+    [
+        ("count", "i8"),
+        ("name", "i8", MULTIPLIERS),  # its hash, see `name_hash`
+        ("input", "i8", MULTIPLIERS),
+        ("sign", "f8", MULTIPLIERS),
+    ],
+    align=True,
+)
+#: Nodes that are watched or recorded: where ngspice keeps their values, and what became of them.
+_NODES = np.dtype(
+    [
+        ("index", "i8", MOST_NODES),
+        ("volts", "f8", MOST_NODES),  # at the last accepted point
+        ("peak", "f8", MOST_NODES),
+        ("limit", "f8", MOST_NODES),  # V, where an amplifier's output clips; inf where that is not known
+        ("clipped", "f8", MOST_NODES),  # s spent there, by the accepted points
+    ],
+    align=True,
+)
+#: Outputs that hang at their limit while the device stands still (see spice/watch.py).
+_HANGING = np.dtype(
+    [
+        ("limit", "f8", MOST_NODES),
+        ("start", "f8", MOST_NODES),  # s, since when without a break
+        ("volts", "f8", MOST_NODES),  # at the first moment that was long enough; 0 for none
+        ("since", "f8", MOST_NODES),
+        ("pins", "f8", (MOST_NODES, 2 * NMAX + CHANNELS)),
+        ("wait", "f8"),
+        ("quiet", "f8"),
+    ],
+    align=True,
+)
+#: Rows of results in memory, until they are drained.
+_MEMORY = np.dtype([("address", "i8"), ("capacity", "i8"), ("used", "i8")], align=True)
+#: Calls for the sources' values, and how many of them count as a crawl.
+_CALLS = np.dtype(
+    [
+        ("count", "i8"),
+        ("start", "i8"),  # before the first point: an operating point takes what it takes
+        ("free", "f8"),  # allowed at once, a second, and a jump or knot
+        ("per_s", "f8"),
+        ("per_event", "f8"),
+    ],
+    align=True,
+)
+
 STATE = np.dtype(
     [
         ("running", "i8"),  # first word: 0 tells `accepted` that the values are of another analysis
@@ -79,10 +137,7 @@ STATE = np.dtype(
         ("delay_s", "f8"),
         ("tick", "i8"),
         ("last_tick", "i8"),
-        ("queue", "f8", (QUEUE, CHANNELS)),
-        ("queue_time", "f8", QUEUE),
-        ("queue_in", "i8"),
-        ("queue_out", "i8", 2),
+        ("queue", _QUEUED),
         # potentiometer noise: linear between grid ticks
         ("noise", "i8"),  # address of the samples [ticks, n], 0 without noise
         ("noise_rows", "i8"),
@@ -99,11 +154,7 @@ STATE = np.dtype(
         ("component_tick", "i8"),
         ("component_inputs", "i8"),  # number of different X
         ("component_now", "f8", MULTIPLIERS + NMAX),  # values at the trial point
-        # the X probes inside the board, by a hash of their names (see `name_hash`)
-        ("probes", "i8"),
-        ("probe_name", "i8", MULTIPLIERS),
-        ("probe_input", "i8", MULTIPLIERS),
-        ("probe_sign", "f8", MULTIPLIERS),
+        ("probe", _PROBES),
         # instants at which the operator's force has a kink
         ("knot_times", "i8"),
         ("knots", "i8"),
@@ -132,28 +183,13 @@ STATE = np.dtype(
         ("time_index", "i8"),
         ("current_index", "i8", NMAX),
         ("nodes", "i8"),
-        ("node_index", "i8", MOST_NODES),
-        ("node_volts", "f8", MOST_NODES),  # at the last accepted point
-        ("node_peak", "f8", MOST_NODES),
-        ("node_limit", "f8", MOST_NODES),  # V, where an amplifier's output clips; inf where that is not known
-        ("node_clipped", "f8", MOST_NODES),  # s spent there, by the accepted points
-        # outputs that hang at their limit while the device stands still (see spice/watch.py)
-        ("hang_limit", "f8", MOST_NODES),
-        ("hang_from", "f8", MOST_NODES),  # s, since when without a break
-        ("hang_volts", "f8", MOST_NODES),  # at the first moment that was long enough; 0 for none
-        ("hang_since", "f8", MOST_NODES),
-        ("hang_pins", "f8", (MOST_NODES, 2 * NMAX + CHANNELS)),
-        ("hang_wait", "f8"),
-        ("hang_quiet", "f8"),
+        ("node", _NODES),
+        ("hang", _HANGING),
         # rows of results
-        ("rows", "i8"),
-        ("rows_capacity", "i8"),
-        ("rows_used", "i8"),
+        ("rows", _MEMORY),
         ("columns", "i8"),
         ("nodes_recorded", "i8"),
-        ("samples", "i8"),
-        ("samples_capacity", "i8"),
-        ("samples_used", "i8"),
+        ("samples", _MEMORY),
         # Python called from compiled code
         ("drain_address", "i8"),
         ("breakpoint_address", "i8"),
@@ -161,11 +197,7 @@ STATE = np.dtype(
         ("points", "i8"),
         ("points_before", "i8"),  # up to the last sample
         ("rejected", "i8"),
-        ("source_calls", "i8"),
-        ("calls_start", "i8"),  # of them before the first point: an operating point takes what it takes
-        ("calls_free", "f8"),  # allowed at once, a second, and a jump or knot, before it counts as a crawl
-        ("calls_per_s", "f8"),
-        ("calls_per_event", "f8"),
+        ("calls", _CALLS),
         ("discontinuities", "i8"),
         ("defect", "f8"),
         ("defect_max", "f8"),

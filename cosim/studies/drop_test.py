@@ -174,7 +174,7 @@ class Falls:
                 raise CosimError(f"a drop at {stiffness:.6g} N/m ended with fault {state['fault']}")
             self.runs += 1
             self.samples += int(state["tick"])
-            yield int(state["rested"]), memory.samples[: int(state["samples_used"])]
+            yield int(state["rested"]), memory.samples[: int(state["samples"]["used"])]
 
 
 def _reach(scene: Scene) -> float:

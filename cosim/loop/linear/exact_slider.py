@@ -100,7 +100,7 @@ def exact(
     def make() -> None:
         at = x.made[0]
         try:
-            nodes = bool(state["rows_capacity"])
+            nodes = bool(state["rows"]["capacity"])
             made = transition(state, circuit, x.asked[:2], float(x.asked[2]), float(x.asked[3]), nodes=nodes)
             x.data[at, :, : size + 10] = made[:, [*range(size), *(size + i for i in _ORDER)]].T
         except Exception as error:  # none may cross the compiled frames above
@@ -307,7 +307,7 @@ def leap(s: Record, k: Any, b: Any, x: Any, t: float, h: float, ramp: float) -> 
         rise = grid_noise(s, t + h, 0) - noise
         now[width], now[width + 1], now[width + 2], now[width + 3] = noise, rise / h, rise, 0.0
         width += 4
-    account = s.rows_capacity > 0
+    account = s.rows.capacity > 0
     _times(x.data[slot], now, then, width, size + 10 if account else size + 1)
     s.q_trial[0], s.v_trial[0] = then[0], then[1]
     b.results[3] = then[size] + k.offset[0]

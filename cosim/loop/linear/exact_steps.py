@@ -61,7 +61,7 @@ def leaps(state: int, plan: int, step: int, exact: int, first: float) -> bool:
     """
     s = carray(record_at(state, STATE_KIND), 1)[0]
     k, b, x = lent(plan, PLAN_KIND), lent(step, STEP_KIND), lent(exact, EXACT_KIND)
-    wanted = s.rows_capacity > 0
+    wanted = s.rows.capacity > 0
     if s.points == 0:
         _right_hand(s, k, b, wanted)
         record(s)

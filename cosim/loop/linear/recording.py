@@ -41,12 +41,12 @@ def record(s: Record) -> None:
 @njit(cache=True, error_model="numpy", forceinline=True)
 def row(s: Record) -> None:
     """Write a row, when rows are wanted: of an accepted point, or of what a jump there makes of it."""
-    if s.rows_capacity == 0:
+    if s.rows.capacity == 0:
         return
     show(s)
-    write_row(s, s.t, carray(doubles_at(s.rows + 8 * s.columns * s.rows_used), (s.columns,)))
-    s.rows_used += 1
-    if s.rows_used == s.rows_capacity:
+    write_row(s, s.t, carray(doubles_at(s.rows.address + 8 * s.columns * s.rows.used), (s.columns,)))
+    s.rows.used += 1
+    if s.rows.used == s.rows.capacity:
         call_plain(s.drain_address)
 
 

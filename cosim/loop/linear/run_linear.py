@@ -127,7 +127,7 @@ def prepare(
     driving = drive(scene)
     memory = pack(scene, constants, driving, (), (), row_capacity, sample_capacity, component)
     state = memory.state[0]
-    state["rows_capacity"] = row_capacity if record else 0
+    state["rows"]["capacity"] = row_capacity if record else 0
     if not (record and dense):
         state["h_max"] = scene.computer.period_s
     state["w"]["located"] = any(state["p"][name] for name in ("coulomb_on", "stops_on", "backlash_on"))

@@ -45,9 +45,9 @@ def _command_noise(s: Record, place: int) -> float:
 def _probe_noise(s: Record, letters: Any) -> float:
     """Component noise [V] of a probe inside the board, as it stands in series with X."""
     wanted = name_hash(letters, _LONGEST)
-    for i in range(s.probes):
-        if s.probe_name[i] == wanted:
-            return float(s.probe_sign[i] * s.component_now[s.probe_input[i]])
+    for i in range(s.probe.count):
+        if s.probe.name[i] == wanted:
+            return float(s.probe.sign[i] * s.component_now[s.probe.input[i]])
     return 0.0
 
 
@@ -58,7 +58,7 @@ def source(voltage: Any, t: float, name: Any, ident: int, user: Any) -> int:
     if t != s.t_trial:
         fill(s, t)
     digits = carray(name, 3)
-    s.source_calls += 1
+    s.calls.count += 1
     if s.component == 0:
         voltage[0] = s.out[(digits[1] - 48) * 10 + digits[2] - 48]
     elif digits[1] == _DOT:
@@ -153,27 +153,27 @@ def accepted(data: Any, count: int, ident: int, user: Any) -> int:
     if s.points - s.points_before > s.most_points:
         s.fault = _COLLAPSED
     if s.points == 1:
-        s.calls_start = s.source_calls
+        s.calls.start = s.calls.count
     else:
-        most = s.calls_free + s.calls_per_s * t + s.calls_per_event * (s.discontinuities + s.knot)
-        if s.source_calls - s.calls_start > most:
+        most = s.calls.free + s.calls.per_s * t + s.calls.per_event * (s.discontinuities + s.knot)
+        if s.calls.count - s.calls.start > most:
             s.fault = _CRAWLS
-    row = carray(doubles_at(s.rows + 8 * s.columns * s.rows_used), (s.columns,))
+    row = carray(doubles_at(s.rows.address + 8 * s.columns * s.rows.used), (s.columns,))
     at = write_row(s, t, row)
     for i in range(s.nodes):
-        value = vector_value(vectors, s.node_index[i])
-        s.node_volts[i] = value
-        if not abs(value) <= s.node_peak[i]:
-            s.node_peak[i] = abs(value)
+        value = vector_value(vectors, s.node.index[i])
+        s.node.volts[i] = value
+        if not abs(value) <= s.node.peak[i]:
+            s.node.peak[i] = abs(value)
             if s.fault == 0 and not abs(value) < NO_VOLTAGE:  # a device that ran away is the cause
                 s.fault = _NOT_FINITE
-        if abs(value) >= s.node_limit[i]:
-            s.node_clipped[i] += step
+        if abs(value) >= s.node.limit[i]:
+            s.node.clipped[i] += step
         watch(s, i, value, t)
         if i < s.nodes_recorded:
             row[at] = value
             at += 1
-    s.rows_used += 1
-    if s.rows_used == s.rows_capacity or s.fault != 0:
+    s.rows.used += 1
+    if s.rows.used == s.rows.capacity or s.fault != 0:
         call_plain(s.drain_address)
     return 0

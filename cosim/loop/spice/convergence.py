@@ -85,9 +85,9 @@ def bound_work(memory: Memory, predicted_points: float, duration_s: float, coupl
     each = PATIENCE * ITERATIONS * (len(memory.drive.sources()) + probes)
     points = predicted_points * max(1.0, _COUPLING_RAD / coupling_rad) ** (1.0 / 3.0)
     state = memory.state[0]
-    state["calls_free"] = each * max(_SHARE * points, _LEAST)
-    state["calls_per_s"] = each * points / duration_s
-    state["calls_per_event"] = each * EVENT_POINTS["spice"]
+    state["calls"]["free"] = each * max(_SHARE * points, _LEAST)
+    state["calls"]["per_s"] = each * points / duration_s
+    state["calls"]["per_event"] = each * EVENT_POINTS["spice"]
 
 
 def aids(asked: Tolerances) -> Iterator[Aid]:

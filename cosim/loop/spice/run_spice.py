@@ -112,7 +112,7 @@ def _simulate(request: RunRequest, report: Report, aid: Aid) -> RunAnswer:
     swings = _output_limits(simulator, board, measured)
     state = memory.state[0]
     state["w"]["located"] = state["p"]["coulomb_on"]
-    state["node_limit"][: len(nodes)] = [AT_LIMIT * swings.get(node, math.inf) for node in nodes]
+    state["node"]["limit"][: len(nodes)] = [AT_LIMIT * swings.get(node, math.inf) for node in nodes]
     watch.begin(state, nodes, swings, scene.computer.period_s)
     missing: list[str] = []
     person = scene.operator.file if isinstance(scene.operator, PythonOperator) else "operator"
@@ -132,7 +132,7 @@ def _simulate(request: RunRequest, report: Report, aid: Aid) -> RunAnswer:
             raise InputError("the board lacks a node")
         at = [names.index(name) for name in wanted]
         state["current_index"][: circuit.joints] = at[: circuit.joints]
-        state["node_index"][: len(nodes)] = at[circuit.joints :]
+        state["node"]["index"][: len(nodes)] = at[circuit.joints :]
 
     state["breakpoint_address"] = simulator.set_breakpoint_address()
     events.begin(state)
@@ -184,7 +184,7 @@ def _transient(
 def _at_nodes(simulator: Simulator, circuit: Drive, nodes: tuple[str, ...], state: np.void) -> dict[str, Any]:
     """Return the nodes' peaks and times at their limits over the run, and the state at its end."""
     end: dict[str, Any] = {
-        "nodes": dict(zip(nodes, state["node_volts"].tolist(), strict=False)),
+        "nodes": dict(zip(nodes, state["node"]["volts"].tolist(), strict=False)),
         "pins": dict(zip(circuit.sources(), state["out"].tolist(), strict=False)),
         "speed_rad_per_s": float(np.abs(state["v"][: circuit.joints]).max()),
         "hung": watch.hung(state, nodes, circuit),
@@ -192,8 +192,8 @@ def _at_nodes(simulator: Simulator, circuit: Drive, nodes: tuple[str, ...], stat
     if end["speed_rad_per_s"] <= REST_RAD_PER_S:
         end["operating_point"] = watch.operating_point(simulator, list(end["pins"].values()), nodes)
     return {
-        "peaks": dict(zip(nodes, state["node_peak"].tolist(), strict=False)),
-        "clipped_s": dict(zip(nodes, state["node_clipped"].tolist(), strict=False)),
+        "peaks": dict(zip(nodes, state["node"]["peak"].tolist(), strict=False)),
+        "clipped_s": dict(zip(nodes, state["node"]["clipped"].tolist(), strict=False)),
         "end": end,
     }
 

@@ -28,9 +28,9 @@ _WAIT_S, _QUIET = 0.02, 0.4
 def begin(state: np.void, nodes: Sequence[str], limits: Mapping[str, float], period_s: float) -> None:
     """Set from which voltage on each output may hang; without a stated limit by the supply."""
     bounds = [AT_LIMIT * limits[node] if node in limits else AT_SUPPLY * SUPPLY_V for node in nodes]
-    state["hang_limit"][:MOST_NODES] = math.inf
-    state["hang_limit"][: len(nodes)] = bounds
-    state["hang_wait"], state["hang_quiet"] = max(period_s, _WAIT_S), _QUIET * period_s
+    state["hang"]["limit"][:MOST_NODES] = math.inf
+    state["hang"]["limit"][: len(nodes)] = bounds
+    state["hang"]["wait"], state["hang"]["quiet"] = max(period_s, _WAIT_S), _QUIET * period_s
 
 
 @njit(cache=True, error_model="numpy")
@@ -39,13 +39,13 @@ def watch(s: Any, i: int, value: float, t: float) -> None:
     moving = False
     for j in range(s.n):
         moving = moving or abs(s.v[j]) > REST_RAD_PER_S
-    if moving or abs(value) < s.hang_limit[i]:
-        s.hang_from[i] = t
-    elif s.hang_volts[i] == 0.0 and t - s.hang_from[i] >= s.hang_wait:
-        if t - max(s.dac_start[0], s.dac_start[1]) >= s.hang_quiet:
-            s.hang_volts[i], s.hang_since[i] = value, s.hang_from[i]
+    if moving or abs(value) < s.hang.limit[i]:
+        s.hang.start[i] = t
+    elif s.hang.volts[i] == 0.0 and t - s.hang.start[i] >= s.hang.wait:
+        if t - max(s.dac_start[0], s.dac_start[1]) >= s.hang.quiet:
+            s.hang.volts[i], s.hang.since[i] = value, s.hang.start[i]
             for k in range(len(s.out)):
-                s.hang_pins[i, k] = s.out[k]
+                s.hang.pins[i, k] = s.out[k]
 
 
 def hung(state: np.void, nodes: Sequence[str], circuit: Drive) -> list[dict[str, Any]]:
@@ -53,12 +53,12 @@ def hung(state: np.void, nodes: Sequence[str], circuit: Drive) -> list[dict[str,
     return [
         {
             "node": node,
-            "volts": float(state["hang_volts"][i]),
-            "since_s": float(state["hang_since"][i]),
-            "pins": dict(zip(circuit.sources(), state["hang_pins"][i].tolist(), strict=False)),
+            "volts": float(state["hang"]["volts"][i]),
+            "since_s": float(state["hang"]["since"][i]),
+            "pins": dict(zip(circuit.sources(), state["hang"]["pins"][i].tolist(), strict=False)),
         }
         for i, node in enumerate(nodes)
-        if state["hang_volts"][i] != 0.0
+        if state["hang"]["volts"][i] != 0.0
     ]
 
 
