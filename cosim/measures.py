@@ -221,7 +221,7 @@ def tolerances(scene: Scene) -> dict[str, Tolerance]:
             unit = UNITS[name] or "number"
             problems.append(
                 Problem(
-                    "is no change of this measure",
+                    "is not a change of this measure",
                     file=scene.file_name,
                     key=key,
                     value=stated,

@@ -63,7 +63,7 @@ WORDS = {
     "cosim.loop": "computer, events, two time loops",
     "cosim.effects": "what a scene may switch on",
     "cosim.plan": "scene and board, resolved",
-    "cosim.plausibility": "what nobody can have meant",
+    "cosim.plausibility": "likely mistakes in inputs and results",
     "cosim.measures": "figures of a run",
     "cosim.runner": "plan -> run",
     "cosim.export": "plain ngspice decks",

@@ -237,7 +237,7 @@ def test_export_looks_at_its_place_before_the_scene_runs(
 ) -> None:
     monkeypatch.setattr("cosim.runner.run", pytest.fail)
     assert cli.main(["export", str(scenes_folder() / "drop.toml"), "-o", str(tmp_path / place)]) == 2
-    assert "is no place for a file" in capsys.readouterr().err
+    assert "is not a place for a file" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -80,7 +80,7 @@ def test_what_is_not_ours_is_left_alone(tmp_path):
         run(Job("other", mine.names, 10, mine.make), tmp_path / "mc", workers=1)
     with pytest.raises(InputError, match="no samples of this study"):
         merge(mine, tmp_path / "mc", [tmp_path / "nowhere"])
-    with pytest.raises(InputError, match="is no shard"):
+    with pytest.raises(InputError, match="is not a shard"):
         run(mine, tmp_path / "mc", part=(4, 3))
     assert (tmp_path / "mc" / "samples.parquet").read_bytes() == before
 

@@ -340,7 +340,7 @@ def test_a_forged_study_is_not_repeated(
     how = {"method": "plain", "n": 2, "variables": 3, "seed": 0, "replicates": 1}
     (tmp_path / "mc.json").write_text(json.dumps({"digest": "x", "asked": asked, "sampling": how}))
     assert cli.main(["verify", str(tmp_path)]) == 2
-    assert "is no record of a study" in capsys.readouterr().err
+    assert "is not a record of a study" in capsys.readouterr().err
 
 
 def test_python_that_a_stored_study_s_scene_names_is_not_run(

@@ -366,7 +366,7 @@ def test_a_file_that_cannot_be_written_is_reported_at_once(
     assert cli.main([command, scene, "-o", str(tmp_path / "no" / "folder" / "x")]) == 2
     assert "there is no such folder" in capsys.readouterr().err
     assert cli.main([command, scene, "-o", str(tmp_path)]) == 2
-    assert "is no place for a file" in capsys.readouterr().err
+    assert "is not a place for a file" in capsys.readouterr().err
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")

@@ -298,7 +298,7 @@ def test_damaged_results_are_refused(run: Run, tmp_path: Path) -> None:
     record = (folder / "run.json").read_text()
     for text, words in (
         ("{", "cannot be read"),
-        ("[]", "is no JSON object"),
+        ("[]", "is not a JSON object"),
         ("[" * 100_000, "nested too deeply"),
         ('{"format": 99}', "another version"),
         ('{"format": 1}', "another version"),

@@ -41,7 +41,7 @@ def test_ranges():
     ],
 )
 def test_what_is_no_range(text):
-    with pytest.raises(InputError, match="is no range"):
+    with pytest.raises(InputError, match="is not a range"):
         parse_range(text)
 
 

@@ -58,7 +58,7 @@ def test_a_study_comes_out_again_and_a_changed_number_is_found(
         ({"asked": {**record["asked"], "cosim": "0.0.1"}}, "was written by cosim 0.0.1"),
         ({"asked": None}, "does not say what was asked"),
         ({"digest": "0" * 64}, "have changed since"),
-        ({"asked": {**record["asked"], "n": None}}, "is no record of a study"),
+        ({"asked": {**record["asked"], "n": None}}, "is not a record of a study"),
     ):
         (out / "mc.json").write_text(json.dumps({**record, **change}))
         assert expected in call(capsys, "verify", str(out), code=2)

@@ -95,7 +95,7 @@ def parse_tolerances(texts: Sequence[str]) -> Wanted:
         amount = _amount(written, UNITS.get(name, ""))
         if not given:
             if amount is None or not amount.relative or amount.size > 1.0:
-                problems.append(_problem("is no share", text))
+                problems.append(_problem("is not a share", text))
             else:
                 every = amount.size
         elif name not in OF_A_RUN or name in _WITHOUT:
@@ -104,7 +104,7 @@ def parse_tolerances(texts: Sequence[str]) -> Wanted:
                 _problem(f"no such measure of a run{f'; nearest is {near}' if near else ''}", text)
             )
         elif amount is None:
-            problems.append(_problem("is no amount of this measure", text))
+            problems.append(_problem("is not an amount of this measure", text))
         else:
             by_name[name] = amount
     if problems:

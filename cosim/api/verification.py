@@ -68,9 +68,9 @@ def verify(
     """
     place = Path(folder)
     if not 1 <= samples <= _MOST:
-        fail("is no number of samples", key="--samples", value=samples, allowed=f"1 to {_MOST}")
+        fail("is not a possible number of samples", key="--samples", value=samples, allowed=f"1 to {_MOST}")
     if seed < 0:
-        fail("is no seed", key="--seed", value=seed, allowed=">= 0")
+        fail("is not a valid seed", key="--seed", value=seed, allowed=">= 0")
     if os.path.isfile(place / RECORD):
         return _run_again(place, trust)
     from cosim.tolerance.replay import repeat_samples

@@ -62,7 +62,7 @@ def _ports(check: Check) -> list[str]:
 def _stability(check: Check) -> list[str]:
     judged = check.stability
     if judged.unjudged:
-        return ["stability: nobody knows"]
+        return ["stability: unknown"]
     declared = [f"  as declared, {each}" for each in judged.instabilities if each.declared]
     if judged.stable:
         return ["stability: stable, with all gains at zero, at full scale and as commanded", *declared]

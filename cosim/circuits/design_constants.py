@@ -101,8 +101,8 @@ class DesignConstants:
                 )
             elif name == "dac_bits" and not 1 <= value <= MOST_BITS:
                 problems.append(
-                    Problem("is no resolution of a DAC", file=file, key=name, value=value, unit="bits",
-                            allowed=f"1 to {MOST_BITS}")
+                    Problem("is not a possible resolution of a DAC", file=file, key=name, value=value,
+                            unit="bits", allowed=f"1 to {MOST_BITS}")
                 )  # fmt: skip
             else:
                 good[name] = value

@@ -62,9 +62,14 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
         check_measures(args.measure)
         if not 0.0 < args.tol <= 1.0:
-            fail("is no share", key="--tol", value=args.tol, allowed="above 0, at most 1")
+            fail("is not a share", key="--tol", value=args.tol, allowed="above 0, at most 1")
         if not 1 <= args.repeat <= _MOST_REPEATS:
-            fail("is no number of runs", key="--repeat", value=args.repeat, allowed=f"1 to {_MOST_REPEATS}")
+            fail(
+                "is not a possible number of runs",
+                key="--repeat",
+                value=args.repeat,
+                allowed=f"1 to {_MOST_REPEATS}",
+            )
         fixed = parse_settings(args.set)
         if any(len(setting.values) > 1 for setting in fixed):
             fail("a study is of one scene: give each name one value", key="--set", value=args.set)

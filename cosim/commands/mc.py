@@ -155,7 +155,7 @@ def _shard(text: str) -> tuple[int, int]:
 
     i, slash, of = text.partition("/")
     if not (slash and i.strip().isdigit() and of.strip().isdigit()):
-        fail("is no shard", key="--shard", value=text, allowed="I/N, such as 1/8 to 8/8")
+        fail("is not a shard", key="--shard", value=text, allowed="I/N, such as 1/8 to 8/8")
     return int(i), int(of)
 
 
@@ -169,7 +169,7 @@ def _asked(args: argparse.Namespace, specs: tuple[Any, ...]) -> "Asked":
     if args.wanted is not None:
         share = number(args.wanted.strip().removesuffix("%"))
         if share is None or not args.wanted.strip().endswith("%"):
-            fail("is no yield", key="--yield", value=args.wanted, allowed="per cent, such as 99%")
+            fail("is not a yield", key="--yield", value=args.wanted, allowed="per cent, such as 99%")
         if not specs:
             fail("needs a --spec: a yield is the share that passes", key="--yield", value=args.wanted)
         wanted = share / 100.0

@@ -221,7 +221,11 @@ def _prepared(scene_file: SceneLike, asked: Asked, trust: bool) -> tuple[Plan, S
         every = range(1, result.scene.joints + 1)
         lacking = [name for j in every for name in (f"imot{j}", f"v{j}") if name not in result.signals]
         if lacking:
-            fail("is no run of its scene: signals are missing", file=str(result.signals.path), key=lacking[0])
+            fail(
+                "is not a run of its scene: signals are missing",
+                file=str(result.signals.path),
+                key=lacking[0],
+            )
         named = result.scene.code() - load_scene(scene_file).code()  # the user's own scene is read
         refuse_code(named, str(asked.stored), trust=trust)
         board = deck_file.load(asked.stored, trust=trust)

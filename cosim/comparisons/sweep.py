@@ -123,7 +123,7 @@ def parse_range(text: str) -> Setting:
     elif name.strip() and len(parts) == 1 and all(split_values(written)):
         return Setting(name.strip(), tuple(split_values(written)))
     fail(
-        "is no range",
+        "is not a range",
         key="range",
         value=text,
         allowed=f"NAME=FROM:TO:COUNT, NAME=FROM:TO:COUNT:log (both ends of one sign), or NAME=V1,V2,...; "

@@ -94,7 +94,7 @@ def _person(scene: Scene, constants: Stated) -> Size:
 
 
 def _lacks_hand(scene: Scene) -> str:
-    return "" if isinstance(scene.operator, HandOperator) else "nobody's hand holds the tip"
+    return "" if isinstance(scene.operator, HandOperator) else "no hand holds the tip"
 
 
 def _shaft(scene: Scene, constants: Stated) -> Size:

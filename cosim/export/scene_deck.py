@@ -200,5 +200,7 @@ def _measures(currents: list[str], shown: list[str], end: float) -> list[str]:
 def _constant(run: Run, name: str) -> float:
     constants: dict[str, Any] = run.plan.get("constants", {})
     if name not in constants:
-        fail("this is no run of a board: its record lacks a constant", file=str(run.signals.path), key=name)
+        fail(
+            "this is not a run of a board: its record lacks a constant", file=str(run.signals.path), key=name
+        )
     return float(constants[name])

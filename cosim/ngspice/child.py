@@ -241,7 +241,7 @@ class Child:
         """Move what the child has left to a folder; it may lie on another disk."""
         for file in sorted((self._folder / "out").iterdir()):
             if file.is_symlink() or not file.is_file():
-                raise SimulationError(f"the child process has left {file.name}, which is no file")
+                raise SimulationError(f"the child process has left {file.name}, which is not a regular file")
             with disk_errors(target):
                 shutil.move(file, target / file.name)
 

@@ -64,9 +64,9 @@ def load(folder: Path, *, trust: bool = False) -> Deck:
     lines = tuple(replace(line, trusted=trust and line.trusted) for line in record.pop("lines"))
     board = Deck(lines=lines, **record)
     if not 1 <= board.joints <= MOST_JOINTS or not lines:
-        fail("is no board", file=str(file), key="joints", value=board.joints)
+        fail("is not a board", file=str(file), key="joints", value=board.joints)
     if not set(board.pins) >= set(board_pins(board.joints)):
-        fail("is no board: it lacks pins", file=str(file), key="pins")
+        fail("is not a board: it lacks pins", file=str(file), key="pins")
     if board.digest != digest:
         fail("is not what the run has written: its content was changed", file=str(file))
     problems = [] if trust else [p for line in board.lines[1:] if (p := _refusal(line)) is not None]

@@ -30,7 +30,7 @@ def number_of(scene: Scene, key: str) -> float:
         value = None
     if isinstance(value, bool) or not isinstance(value, float | int):
         file = scene.file_name
-        fail("is no number of this scene", file=file, key=key)
+        fail("is not a number of this scene", file=file, key=key)
     return float(value)
 
 

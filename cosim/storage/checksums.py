@@ -121,7 +121,7 @@ def read_object(file: Path) -> dict[str, Any]:
     except ValueError as error:
         fail(f"cannot be read: {error}", file=str(file))
     if not isinstance(value, dict):
-        fail("is no JSON object", file=str(file))
+        fail("is not a JSON object", file=str(file))
     return value
 
 

@@ -83,13 +83,13 @@ def own_file(path: str | os.PathLike[str]) -> None:
     file = Path(os.path.realpath(path))
     writable_folder(file.parent)
     if not os.path.isdir(file.parent):
-        fail("is no place for a file: there is no such folder", file=os.fspath(file.parent))
+        fail("is not a place for a file: there is no such folder", file=os.fspath(file.parent))
     if len(os.fsencode(file.name)) > _LONGEST:
         fail("is too long a name", file=os.fspath(path), allowed=f"at most {_LONGEST} bytes")
     if not os.path.lexists(file):
         return
     if not os.path.isfile(file):
-        fail("is no place for a file: it is something else", file=os.fspath(path))
+        fail("is not a place for a file: it is something else", file=os.fspath(path))
     if _holds_something(file) and file.name not in listed(file.parent, _list_of(file)):
         fail(
             "exists, and cosim has not written it as it is now: nothing was changed; choose another name, or "

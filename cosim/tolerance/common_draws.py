@@ -113,7 +113,7 @@ def sides(
         For a design that does not fit, one in which nothing varies, and a number of devices out of range.
     """
     if not 2 <= n <= MOST:
-        fail("is no number of devices", key="--mc", value=n, allowed=f"2 to {MOST}")
+        fail("is not a possible number of devices", key="--mc", value=n, allowed=f"2 to {MOST}")
     prepared = [
         (label, prepare(Asked(scene, overrides, tuple(measures), tuple(specs), n, seed=seed, trust=trust)))
         for label, overrides in designs

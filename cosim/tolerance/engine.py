@@ -219,7 +219,7 @@ def shard(n: int, part: tuple[int, int]) -> tuple[int, int]:
     """
     i, of = part
     if not 1 <= i <= of or of > n:
-        fail("is no shard of the study", key="--shard", value=f"{i}/{of}", allowed=f"1/{of} to {of}/{of}")
+        fail("is not a shard of the study", key="--shard", value=f"{i}/{of}", allowed=f"1/{of} to {of}/{of}")
     return (i - 1) * n // of, i * n // of
 
 

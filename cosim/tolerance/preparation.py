@@ -146,11 +146,16 @@ def prepare(asked: Asked) -> Prepared:
     names = tuple(dict.fromkeys((*asked.measures, *(spec.measure for spec in asked.specs))))
     check_measures(names)
     if not 1 <= asked.n <= MOST:
-        fail("is no number of samples", key="-n", value=asked.n, allowed=f"1 to {MOST}")
+        fail("is not a possible number of samples", key="-n", value=asked.n, allowed=f"1 to {MOST}")
     if asked.seed is not None and not 0 <= asked.seed < 2**63:
-        fail("is no seed", key="--seed", value=asked.seed, allowed="0 to 9223372036854775807, as the scene's")
+        fail(
+            "is not a valid seed",
+            key="--seed",
+            value=asked.seed,
+            allowed="0 to 9223372036854775807, as the scene's",
+        )
     if asked.wanted is not None and not 0.0 < asked.wanted < 1.0:
-        fail("is no yield", key="--yield", value=f"{100 * asked.wanted:g}%", allowed="> 0% and < 100%")
+        fail("is not a yield", key="--yield", value=f"{100 * asked.wanted:g}%", allowed="> 0% and < 100%")
     scene = load_scene(asked.scene, asked.overrides)
     trims(scene)
     plan = resolve(scene, trust=asked.trust)

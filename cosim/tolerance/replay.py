@@ -120,7 +120,7 @@ def repeat_samples(
         )
     formed = fits(stored, _Asked) and fits(record["sampling"], _Points)
     if not formed or not all(_is_spec(limits) for limits in stored["specs"]):
-        fail("is no record of a study", file=str(file))
+        fail("is not a record of a study", file=str(file))
     asked, how = asked_of(stored, trust=trust), Sampling.of(record["sampling"])
     refuse_code(load_scene(asked.scene, asked.overrides).code(), str(file), trust=trust)
     prepared = prepare(asked)

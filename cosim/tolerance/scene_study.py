@@ -108,7 +108,7 @@ def one_sample(prepared: Prepared, number: int) -> tuple[Study, Array]:
     asked = prepared.asked
     how = sampling(asked.method, asked.n, len(prepared.tolerances.variables), prepared.seed)
     if number < 0 or (asked.method != "plain" and number >= how.n):
-        fail("is no sample of the study", key="--sample", value=number, allowed=f"0 to {how.n - 1}")
+        fail("is not a sample of the study", key="--sample", value=number, allowed=f"0 to {how.n - 1}")
     batch = prepared.batch(prepared.names, prepared.plan.model)
     values = prepared.tolerances.values(how.uniforms(number, 1))
     rows = batch.measures(values)
@@ -155,7 +155,7 @@ def _until(asked: Asked) -> tuple[str, float]:
     size = float(match[2]) if match and re.fullmatch(r"\d*\.?\d+(e[-+]?\d+)?", match[2], re.I) else math.nan
     allowed = '"yield +- 0.5%" with a --spec, or a measure such as "k_max +- 5 N/m"'
     if match is None or not size > 0.0:
-        fail("is no precision", key="--until", value=asked.until, allowed=allowed)
+        fail("is not a precision", key="--until", value=asked.until, allowed=allowed)
     what, unit = match[1], match[3].strip()
     if what == "yield":
         allowed = '"yield +- 0.5%" and a --spec'

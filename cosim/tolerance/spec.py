@@ -74,7 +74,7 @@ def parse_specs(texts: Iterable[str]) -> tuple[Spec, ...]:
 def _parsed(text: str) -> Spec | Problem:
     match = _FORM.fullmatch(text)
     if match is None:
-        return Problem("is no specification", key="--spec", value=text, allowed=_ALLOWED)
+        return Problem("is not a specification", key="--spec", value=text, allowed=_ALLOWED)
     name, sign, written = match[1], match[2], match[3]
     if name not in NAMES:
         near = nearest(name, NAMES)
@@ -85,7 +85,7 @@ def _parsed(text: str) -> Spec | Problem:
     ends = [_number(part, scale) for part in (written.split("..") if sign == "in" else [written])]
     if len(ends) != (2 if sign == "in" else 1) or any(end is None for end in ends):
         of = f"in {unit}" if unit else "without a unit"
-        reason = f"is no specification of a measure {of}"
+        reason = f"is not a specification of a measure {of}"
         return Problem(reason, key="--spec", value=text, allowed=_ALLOWED)
     low, high = ends[0], ends[-1]
     assert low is not None

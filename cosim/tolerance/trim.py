@@ -48,7 +48,7 @@ def trims(scene: Scene) -> tuple[Trim, ...]:
         value = number(match[2]) if match else None
         reason, allowed = "", '"rendered_stiffness to 100 N/m"'
         if match is None or value is None or value == 0.0:
-            reason = "is no trim"
+            reason = "is not a trim"
         elif match[1] not in NAMES:
             near = nearest(match[1], NAMES)
             reason, allowed = "no such measure" + (f"; nearest is {near}" if near else ""), ", ".join(NAMES)

@@ -84,7 +84,7 @@ class Verdict:
     gains_matter
         Whether some loop passes a multiplier, so that its poles move with the commanded gains.
     unjudged
-        Why nobody knows, if so.
+        Why the board could not be judged, if so.
     """
 
     instabilities: tuple[Instability, ...] = ()
@@ -158,7 +158,7 @@ class Verdict:
     def cautions(self) -> list[Caution]:
         """Return what is doubtful, or was let pass by whoever allows unstable boards."""
         if self.unjudged:
-            return [Caution("stability-unknown", f"nobody knows whether the board is stable: {self.unjudged}",
+            return [Caution("stability-unknown", f"the board's stability is unknown: {self.unjudged}",
                             "look at the loops with `cosim check`")]  # fmt: skip
         unstable = [
             Caution(
