@@ -3,8 +3,7 @@
 One step of vector fitting (Gustavsen and Semlyen, IEEE Trans. Power Delivery 14, 1052, 1999) from near poles
 is exact but for rounding where the order is right. The states are a chain from the fastest pole to the
 slowest, sound for equal poles as well; points come with their conjugates: complex algebra, real systems.
-`rational_fit` moves poles too, but of one block, in real algebra and in chains of near poles only: there their
-number is still sought, and poles far from the answer would spoil a common chain.
+`rational_fit` has a step of its own, for one block with poles from AAA: real algebra, chains of near poles only.
 """
 
 from __future__ import annotations
