@@ -3,7 +3,7 @@
 One step of vector fitting (Gustavsen and Semlyen, IEEE Trans. Power Delivery 14, 1052, 1999) from near poles
 is exact but for rounding where the order is right. The states are a chain from the fastest pole to the
 slowest, sound for equal poles as well; points come with their conjugates: complex algebra, real systems.
-`rational_fit` has a step of its own, for one block with poles from AAA: real algebra, chains of near poles only.
+`rational_fit` has a step of its own, for one block with poles from AAA: real algebra, chains of near poles.
 """
 
 from __future__ import annotations
