@@ -23,7 +23,7 @@ from cosim.analysis.covariance_steps import (
 from cosim.analysis.extracted import circuit_of
 from cosim.analysis.held_contact import HeldContact, touching
 from cosim.analysis.linearise import linearise
-from cosim.analysis.noise_covariance import noise_covariance, noise_grid
+from cosim.analysis.noise_covariance import NoiseCovariance, noise_covariance, noise_grid
 from cosim.analysis.period_map import lift
 from cosim.errors import InputError
 from cosim.loop.computer import COMPUTER, SAMPLE, law, to_volts
@@ -411,3 +411,16 @@ def test_the_motors_force_turns_with_the_arm():
     follows = np.linalg.solve(linkage.jacobian(q).T, CONSTANTS.torque_per_amp * result.outputs["currents"].c)
     assert np.abs(turned).max() > 0.1  # N/rad, of a press of half a newton
     np.testing.assert_allclose(result.outputs["motor_force"].c[:, :2], turned + follows[:, :2], atol=1e-6)
+
+
+@pytest.mark.parametrize(("keep", "count"), [(0.99, 1000), (0.5, 400), (-0.9, 300)])
+def test_freedom_of_a_variance_estimated_from_correlated_values(keep, count):
+    """Of values whose correlation is keep^k: 2 / Var(s^2 / sigma^2), here as the sum over all pairs.
+
+    Broken once: with the sum ended at its eleventh term it fails.
+    """
+    state, step = np.array([[2.0]]), np.array([[keep]])
+    one = NoiseCovariance("", np.zeros(1), {}, {}, step, state, state, {"x": np.eye(1)}, 1, ())
+    pairs = keep ** (2.0 * np.abs(np.subtract.outer(np.arange(count), np.arange(count))))
+    # Isserlis: Var(s^2) = 2 sigma^4 / count^2 times the sum of all squared correlations
+    assert one.freedom("x", count) == pytest.approx(count**2 / pairs.sum(), rel=1e-7)
