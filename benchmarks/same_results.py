@@ -29,6 +29,8 @@ __all__ = ["FALL", "PERIODS", "SHORT", "differences", "first", "small"]
 
 ROOT = Path(__file__).resolve().parents[1]
 MODELS = ("ideal", "linear", "spice")
+#: Column of a study with the wall time of runs.
+_CLOCK = "time [s]"
 Case = dict[str, Any]
 
 
@@ -122,7 +124,7 @@ def _scene(path: Path, model: str) -> Case:
 def _study(name: str) -> Case:
     result = small(name, **SHORT[name])
     case: Case = {f"{table.name}.{key}": list(column) for table in result.tables
-                  for key, column in table.columns.items()}  # fmt: skip
+                  for key, column in table.columns.items() if key != _CLOCK}  # fmt: skip
     # by place: fields may have got other names
     return case | {f"verdict {k}": tuple(vars(v).values()) for k, v in enumerate(result.verdicts)}
 

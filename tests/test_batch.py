@@ -59,7 +59,7 @@ def test_what_is_no_component_or_no_measure_is_refused():
     plan = resolve(drop("linear"))
     for keys, names, words in (
         (("xdiff1.r99",), NAMES, "xdiff1.r99"),
-        (("scene:device.chain.masses_kg[0]",), NAMES, "no number of this scene"),
+        (("scene:device.chain.masses_kg[0]",), NAMES, "not a number of this scene"),
         (KEYS, ("max_penetratio",), "nearest is max_penetration"),
         (KEYS, ("own.py:Mine",), "none of a batch"),
     ):

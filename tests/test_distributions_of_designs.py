@@ -81,10 +81,12 @@ def test_a_sweep_by_distributions(tmp_path: Path, capsys: pytest.CaptureFixture[
 def test_slips_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = ["-o", str(tmp_path / "out")]
     assert "give their number" in call(capsys, "compare", PRESS, "--spec", "k_max > 5", *out, code=2)
-    assert "no number of devices" in call(
+    assert "not a possible number of devices" in call(
         capsys, "compare", PRESS, "--set", "r_sum_fb=10.2k", "--mc", "1", *out, code=2
     )
     assert "one device" in call(
         capsys, "compare", PRESS, "--set", "r_sum_fb=10.2k", "--mc", "9", "--last", "x", *out, code=2
     )
-    assert "no number of devices" in call(capsys, "sweep", PRESS, "seed=1,2", "--mc", "0", *out, code=2)
+    assert "not a possible number of devices" in call(
+        capsys, "sweep", PRESS, "seed=1,2", "--mc", "0", *out, code=2
+    )

@@ -61,7 +61,7 @@ def test_a_study_its_files_and_one_of_its_devices_again(
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
-        (["-n", "0"], "no number of samples"),
+        (["-n", "0"], "not a possible number of samples"),
         (
             ["-n", "40", "--measure", "k_max", "--until", "k_max +- 5 N/m", "--two-level"],
             "-n: has no meaning",
@@ -80,7 +80,7 @@ def test_a_study_its_files_and_one_of_its_devices_again(
         (["--set", "tolerance.components.rsp99=1%"], "nearest is rsp"),
         (["--set", "tolerance.trim.rsp11=curl of 3"], "is not a trim"),
         (["--set", "tolerance.mass=lot=-1%"], "negative"),
-        (["--sampling", "sobol", "--sample", "100000"], "no sample of the study"),
+        (["--sampling", "sobol", "--sample", "100000"], "not a sample of the study"),
     ],
 )
 def test_slips_are_errors_at_once(words: list[str], reason: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -117,7 +117,7 @@ def test_ngspices_own_loop_draws_the_same(tmp_path: Path) -> None:
         (["--merge", "a", "--workers", "2"], "--workers: has no meaning beside --merge"),
         (["--until", "k_max +- 5", "-n", "5"], "-n: has no meaning beside --until"),
         (["--yield", "99%"], "needs a --spec"),
-        (["--seed", "-1"], "--seed = -1: is no seed"),
+        (["--seed", "-1"], "--seed = -1: is not a valid seed"),
         (["--seed", "9" * 30], "is not a valid seed"),
     ],
 )

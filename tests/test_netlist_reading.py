@@ -419,7 +419,9 @@ def test_a_recorded_node_is_one_name(tmp_path: Path, between: str) -> None:
 def test_a_resolution_that_no_converter_has(bits: float) -> None:
     values: dict[str, float | None] = dict.fromkeys(DesignConstants.names(), 1.0)
     assert DesignConstants.read(values, "board.cir").dac_bits == 1.0
-    with pytest.raises(InputError, match=r"board.cir: dac_bits = .* bits: is no resolution.*1 to 32"):
+    with pytest.raises(
+        InputError, match=r"board.cir: dac_bits = .* bits: is not a possible resolution.*1 to 32"
+    ):
         DesignConstants.read({**values, "dac_bits": bits}, "board.cir")
 
 

@@ -66,7 +66,9 @@ def test_a_study_comes_out_again_and_a_changed_number_is_found(
 
 def test_slips_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "holds neither a run" in call(capsys, "verify", str(tmp_path), code=2)
-    assert "no number of samples" in call(capsys, "verify", str(tmp_path), "--samples", "0", code=2)
+    assert "not a possible number of samples" in call(
+        capsys, "verify", str(tmp_path), "--samples", "0", code=2
+    )
 
 
 def test_the_folder_of_all_results_says_which_to_name(
