@@ -1,5 +1,6 @@
 """Two models of one scene: levels, strata, rare failures; from the command and against closed forms."""
 
+import json
 import math
 
 import numpy as np
@@ -185,6 +186,19 @@ def test_a_study_of_measures_without_runs_has_no_second_model():
     prepared = replace(formulas(64, two_level=True), names=("curl",))
     prepared = replace(prepared, asked=replace(prepared.asked, specs=()))
     assert "needs a run" in " ".join(measured(prepared).notes)
+
+
+def test_linear_is_corrected_by_ideal(tmp_path, capsys):
+    """The drop with real windings: what op-amps add to its depth scatters little over the devices."""
+    words = ["-n", "40", "--set", "duration_s=0.1", "--set", "effects.motor=ideal", "--two-level", "--json"]
+    assert cli.main([*WORDS, *words, "--workers", "1", "-o", str(tmp_path / "mc")]) == 0
+    result = json.loads(capsys.readouterr().out)
+    levels = result["two_level"]
+    assert (levels["dear"], levels["cheap"]) == ("linear", "ideal")
+    depth = levels["moments"]["max_penetration"]
+    assert depth["pilot"]["correlation"] > 0.9 or "plain sampling" in depth["word"]
+    plain = result["measures"]["max_penetration"]["mean"]
+    assert plain["low"] <= depth["mean"] <= plain["high"]
 
 
 def command(capsys, *words):

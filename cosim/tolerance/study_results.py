@@ -27,7 +27,7 @@ from cosim.tolerance.sensitivity import GOOD, Surface, fit_surface
 from cosim.tolerance.spec import Spec
 from cosim.units import heading
 
-__all__ = ["Findings", "MOST_LOOKED_AT", "components_csv", "estimate_dict", "find", "summary_dict"]
+__all__ = ["MOST_LOOKED_AT", "Findings", "components_csv", "estimate_dict", "find", "summary_dict"]
 
 
 #: Samples that the bill, the decision and what a page shows of single components look at, at most.
