@@ -201,7 +201,7 @@ def _distribution(findings: "Findings", name: str, column: Array) -> Drawn:
 
 
 def _some(n: int, *, ends: bool = False) -> NDArray[np.int64]:
-    """Return the places of points that a figure shows of n: all, or evenly spread ones, and all at the ends."""
+    """Return the places of the points of n that a figure shows: all, or evenly spread ones, and the ends."""
     if n <= _POINTS:
         return np.arange(n)
     spread = np.linspace(0, n - 1, _POINTS).astype(np.int64)

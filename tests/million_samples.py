@@ -1,4 +1,4 @@
-"""A study of a million devices of 36 components by a formula, with its page: ``python million_samples.py FOLDER N``.
+"""A long study of 36 components by a formula, with its page: ``python million_samples.py FOLDER N``.
 
 Prints the largest resident memory [MB] of this process, and the seconds of samples and of the rest.
 """
@@ -22,7 +22,8 @@ SIZES = 0.9 ** np.arange(COMPONENTS)
 class Formula:
     """One measure by a formula with a bend, and a device in ten thousand that has none."""
 
-    failures: dict[int, str] = {}
+    def __init__(self):
+        self.failures = {}
 
     def measures(self, values):
         z = (values - 1.0) / formula_studies.SIGMA

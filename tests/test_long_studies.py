@@ -1,4 +1,4 @@
-"""Studies of many samples: what they hold, what they say of a part, samples that hang, parts that were left."""
+"""Studies of many samples: what they hold and say of a part; samples that hang, parts that were left."""
 
 import re
 import subprocess
@@ -65,7 +65,7 @@ def test_a_million_samples_and_their_page_stay_below_two_gigabytes(tmp_path: Pat
 
 
 def test_a_sample_that_hangs_twice_has_its_reason_and_the_others_go_on(monkeypatch) -> None:
-    """The process that hangs is ended by its time limit, which is a `SimulationError`; a second one may do."""
+    """The process that hangs is ended by its time limit, a `SimulationError`; a second one may do."""
     plan = resolve(load_scene(SCENES / "drop.toml", ["duration_s=0.02", 'solver.model="spice"']))
     real, calls = batch_module.run, []
 

@@ -173,8 +173,8 @@ def find(
     notes_of, few = [*notes], study.thinned(MOST_LOOKED_AT)
     if few is not study:
         notes_of.append(
-            f"sensitivities and the bill look at {few.sampling.n} of the {study.sampling.n} samples, the first "
-            "of each randomisation; mean, deviation, quantiles and yield at all of them"
+            f"sensitivities and the bill look at {few.sampling.n} of the {study.sampling.n} samples, the "
+            "first of each randomisation; mean, deviation, quantiles and yield at all of them"
         )
     for name, surface in fitted.items():
         if surface is None:
@@ -248,7 +248,7 @@ def _of_levels(levels: Levels) -> list[str]:
             )
         )
         what = "all specifications" if text == "all" else text
-        lines.append(f"yield, {what}: by {levels.cheap}, {counted}; correlation of passing {agreed}")
+        lines.append(f"yield, {what}: by {share.by}, {counted}; correlation of passing {agreed}")
         if share.word:
             lines.append(f"yield, {what}: {share.word}")
     return lines
