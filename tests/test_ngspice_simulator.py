@@ -507,3 +507,16 @@ def test_a_library_that_pyspice_cannot_open_is_not_tried_under_another_name(
     with pytest.raises(InputError, match="cannot be opened by PySpice: too many open files"):
         library.Library._open(failing)
     assert tried == ["libc.so.6"]
+
+
+def test_every_node_that_ngspice_names_can_be_read() -> None:
+    """Also those that it adds to a source with a formula: reading them ended a run's second attempt."""
+    simulator = Simulator()
+    simulator.load(
+        "t\nV1 a 0 1\nX1 a b amp\nR1 b 0 1k\n.subckt amp p q\nE_gain q 0 VALUE={2*V(p)}\n.ends\n.end\n"
+    )
+    simulator.command("op")
+    names = [name for name in simulator.vector_names() if "#" not in name]
+    assert any(name.startswith("x1.e_gain_int") for name in names)
+    assert all(np.isfinite(simulator.vector(name)).all() for name in names)
+    assert float(np.real(simulator.vector("b")[0])) == pytest.approx(2.0, rel=1e-9)
