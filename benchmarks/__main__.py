@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-from cosim.numba_cache import cache_folder
 
 if TYPE_CHECKING:
     from benchmarks.figure import Figure
@@ -21,7 +18,6 @@ REPETITIONS = 15
 
 def main() -> int:
     """Measure the figures asked for; exit code 1 when one misses its target or became worse."""
-    os.environ.setdefault("NUMBA_CACHE_DIR", cache_folder())
     from benchmarks.anatomy import anatomy
     from benchmarks.figure import TARGETS
     from benchmarks.regression import committed, worse

@@ -22,11 +22,12 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from benchmarks.rig import lockstep
-from cosim.loop.numba_calls import doubles_at, vector_value
+from benchmarks.vectors import vector_value
 from cosim.loop.setup import Memory, pack
 from cosim.loop.spice import run_spice as simulation
 from cosim.ngspice.simulator import Simulator
 from cosim.plan import Plan
+from mech.numba_calls import doubles_at
 
 _f8, _i4, _i8, _u1 = types.float64, types.int32, types.int64, types.uint8
 _DOUBLE, _INT, _LONG = ir.DoubleType(), ir.IntType(32), ir.IntType(64)

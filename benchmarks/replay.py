@@ -16,11 +16,12 @@ from numba import carray, cfunc, njit, types
 from numpy.typing import NDArray
 
 from benchmarks.rig import Outcome, Signals, bare_run
+from benchmarks.vectors import vector_value
 from cosim.circuits.decks import Drive, lockstep_deck, saved
-from cosim.loop.numba_calls import call_with_time, doubles_at, vector_value
 from cosim.loop.setup import FIRST_STEP_SHARE
 from cosim.ngspice.simulator import Simulator
 from cosim.plan import Plan
+from mech.numba_calls import call_with_time, doubles_at
 
 _MOST = 256
 REPLAY = np.dtype(

@@ -14,16 +14,9 @@ True
 """
 
 import importlib
-import os
 from typing import Any
 
-from cosim.numba_cache import LOCATORS, cache_folder
-
 __version__ = "0.2.0"
-
-# numba reads it when it is imported: every process that compiles keeps its code in the same place
-os.environ.setdefault("NUMBA_CACHE_DIR", cache_folder())
-os.environ.setdefault("NUMBA_CACHE_LOCATOR_CLASSES", LOCATORS)
 
 #: Public names, and the module that each comes from; types stand in `__init__.pyi`.
 _PUBLIC = {

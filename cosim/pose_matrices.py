@@ -16,10 +16,11 @@ import numpy as np
 from cosim.circuits.cache import load_arrays, store_arrays
 from cosim.circuits.design_constants import DesignConstants
 from cosim.ngspice.child import Child, call
-from cosim.numba_cache import code_folder
 from cosim.scene import Method, PythonOperator, Scene
 from cosim.scene.mechanism import mechanism, operator, start
 from cosim.types import Array
+from mech.library_files import ready
+from mech.library_files import stamp as code_stamp
 
 __all__ = ["Pose", "at_poses", "at_start"]
 
@@ -89,6 +90,7 @@ def at_poses(scene: Scene, gear: float, poses: Sequence[Array], child: Child | N
     """Return the mechanics about `poses` ([n] rad each), from the child, which has the compiled code."""
     asked = {"scene": scene, "gear": gear, "poses": list(poses)}
     limit = scene.solver.time_limit_s
+    ready()
     computed_poses: list[Pose] = call("cosim.pose_matrices:computed", asked, time_limit_s=limit, child=child)
     return computed_poses
 
@@ -101,7 +103,7 @@ def computed(payload: dict[str, Any], report: object) -> list[Pose]:
 def _name(scene: Scene, gear: float) -> str:
     """Return the digest of the mechanics' code and of every table that it depends on."""
     tables = (scene.device, scene.wall, scene.operator, scene.effects)
-    parts = [f"{_VERSION}", code_folder("mech.kernels").name, f"{gear!r}", *(repr(table) for table in tables)]
+    parts = [f"{_VERSION}", code_stamp("mech"), f"{gear!r}", *(repr(table) for table in tables)]
     return "start-" + hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 

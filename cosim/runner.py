@@ -31,6 +31,7 @@ from cosim.storage.rawfile import Signals, read_raw, stamp
 from cosim.storage.staging import Staging, disk_errors, require_ours, scratch_folder
 from cosim.types import Measures
 from cosim.units import quantity
+from mech.library_files import ready
 
 __all__ = ["Errors", "measures_of", "request_of", "resolve", "run"]
 
@@ -200,6 +201,7 @@ def _simulated(
     scene = plan.scene
     asked = request_of(plan, child)
     constants = asked.constants
+    ready()
     answer: RunAnswer = call(
         f"{_TARGETS[plan.model]}:simulate",
         asked,

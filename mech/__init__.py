@@ -1,6 +1,6 @@
 """Mechanics of the device: linkage, friction, operators. Knows no circuit.
 
-Importing it costs numpy only; the compiled kernels (`mech.kernels`) load numba at the first use.
+Importing it costs numpy only; the compiled kernels (`mech.kernels`) are loaded, or built, at the first use.
 """
 
 from mech.chain import Chain

@@ -2,51 +2,23 @@
 
 from typing import Any
 
-import llvmlite.ir as ir
-import numba
-import numba.core.cgutils
 import numpy as np
-from numba import njit
-from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from mech.compiled import inner
-from mech.records import OperatorKind, Touch
+from mech.compiled import call_force, entry, inner, vector
+from mech.records import OPERATOR, OperatorKind, Touch
 
 __all__ = ["operator_force", "pushed", "stop_torque"]
 
 Vector = NDArray[np.float64]
 Record = Any
 
-# Numba's compiler interface carries no types.
-_types: Any = numba.types
-_cgutils: Any = numba.core.cgutils
-
 _HAND = int(OperatorKind.HAND)
 _USER = int(OperatorKind.USER)
 _PUSHED = int(Touch.PUSHED)
 
 
-def _call_force_at(typingctx: Any, address: Any, t: Any, x: Any, y: Any, vx: Any, vy: Any) -> Any:
-    """Call ``void f(double t, x, y, vx, vy, double force[2])`` at an address; return the two forces."""
-    pair = _types.UniTuple(_types.float64, 2)
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        double = ir.DoubleType()
-        function = ir.FunctionType(ir.VoidType(), [double] * 5 + [double.as_pointer()])
-        force = _cgutils.alloca_once(builder, double, size=2)
-        target = builder.inttoptr(args[0], function.as_pointer())
-        builder.call(target, [*args[1:], force])
-        values = [builder.load(_cgutils.gep_inbounds(builder, force, i)) for i in range(2)]
-        return context.make_tuple(builder, pair, values)
-
-    return pair(_types.int64, *([_types.float64] * 5)), codegen
-
-
-_call_force: Any = intrinsic(_call_force_at)
-
-
-@njit(cache=True, error_model="numpy")
+@inner
 def _row(table: Vector, rows: int, t: float) -> int:
     """Index of the last row whose time is <= t, or -1; rows are ordered by time."""
     low = -1
@@ -60,7 +32,7 @@ def _row(table: Vector, rows: int, t: float) -> int:
     return low
 
 
-@njit(cache=True, error_model="numpy")
+@entry(OPERATOR, float, vector, vector, vector)
 def operator_force(op: Record, t: float, r: Vector, rdot: Vector, f_out: Vector) -> None:
     """Force of the operator on the device [N], without weight and inertia of the operator's mass.
 
@@ -71,7 +43,7 @@ def operator_force(op: Record, t: float, r: Vector, rdot: Vector, f_out: Vector)
     f_out[0] = 0.0
     f_out[1] = 0.0
     if op.kind == _USER:
-        fx, fy = _call_force(op.callback, t, r[0], r[1], rdot[0], rdot[1])
+        fx, fy = call_force(op.callback, t, r[0], r[1], rdot[0], rdot[1])
         f_out[0] = fx
         f_out[1] = fy
     elif op.kind == _HAND:
@@ -122,7 +94,7 @@ def stop_torque(p: Record, i: int, q: float, v: float) -> float:
     return 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def pushed(p: Record, i: int, q: float, v: float, touch: int) -> float:
     """Torque of the end stop on joint i that is known to push (`Touch.PUSHED`), smooth in q and v."""
     if touch == -_PUSHED:

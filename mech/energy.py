@@ -4,14 +4,16 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from mech.compiled import entry, vector
+from mech.records import LINKAGE, OPERATOR
 
 Record = Any
 Vector = NDArray[np.float64]
 
 
-@njit(cache=True, error_model="numpy")
+@entry(LINKAGE, OPERATOR, vector, vector, result=(float, float))
 def energy(p: Record, op: Record, q: Vector, v: Vector) -> tuple[float, float]:
     """Kinetic and gravity energy [J], rotors and operator's mass included; not what shafts hold.
 

@@ -15,13 +15,12 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from mech.compiled import inner, inner_inlined
+from mech.compiled import entry, inner, inner_inlined, matrix, vector
 from mech.contact import operator_force, pushed, stop_torque
 from mech.kinematics import inverse, jacobian, tip, tip_velocity
-from mech.records import OperatorKind
+from mech.records import LINKAGE, OPERATOR, WORK, OperatorKind
 from mech.shaft import shaft_torque
 
 __all__ = [
@@ -122,7 +121,7 @@ def _bias(p: Record, v: Vector, tip_mass: float, w: Record) -> None:
         w.bias[i] += w.bias[i + 1]
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@entry(int, matrix, vector, matrix, how=inner_inlined)
 def solve(n: int, matrix: Vector, x: Vector, factor: Vector) -> None:
     """Solve matrix x = x in place for a symmetric positive definite matrix.
 
@@ -213,7 +212,7 @@ def _accelerate(p: Record, w: Record, x: Vector) -> None:
             w.tau_coul[i] = w.hold[i]
 
 
-@njit(cache=True, error_model="numpy")
+@entry(LINKAGE, OPERATOR, float, vector, vector, vector, vector, WORK)
 def dynamics(
     p: Record, op: Record, t: float, q: Vector, v: Vector, tau: Vector, a_out: Vector, w: Record
 ) -> None:
@@ -311,7 +310,7 @@ def dynamics(
         w.f_op[1] -= mass * y
 
 
-@njit(cache=True, error_model="numpy")
+@entry(LINKAGE, OPERATOR, float, vector, vector, vector, WORK)
 def flow(p: Record, op: Record, t: float, y: Vector, tau: Vector, rate_out: Vector, w: Record) -> None:
     """Rate of the state and of the energy ledger, for an integrator that owns time.
 
@@ -343,7 +342,7 @@ def flow(p: Record, op: Record, t: float, y: Vector, tau: Vector, rate_out: Vect
         power[4] += w.tau_stop[i] * v[i]
 
 
-@njit(cache=True, error_model="numpy")
+@entry(LINKAGE, OPERATOR, vector, WORK)
 def mass_matrix(p: Record, op: Record, q: Vector, w: Record) -> None:
     """Leave the joint-space mass matrix [kg m^2], operator's mass included, in ``w.mass``.
 
@@ -353,7 +352,7 @@ def mass_matrix(p: Record, op: Record, q: Vector, w: Record) -> None:
     _inertia(p, op.mass, w)
 
 
-@njit(cache=True, error_model="numpy")
+@entry(LINKAGE, OPERATOR, vector, vector, WORK)
 def bias(p: Record, op: Record, q: Vector, v: Vector, w: Record) -> None:
     """Leave the bias torque h [N m] in ``w.bias``: Coriolis and gravity, M a + h = tau.
 

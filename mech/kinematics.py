@@ -8,10 +8,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from mech.compiled import inner
+from mech.compiled import entry, inner, matrix, vector
+from mech.records import LINKAGE
 
 __all__ = ["inverse", "jacobian", "tip", "tip_velocity"]
 
@@ -19,7 +19,7 @@ Vector = NDArray[np.float64]
 Record = Any
 
 
-@njit(cache=True, error_model="numpy")
+@entry(LINKAGE, vector, vector)
 def tip(p: Record, q: Vector, r_out: Vector) -> None:
     """Fingertip position [m] at joint angles `q` [rad]."""
     if p.slider:
@@ -37,7 +37,7 @@ def tip(p: Record, q: Vector, r_out: Vector) -> None:
     r_out[1] = y
 
 
-@njit(cache=True, error_model="numpy")
+@entry(LINKAGE, vector, vector, vector)
 def tip_velocity(p: Record, q: Vector, v: Vector, rdot_out: Vector) -> None:
     """Fingertip velocity J(q) v [m/s]."""
     if p.slider:
@@ -57,7 +57,7 @@ def tip_velocity(p: Record, q: Vector, v: Vector, rdot_out: Vector) -> None:
     rdot_out[1] = y
 
 
-@njit(cache=True, error_model="numpy")
+@entry(LINKAGE, vector, matrix)
 def jacobian(p: Record, q: Vector, jac_out: Vector) -> None:
     """Jacobian d r / d q [m/rad] into the first n columns of `jac_out`, shape (2, >= n)."""
     if p.slider:
@@ -74,13 +74,13 @@ def jacobian(p: Record, q: Vector, jac_out: Vector) -> None:
         jac_out[1, i] += jac_out[1, i + 1]
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _near(angle: float, seed: float) -> float:
     """Return the angle plus the multiple of 2 pi that brings it nearest to `seed`."""
     return angle - 2.0 * math.pi * math.floor((angle - seed) / (2.0 * math.pi) + 0.5)
 
 
-@njit(cache=True, error_model="numpy")
+@entry(LINKAGE, float, float, float, vector, result=float)
 def inverse(p: Record, x: float, y: float, elbow: float, q: Vector) -> float:
     """Joint angles that put the fingertip on (x, y), into `q`; return the distance left over [m].
 

@@ -18,10 +18,10 @@ the twist x0 and the time at which the flank was left. A time loop that sets `WO
 import math
 from typing import Any
 
-from numba import njit
 from numpy.typing import NDArray
 
-from mech.compiled import inner, inner_inlined
+from mech.compiled import entry, inner, inner_inlined, vector
+from mech.records import LINKAGE, WORK
 
 __all__ = ["EDGE_RAD", "engage", "margin", "shaft_torque", "windup_energy"]
 
@@ -104,7 +104,7 @@ def shaft_torque(p: Record, q: Vector, v: Vector, w: Record) -> None:
         w.tau_loss[i] = loss
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def margin(p: Record, i: int, t: float, twist: float, rate: float, w: Record) -> float:
     """How far [rad] a state is from a change of flank: negative beyond it, infinite without a gap."""
     gap = p.half_gap[i]
@@ -116,7 +116,7 @@ def margin(p: Record, i: int, t: float, twist: float, rate: float, w: Record) ->
     return float(gap - abs(twist - _slack(p, i, t, w)))
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@entry(LINKAGE, vector, WORK, result=float, how=inner_inlined)
 def windup_energy(p: Record, q: Vector, w: Record) -> float:
     """Energy stored in the shafts [J]."""
     total = 0.0

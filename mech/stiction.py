@@ -14,12 +14,11 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from mech.compiled import inner
+from mech.compiled import entry, inner, vector
 from mech.kernels import dynamics, solve_held
-from mech.records import NMAX, Touch
+from mech.records import LINKAGE, NMAX, OPERATOR, WORK, Touch
 
 __all__ = ["bounds", "impact", "settle", "touching"]
 
@@ -31,7 +30,7 @@ _PUSHED, _INSIDE, _RESTING = int(Touch.PUSHED), int(Touch.INSIDE), int(Touch.RES
 _SWEEPS, _CHECKS = 8, 200
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def bounds(p: Record, w: Record, i: int) -> tuple[float, float]:
     """Least and greatest torque [N m] that friction and stop can hold joint i with."""
     friction = p.coulomb[i] if p.coulomb_on else 0.0
@@ -40,7 +39,7 @@ def bounds(p: Record, w: Record, i: int) -> tuple[float, float]:
     return low, high
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def touching(p: Record, i: int, q: float, v: float) -> int:
     """Return how joint i touches its stops at a state (`Touch`), where the stops give."""
     if not p.stops_on or p.rigid:
@@ -52,7 +51,7 @@ def touching(p: Record, i: int, q: float, v: float) -> int:
     return 0
 
 
-@njit(cache=True, error_model="numpy")
+@entry(LINKAGE, OPERATOR, float, vector, vector, vector, vector, WORK)
 def settle(
     p: Record, op: Record, t: float, q: Vector, v: Vector, tau: Vector, a_out: Vector, w: Record
 ) -> None:

@@ -8,9 +8,6 @@ from zlib import crc32
 import kept_processes
 import pytest
 
-from cosim.numba_cache import cache_folder
-
-os.environ["NUMBA_CACHE_DIR"] = cache_folder()
 # results carry the date of their run: for tests that compare bytes all have the same
 os.environ.setdefault("SOURCE_DATE_EPOCH", "0")
 

@@ -15,8 +15,6 @@ FLOORS = {
     "cosim.assets": 0,
     "cosim.catalogue": 0,
     "cosim.notebook_view": 0,
-    "cosim.codecache": 0,
-    "cosim.numba_cache": 0,
     "cosim.quick_start": 0,
     "cosim.terminal": 0,
     "cosim.types": 0,

@@ -39,7 +39,7 @@ _idle: list[_Idle] = []
 
 def _surroundings() -> tuple[object, ...]:
     """Return all that a new process takes over from this one."""
-    environment = child._environment(Path("its own"))
+    environment = child.environment(Path("its own"))
     main = threading.current_thread() is threading.main_thread()
     return main, tempfile.gettempdir(), *sorted(environment.items())
 

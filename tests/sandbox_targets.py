@@ -107,7 +107,7 @@ def attempts(payload: dict[str, str], report: Any) -> dict[str, str]:
 
 
 def _code_of_the_parent(name: str) -> None:
-    file = Path(os.environ["COSIM_PARENTS_CODE"]) / name
+    file = Path(os.environ["COSIM_LIBRARIES"]) / name
     file.parent.mkdir(exist_ok=True)
     file.write_text("x")
 
@@ -127,8 +127,7 @@ def allowed(payload: Any, report: Any) -> dict[str, Any]:
     thread = threading.Thread(target=lambda: seen.append(1))
     thread.start()
     thread.join()
-    cache = Path(os.environ["NUMBA_CACHE_DIR"])
-    cache.mkdir(parents=True, exist_ok=True)
+    cache = Path(os.environ["XDG_CACHE_HOME"]) / "cosim" / "circuits"
     (cache / "probe").write_text("x")
     (cache / "probe").unlink()
     states = [Path(f"/proc/self/task/{task}/status").read_text() for task in os.listdir("/proc/self/task")]

@@ -50,7 +50,7 @@ class Terminal(io.StringIO):
 @pytest.mark.parametrize("warm", [True, False])
 def test_a_first_run_says_that_it_compiles_until_its_first_step_is_done(monkeypatch, warm):
     """A first sweep stood at 0 % for four minutes; broken once: without `more` in `show` it fails."""
-    monkeypatch.setattr("cosim.numba_cache.is_warm", lambda: warm)
+    monkeypatch.setattr("mech.library_files.is_built", lambda: warm)
     monkeypatch.setattr(sys, "stderr", Terminal())
     said: list[str] = []
     for name in ("add_task", "update"):

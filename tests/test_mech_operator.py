@@ -1,11 +1,11 @@
 """Operators: formulas, tables, and a user's own class with everything that can be wrong with it."""
 
+import ctypes
 import math
 import pickle
 
 import numpy as np
 import pytest
-from numba import njit
 
 from mech import Chain, Hand, NoOperator, ParameterError, PointMass, UserOperator, kernels, load_user
 from mech.records import KNOTS, OPERATOR, OperatorKind
@@ -157,13 +157,14 @@ def test_users_class_may_be_called_while_the_interpreter_is_released(tmp_path):
     user = load_user("mine.py:Counts", tmp_path)
     record = user.pack()
 
-    @njit(nogil=True)
-    def released(op, r, v, out, times):
-        for _ in range(times):
-            kernels.operator_force(op, 0.0, r, v, out)
-
-    out = np.zeros(2)
-    released(record[0], np.zeros(2), np.zeros(2), out, 5)
+    number, real = ctypes.c_int64, ctypes.c_double
+    callback = kernels.operator_force._function
+    released = ctypes.CFUNCTYPE(ctypes.c_int32, number, real, *[number] * 7)(
+        ctypes.cast(callback, ctypes.c_void_p).value
+    )
+    r, v, out = (np.zeros(2) for _ in range(3))
+    for _ in range(5):
+        released(record.ctypes.data, 0.0, r.ctypes.data, 2, v.ctypes.data, 2, out.ctypes.data, 2, 0)
     assert user._target.calls == 5
     assert tuple(out) == (1.0, 2.0)
 

@@ -5,7 +5,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
@@ -37,22 +36,13 @@ def shown(noise: Any, q: Array, joint: int) -> Array:
     return CubicHermiteSpline(at, values, np.gradient(values, noise.step))(np.clip(q, at[0], at[-1]))
 
 
-@numba.njit
-def _read(states: Any, q: Array, out: Array) -> None:
-    s = states[0]
-    for k in range(len(q)):
-        out[k] = position_noise(s, q[k], 0)
-
-
 def read(table: Array, lo: float, step: float, q: Array) -> Array:
     """What the kernels make of one joint's table at the angles q."""
     state = np.zeros(1, STATE)
     table = np.ascontiguousarray(table, float)
     state["n"], state["position_noise"], state["position_points"] = 1, table.ctypes.data, len(table)
     state["position_lo"], state["position_step"] = lo, step
-    out = np.zeros(len(q))
-    _read(state, q, out)
-    return out
+    return np.array([position_noise(state[0], float(angle), 0) for angle in q])
 
 
 def bytes_of(run: Any) -> str:

@@ -10,7 +10,7 @@ from project import ROOT, Project, lay_out
 
 from cosim import cli
 from cosim.ngspice import child
-from cosim.numba_cache import cache_folder
+from mech.library_files import FOLDER, folder
 
 LIMIT_S = 543.5
 Limits = dict[str, set[float | None]]
@@ -29,7 +29,7 @@ name = "as built"
 @pytest.fixture
 def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Project:
     """A short linear scene with a limit of its own; nothing of a circuit is in the cache yet."""
-    monkeypatch.setenv("NUMBA_CACHE_DIR", cache_folder())
+    monkeypatch.setenv(FOLDER, str(folder()))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     project = lay_out(tmp_path / "device")
     project.edit("scene.toml", 'model = "spice"', f'model = "linear"\ntime_limit_s = {LIMIT_S}')

@@ -6,15 +6,15 @@ from contextlib import contextmanager
 from cosim.commands.verbosity import bars, remark, verbose
 from cosim.terminal import printable
 
-COMPILING = "compiling, once, one to two minutes"
+COMPILING = "compiling, once, about a minute"
 """What is said where the first run of an installation would look like a hang; seconds of CPU on 2 GHz."""
 
 
 def announce_compilation() -> None:
     """Say on standard error that code is compiled first, unless a bar will say so."""
-    from cosim.numba_cache import is_warm
+    from mech.library_files import is_built
 
-    if not is_warm() and not bars():
+    if not is_built() and not bars():
         remark(f"{COMPILING}; `cosim warm` does it ahead")
 
 
@@ -28,9 +28,9 @@ def progress(title: str) -> Iterator[Callable[[int, int, str], None] | None]:
     from rich.console import Console
     from rich.progress import Progress, TimeElapsedColumn
 
-    from cosim.numba_cache import is_warm
+    from mech.library_files import is_built
 
-    cold = not is_warm()
+    cold = not is_built()
     columns = (*Progress.get_default_columns(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(shown(f"{title}: {COMPILING}" if cold else title), total=None)

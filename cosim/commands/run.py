@@ -164,7 +164,7 @@ def progress(duration_s: float, title: str) -> "Iterator[Callable[[Mapping[str, 
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     from cosim.commands.progress import shown
-    from cosim.numba_cache import is_warm
+    from mech.library_files import is_built
 
     columns = (
         TextColumn("{task.description}"),
@@ -174,7 +174,7 @@ def progress(duration_s: float, title: str) -> "Iterator[Callable[[Mapping[str, 
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         # no total: the bar pulses until simulated time advances
-        task = bar.add_task(shown(title) if is_warm() else COMPILING, total=None, reached="")
+        task = bar.add_task(shown(title) if is_built() else COMPILING, total=None, reached="")
 
         def show(state: "Mapping[str, Any]") -> None:
             time_s = float(state.get("time_s", 0.0))

@@ -10,13 +10,12 @@ from __future__ import annotations
 from enum import IntEnum
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from cosim.types import Record
-from mech.compiled import inner
+from mech.compiled import entry, inner, vector
 from mech.kernels import jacobian, tip
-from mech.records import NMAX
+from mech.records import LINKAGE, NMAX
 
 Vector = NDArray[np.float64]
 
@@ -108,7 +107,7 @@ _NEWTON_STEPS = 30
 _ON_THE_WALL_M = 1e-9
 
 
-@njit(cache=True, error_model="numpy")
+@entry(COMPUTER, SAMPLE, int, vector)
 def read_encoders(c: Record, x: Record, tick: int, q: Vector) -> None:
     """Joint angles as the encoders show them, and their backward difference as velocity [rad, rad/s]."""
     x.tick = tick
@@ -125,7 +124,7 @@ def read_encoders(c: Record, x: Record, tick: int, q: Vector) -> None:
         x.q[j] = seen
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def equilibrium(c: Record, p: Record, x: Record) -> None:
     """q_d of (9): joint angles that put the fingertip on its projection on the wall, nearest to the pose.
 
@@ -172,7 +171,7 @@ def equilibrium(c: Record, p: Record, x: Record) -> None:
     jacobian(p, x.q, x.jac)
 
 
-@njit(cache=True, error_model="numpy")
+@entry(COMPUTER, LINKAGE, SAMPLE)
 def law(c: Record, p: Record, x: Record) -> None:
     """Run the control algorithm of section III: (6) out of contact, (7)-(9) and (12) in contact.
 
@@ -292,7 +291,7 @@ def _code(c: Record, volts: float) -> tuple[float, int]:
     return volts, 0
 
 
-@njit(cache=True, error_model="numpy")
+@entry(COMPUTER, SAMPLE, vector)
 def to_volts(c: Record, x: Record, volts: Vector) -> None:
     """Convert the outputs in `x` to DAC voltages [V], in the order of `cosim.loop.dac_channels.channels`.
 

@@ -16,12 +16,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from mech.compiled import ArrayOf, entry, matrix, vector
 from mech.energy import energy
 from mech.kernels import jacobian
-from mech.records import NMAX
+from mech.records import LINKAGE, NMAX, OPERATOR
 
 #: Names of the works, in the order of `works`' columns.
 WORKS = ("motors", "operator", "viscous", "coulomb", "stops", "shafts")
@@ -38,7 +38,7 @@ _WEIGHTS = (5 / 18, 8 / 18, 5 / 18)
 _COULOMB = WORKS.index("coulomb")
 
 
-@njit(cache=True, error_model="numpy")
+@entry(LINKAGE, OPERATOR, int, vector, matrix, int, ArrayOf(np.float64, 3), matrix, matrix, int, int)
 def torques_and_energy(
     p: Any,
     nobody: Any,
@@ -94,7 +94,7 @@ def torques_and_energy(
             push[k, 1] = y / (a + d)
 
 
-@njit(cache=True, error_model="numpy")
+@entry(int, matrix, int, ArrayOf(np.float64, 3), matrix)
 def works(
     n: int, rows: NDArray[np.float64], first: int, torques: NDArray[np.float64], out: NDArray[np.float64]
 ) -> None:

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from numba import carray, njit
-
 from cosim.loop.computer import law, read_encoders, to_volts
-from cosim.loop.numba_calls import call_plain, call_with_time, doubles_at
 from cosim.loop.pin_voltages import is_gain
-from cosim.loop.state import QUEUE, Fault
+from cosim.loop.state import QUEUE, STATE, Fault
 from cosim.types import Record
-from mech.compiled import inner
+from mech.compiled import call_plain, call_with_time, carray, doubles_at, entry, inner, inner_inlined
 
 _SAMPLE_LOST = Fault.SAMPLE_LOST
-#: By so much the computer's rounding may move a voltage [V]; 5e-15 was seen, a step of 30 bits is 2e-8.
-_ROUNDING_V = 1e-12
+#: By such a share of the largest voltage beside it, angles included, the computer's rounding may move one;
+#: 1e-14 was seen, and a step of 30 bits is 1e-9.
+_ROUNDING = 1e-12
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def instant(s: Record, tick: int) -> float:
     """Return when the computer samples [s]: an integer tick of its clock, early or late by its jitter."""
     at = tick * s.c.period
@@ -35,7 +33,13 @@ def _release(s: Record, group: int) -> bool:
     if s.ramping:
         part = min(max((start - s.dac_start[group]) / s.settle, 0.0), 1.0)
     s.dac_start[group] = start
-    changed = False
+    changed, largest = False, 0.0
+    for j in range(s.c.n):
+        largest = max(largest, s.c.v_rad * abs(s.x.q[j]))
+    for i in range(s.dacs):
+        k = s.dac_channel[i]
+        if is_gain(s, k) == (group == 0):
+            largest = max(largest, abs(s.queue.volts[slot, k]), abs(s.dac_to[k]))
     for i in range(s.dacs):
         k = s.dac_channel[i]
         if is_gain(s, k) != (group == 0):
@@ -43,7 +47,7 @@ def _release(s: Record, group: int) -> bool:
         reached = s.dac_to[k] if part == 1.0 else s.dac_from[k] + part * (s.dac_to[k] - s.dac_from[k])
         s.dac_from[k] = reached
         # rounding of a converter without steps is no jump: each would have the integrator start afresh
-        moves = abs(s.queue.volts[slot, k] - reached) > _ROUNDING_V
+        moves = abs(s.queue.volts[slot, k] - reached) > _ROUNDING * largest
         s.dac_to[k] = s.queue.volts[slot, k] if moves else reached
         changed = changed or s.dac_to[k] != s.dac_from[k]
         if s.settle == 0.0:
@@ -134,7 +138,7 @@ def announce(s: Record, now: float) -> None:
         call_with_time(s.breakpoint_address, change + s.skew)
 
 
-@njit(cache=True, error_model="numpy")
+@entry(STATE)
 def begin(s: Record) -> None:
     """Compute sample 0, before ngspice finds the operating point: without delay it is there at power-up.
 

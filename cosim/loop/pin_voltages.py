@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import carray, njit
-
-from cosim.loop.numba_calls import doubles_at
+from cosim.loop.state import STATE
 from cosim.types import Record
-from mech.compiled import inner, inner_inlined
+from mech.compiled import carray, doubles_at, entry, inner, inner_inlined, vector
 
 #: Steps over a ramp of the gains, each with the gain of its middle: the torque's impulse is wrong by at most
 #: (change of gain) x (change of input) x settling time / (12 x steps^2). The input changes within the ramp by
@@ -25,7 +23,7 @@ def is_gain(s: Record, channel: int) -> bool:
     return bool(s.n <= channel < s.n + 2 * s.n * s.n)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def volts(s: Record, channel: int, t: float) -> float:
     """Voltage of a DAC channel [V] at `t`."""
     if s.ramping == 0:
@@ -66,7 +64,7 @@ def grid_noise(s: Record, t: float, joint: int) -> float:
     return float(table[at] + x * (table[at + s.n] - table[at]))
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def component(s: Record, t: float, place: int) -> float:
     """Component noise [V] at a place, the different X first, then the pins cmd; linear between its ticks."""
     if s.component == 0:
@@ -78,7 +76,7 @@ def component(s: Record, t: float, place: int) -> float:
     return float(table[at] + x * (table[at + width] - table[at]))
 
 
-@inner
+@entry(STATE, float, int, result=float)
 def position_noise(s: Record, q: float, joint: int) -> float:
     """Noise of a potentiometer [rad] that belongs to its angle.
 
@@ -112,7 +110,7 @@ def noise_at(s: Record, t: float, joint: int) -> float:
     return float(value + position_noise(s, s.q_trial[joint], joint))
 
 
-@njit(cache=True, error_model="numpy")
+@entry(STATE, vector)
 def pins(s: Record, out: Any) -> None:
     """Fill `out` with the pins pot, all DAC channels and vel at the accepted point; [4 n + 2 n^2]."""
     n = s.n

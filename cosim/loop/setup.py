@@ -16,8 +16,8 @@ from cosim.loop.columns import columns, sample_columns
 from cosim.loop.component_noise import ComponentGrid
 from cosim.loop.computer import COMPUTER, Method, Path
 from cosim.loop.dac_channels import channels, is_geometric
+from cosim.loop.ngspice_data import name_hash
 from cosim.loop.noise import Noise, no_noise, potentiometer_noise, with_errors
-from cosim.loop.numba_calls import name_hash
 from cosim.loop.state import QUEUE, STATE
 from cosim.scene import Scene, choices
 from cosim.scene.mechanism import encoder_step, known_mechanism, mechanism, operator, start

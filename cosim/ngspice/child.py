@@ -26,27 +26,21 @@ from typing import Any
 from cosim.caution import warn
 from cosim.errors import SimulationError
 from cosim.ngspice import child_messages
+from cosim.ngspice.child_environment import allowed_files, environment
 from cosim.ngspice.time_limits import MOST_PREPARING_S, Watch
 from cosim.ngspice.worker import HEAD
-from cosim.numba_cache import PARENTS, cache_folder, children_folder
 from cosim.quick_start import defer
 from cosim.storage.staging import disk_errors, make_scratch
 
 __all__ = ["Child", "call", "on_demand", "start_early"]
 
-PREIMPORT = ("numpy", "numba")
+PREIMPORT = ("numpy",)
 LIBRARY = "PySpice.Spice.NgSpice.Shared"
 """What an early child imports while the parent still prepares, and where it will need ngspice."""
 
 OUTBOX = Path("..") / "out"
 """Where a function in the child leaves files for its caller, from its working folder; see `call`."""
 
-_KEPT = (
-    "PATH", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "SYSTEMROOT",
-    "NGSPICE_LIBRARY_PATH", "XDG_CACHE_HOME", "PYTHONHOME", "PYTHONDONTWRITEBYTECODE", "PYTHONHASHSEED",
-    "PYTHONWARNINGS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS",
-)  # fmt: skip
-"""What a child gets of its parent's environment, besides numba's settings."""
 _CPU_SHARE, _CPU_MORE_S = 4.0, MOST_PREPARING_S
 """CPU time of a call: so many times its time limit, for several threads, and imports."""
 TIME_LIMIT_S = 600.0
@@ -158,10 +152,10 @@ class Child:
             for name in ("home", "tmp", "out"):
                 (folder / name).mkdir()
             (work / ".spiceinit").write_text("* empty: keeps ngspice from looking further\n")
-            env = _environment(folder)
+            env = environment(folder)
             with open(folder / "output", "wb") as output:
                 process = subprocess.Popen(
-                    _command(send, self._modules, _allowed(folder, env, self._reads)),
+                    _command(send, self._modules, allowed_files(folder, env, self._reads)),
                     stdin=subprocess.PIPE,
                     stdout=output,
                     stderr=output,
@@ -329,37 +323,6 @@ def _command(descriptor: int, modules: Sequence[str], allowed: Mapping[str, list
     # -P: nothing is imported from the child's working folder
     start = [sys.executable, "-P", "-m", "cosim.ngspice.worker", str(descriptor), str(int(main_thread))]
     return [*start, json.dumps(allowed), *modules]
-
-
-def _allowed(folder: Path, env: Mapping[str, str], reads: Sequence[Path]) -> dict[str, list[str]]:
-    """Return the files of a child: its own folder, the caches and the user's Python files."""
-    caches = [str(Path(env["XDG_CACHE_HOME"]) / "cosim" / "circuits"), env["NUMBA_CACHE_DIR"]]
-    for cache in (*caches, env[PARENTS]):  # a Landlock rule needs an existing folder
-        with contextlib.suppress(OSError):  # a read-only system keeps no cache
-            os.makedirs(cache, exist_ok=True)
-    return {"reads": [env[PARENTS], *map(str, reads)], "writes": [str(folder), *caches]}
-
-
-def _environment(folder: Path) -> dict[str, str]:
-    """Return the child's environment: a home of its own, the parent's module path, one thread a library."""
-    env = {name: value for name, value in os.environ.items() if name in _KEPT or name.startswith("NUMBA_")}
-    home = Path(os.environ.get("HOME") or Path.home())
-    env.setdefault("XDG_CACHE_HOME", str(home / ".cache"))
-    # in the user's own home, which a new HOME must not hide; the parent loads nothing that a child compiled
-    env["NUMBA_CACHE_DIR"], env[PARENTS] = children_folder(), cache_folder()
-    env["HOME"], env["TMPDIR"] = str(folder / "home"), str(folder / "tmp")
-    env["PYTHONPATH"] = os.pathsep.join(_modules())
-    env["COSIM_NGSPICE_ECHO"] = "1"
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        env.setdefault(name, "1")
-    return env
-
-
-def _modules() -> list[str]:
-    """Return the parent's module path; a working folder that Python put there is no place of modules."""
-    here = os.getcwd()
-    entries = [os.path.abspath(entry) for entry in sys.path if entry]
-    return [each for each in entries if each != here or os.path.isdir(os.path.join(each, "cosim"))]
 
 
 def _raised(

@@ -14,7 +14,6 @@ import threading
 import time
 import traceback
 from collections.abc import Callable
-from functools import cache
 from queue import SimpleQueue
 from typing import Any, NoReturn
 
@@ -100,29 +99,12 @@ def _pulse(descriptor: int) -> NoReturn:
 
 
 def _import(name: str) -> Any:
-    """Import a module; many compile callbacks while they are imported."""
+    """Import a module."""
     _preparing.begin()
     try:
         return importlib.import_module(name)
     finally:
         _preparing.end()
-        if "numba" in sys.modules:
-            _watch_compiler()
-
-
-@cache
-def _watch_compiler() -> None:
-    """Count numba's compilations from now on among what is under way."""
-    from numba.core import event
-
-    class Listener(event.Listener):  # type: ignore[misc]
-        def on_start(self, event: Any) -> None:
-            _preparing.begin()
-
-        def on_end(self, event: Any) -> None:
-            _preparing.end()
-
-    event.register("numba:compiler_lock", Listener())
 
 
 def _receive(requests: "SimpleQueue[bytes]") -> NoReturn:

@@ -30,6 +30,7 @@ from cosim.storage.staging import scratch_folder
 from cosim.tolerance.applied_draw import motors, nominal, of_board, with_motors, with_numbers
 from cosim.tolerance.calibration import calibrated
 from cosim.types import Array
+from mech.library_files import ready
 
 __all__ = ["Batch"]
 
@@ -167,6 +168,7 @@ class Batch:
 
     def _call(self, target: str, payload: dict[str, Any], count: int) -> Any:
         limit = self._plan.scene.solver.time_limit_s * count
+        ready()
         child = self._alive()
         self._plan.stated(child)  # the process itself asks no other
         return child.call(

@@ -34,8 +34,6 @@ CHEAPER = {"spice": "linear", "linear": "ideal"}
 _TIMED, _WARM = (4, 24), 4
 #: Cheap samples of one randomisation, at most; in all they never cost more than the dear ones.
 _MOST_CHEAP = 1 << 16
-#: ... and beside planes, which leave them little to tell, this share of the dear ones' cost.
-_BESIDE_PLANES = 0.1
 
 
 @dataclass(frozen=True)
@@ -164,12 +162,10 @@ class LevelSamples:
         planes = {name: fit_plane(z, table[name]) for name in self.names}
         return {name: plane for name, plane in planes.items() if plane is not None}
 
-    def cube(
-        self, pilots: Mapping[str, Pilot | str], first: int, beside: int = 0, *, weighs: bool = True
-    ) -> Sampling:
+    def cube(self, pilots: Mapping[str, Pilot | str], first: int, beside: int = 0) -> Sampling:
         """Return the cheap level's points: as many as the most demanding estimate wants, within its cost.
 
-        `beside` are cheap samples that are spent already; `weighs` says that strata are weighed by these.
+        `beside` are cheap samples that are spent already.
         """
         dear = self.study.sampling.n - first
         paying = _paying(pilots)
@@ -177,9 +173,8 @@ class LevelSamples:
         if not paying:
             return sampling("sobol", 0, count, seed + 1)
         each = max(cheap_samples(pilot, dear) for pilot in paying)
-        within = _BESIDE_PLANES if beside else 1.0
-        most = int((within * self.study.sampling.n / paying[0].cost_ratio - beside) / REPLICATES)
-        if self.prepared.asked.specs and weighs:
+        most = int((self.study.sampling.n / paying[0].cost_ratio - beside) / REPLICATES)
+        if self.prepared.asked.specs:
             each = _MOST_CHEAP
         each = max(min(each, most, _MOST_CHEAP), 16)
         return sampling("sobol", (1 << (each.bit_length() - 1)) * REPLICATES, count, seed + 1)
@@ -189,7 +184,7 @@ class LevelSamples:
         plane: tuple[Plane, Array] | None = None,
     ) -> TwoLevel:  # fmt: skip
         """Return mean and standard deviation of a measure; `plane` comes with what it is at `values`."""
-        high = self.study.column(name)[first : len(same)]
+        high = self.study.column(name)[first:]
         if isinstance(pilot, str):
             known = high[np.isfinite(high)]
             none = Pilot(0.0, 0.0, 0.0, 0.0, float(known.mean()) if len(known) else 0.0, 0.0, 1.0)

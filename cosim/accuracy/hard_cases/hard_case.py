@@ -23,6 +23,7 @@ from cosim.runner import run
 from cosim.scene import load_scene
 from cosim.storage.staging import scratch_folder
 from cosim.types import Array
+from mech.library_files import ready
 
 __all__ = [
     "ALL",
@@ -150,6 +151,7 @@ class CaseRunner:
 
     def ask(self, target: str, payload: object) -> Any:
         """Call a function of (payload, report) in the process, as `cosim.ngspice.child.call`."""
+        ready()
         return call(target, payload, time_limit_s=_LIMIT_S, child=self._child)
 
     def deck(self, text: str, command: str, *names: str) -> list[Array]:

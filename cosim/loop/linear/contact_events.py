@@ -12,7 +12,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from cosim.loop.linear.backlash_events import first_change
 from cosim.loop.linear.step_maps import COEFFICIENTS
@@ -33,12 +32,12 @@ _FLIGHT, _FLIGHT_S = 2.0**-30, 1e-9
 _BISECTIONS = 60
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _value(c: Any, x: float) -> float:
     return float(c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * c[4]))))
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _root(c: Any, low: float, high: float) -> float:
     """Return the upper end of the bracket of a sign change of a polynomial between `low` and `high`."""
     rises = _value(c, high) > 0.0
@@ -51,7 +50,7 @@ def _root(c: Any, low: float, high: float) -> float:
     return high
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def turns(c: Any, at: Any) -> int:
     """Fill `at` with the extremes inside (0, 1) of a polynomial of degree three `c` [5], ascending; count."""
     a, b, d = 3.0 * c[3], 2.0 * c[2], c[1]
@@ -70,7 +69,7 @@ def turns(c: Any, at: Any) -> int:
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def roots(c: Any, pieces: Any, count: int, at: Any) -> int:
     """Fill `at` with the sign changes in (0, 1) of a polynomial with extremes `pieces[:count]`; count."""
     crossings = 0
@@ -86,7 +85,7 @@ def roots(c: Any, pieces: Any, count: int, at: Any) -> int:
     return crossings
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def below(c: Any, pieces: Any, count: int) -> float:
     """Return the first x in (0, 1] from which a polynomial with extremes `pieces[:count]` is negative.
 
@@ -227,7 +226,7 @@ def strike(s: Record, b: Any) -> bool:
     return changed
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def find(s: Record, b: Any) -> None:
     """Find the accelerations just behind the accepted point, the torques given, and who is held there."""
     settle(s.p, s.op, s.t, s.q, s.v, s.tau, s.a, s.w)

@@ -16,7 +16,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from mech.compiled import ArrayOf, entry, inner
 
 #: Largest number of zeros among the nodes: degree four of the input, its own integration, three moments.
 TOP = 8
@@ -27,7 +28,7 @@ _INVERSE_FACTORIAL = np.array([1.0 / float(np.prod(np.arange(1.0, k + 1))) for k
 Array = Any
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def expm1(z: complex) -> complex:
     """Return exp(z) - 1 without cancellation at small z."""
     if abs(z) < 0.5:
@@ -38,7 +39,7 @@ def expm1(z: complex) -> complex:
     return complex(np.exp(z) - 1.0)
 
 
-@njit(cache=True, error_model="numpy")
+@entry(complex, ArrayOf(np.complex128, 1))
 def single(z: complex, out: Array) -> None:
     """Fill `out[r]` with F_r(z), r = 0 .. TOP; `z` of any size whose exponential does not overflow."""
     if abs(z) <= _NEAR:
@@ -56,7 +57,7 @@ def single(z: complex, out: Array) -> None:
         out[r + 1] = (out[r] - _INVERSE_FACTORIAL[r]) / z
 
 
-@njit(cache=True, error_model="numpy")
+@entry(complex, complex, ArrayOf(np.complex128, 1), ArrayOf(np.complex128, 1), ArrayOf(np.complex128, 1))
 def double(a: complex, b: complex, of_a: Array, of_b: Array, out: Array) -> None:
     """Fill `out[r]` with G_r(a, b), r = 0 .. TOP; `of_a` and `of_b` as `single` fills them."""
     if abs(a) <= _NEAR and abs(b) <= _NEAR:

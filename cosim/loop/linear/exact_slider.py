@@ -13,17 +13,15 @@ from itertools import pairwise
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numba import from_dtype, njit
 
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.loop.linear.matrix_phi import phi_functions
 from cosim.loop.linear.step_maps import NODES, WEIGHTS, Ints, Matrix, Plan, Vector
 from cosim.loop.linear.step_memory import StepMemory
-from cosim.loop.numba_calls import call_plain, kind_of
 from cosim.loop.pin_voltages import grid_noise, volts
 from cosim.loop.state import STATE, Fault
 from cosim.types import Array, Record
-from mech.compiled import inner_inlined
+from mech.compiled import call_plain, inner, inner_inlined, kind_of
 from mech.kernels import dynamics, operator_force
 
 #: Inputs: outer torque [N m], u, cmd [V], noise of the potentiometer [rad] and its rate [rad/s].
@@ -67,7 +65,7 @@ class Exact(NamedTuple):
 
 #: Types by which compiled code knows the memory of a run.
 STATE_KIND, PLAN_KIND, STEP_KIND, EXACT_KIND = (
-    from_dtype(STATE), kind_of(Plan), kind_of(StepMemory), kind_of(Exact)
+    kind_of(STATE), kind_of(Plan), kind_of(StepMemory), kind_of(Exact)
 )  # fmt: skip
 
 
@@ -222,7 +220,7 @@ def _outer(s: Record, x: Any, t: float) -> float:
     return float(x.outer[at, 1] + part * (x.outer[at + 1, 1] - x.outer[at, 1]))
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def rests(x: Any, t: float) -> bool:
     """Whether the scene is linear around the time `t`."""
     if x.on[0] == 0:
@@ -243,7 +241,7 @@ def _fits(x: Any, i: int, g0: float, g1: float, h: float, ramp: float) -> bool:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _find(s: Record, x: Any, g0: float, g1: float, h: float, ramp: float) -> int:
     """Return the slot of a matrix, made when it is not there yet; -1 when the memory is full."""
     used = x.made[0]
@@ -257,7 +255,7 @@ def _find(s: Record, x: Any, g0: float, g1: float, h: float, ramp: float) -> int
     return int(used)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _times(data: Any, now: Any, then: Any, width: int, rows: int) -> None:
     """Fill `then` with at least `rows` rows of a matrix, held by column, times the first `width` of `now`."""
     for block in range((rows + _LANES - 1) // _LANES):

@@ -10,16 +10,14 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import carray, njit
-
 from cosim.loop.equations_of_motion import evaluate
 from cosim.loop.events import next_event, process_events
 from cosim.loop.linear.exact_slider import EXACT_KIND, PLAN_KIND, STATE_KIND, STEP_KIND, land, leap, rests
 from cosim.loop.linear.gauss_step import near, present
 from cosim.loop.linear.recording import check, moved, record, row
-from cosim.loop.numba_calls import lent, record_at
 from cosim.loop.pin_voltages import gains_ramp, ramp_step
 from cosim.types import Record
+from mech.compiled import carray, entry, inner_inlined, lent, record_at
 
 #: An interval is cut into 2^_LEVELS parts at most.
 _LEVELS = 40
@@ -28,7 +26,7 @@ _PARTS = 1 << _LEVELS
 _GROWTH = 8.0
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _behind(s: Record) -> float:
     """Return the next event behind the end of the ramp that begins now; 0 when the step must not go there."""
     if s.skew != 0.0 or abs(s.t - s.dac_start[1]) > s.delta_min:
@@ -41,7 +39,7 @@ def _behind(s: Record) -> float:
     return float(at)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _right_hand(s: Record, k: Any, b: Any, wanted: bool) -> None:
     """Find the current, and for a row the acceleration, at the accepted point just behind its events."""
     present(s, k, b)
@@ -51,7 +49,7 @@ def _right_hand(s: Record, k: Any, b: Any, wanted: bool) -> None:
         evaluate(s, s.t, s.q, s.v, s.a)
 
 
-@njit(cache=True, error_model="numpy")
+@entry(int, int, int, int, float, result=bool)
 def leaps(state: int, plan: int, step: int, exact: int, first: float) -> bool:
     """Go on while each step is one matrix; whether the run is over, by its end or a fault.
 

@@ -13,7 +13,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from cosim.loop.linear.step_maps import (
     ANGLE,
@@ -111,7 +110,7 @@ def _bend(s: Record, k: Any, b: StepMemory, t: float, h: float) -> None:
                 b.moved[at + power] += _FIVE[power, m] * error
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _move(s: Record, k: Any, b: StepMemory, t: float, h: float) -> None:
     """Hand over what has changed since the last sweep."""
     for j in range(s.coordinates):
@@ -136,7 +135,7 @@ def guess(s: Record, b: StepMemory, h: float) -> None:
                 b.a[i, j] = b.last[0, j] + x * (b.last[1, j] + x * b.last[2, j])
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _sweep(s: Record, k: Any, b: StepMemory, t: float, h: float, weight: float) -> float:
     """Update the accelerations at the nodes; return by how much that has moved the angles [rad]."""
     n, m, motor = s.n, s.coordinates, s.motor
@@ -239,7 +238,7 @@ def _error_at_end(s: Record, k: Any, b: StepMemory, slot: int, t: float, h: floa
     return float(max(error * h * max(h, s.c.period) * _CUBIC, jump * slow))
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def attempt(s: Record, k: Any, b: StepMemory, slot: int, t: float, h: float, tol: float) -> float:
     """Try a step of length `h` [s] from the accepted point at `t`; return its error [rad].
 
@@ -274,7 +273,7 @@ def attempt(s: Record, k: Any, b: StepMemory, slot: int, t: float, h: float, tol
     return float(_error_at_end(s, k, b, slot, t, h))
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def near(k: Any, joint: int, current: float) -> bool:
     """Whether a motor current [A] is so near the driver's limit that steps must check for it."""
     low, high = k.limit[joint, 0], k.limit[joint, 1]

@@ -5,21 +5,19 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import carray, njit
-
 from cosim.loop.columns import write_row
 from cosim.loop.equations_of_motion import RUNAWAY_RAD_PER_S
-from cosim.loop.numba_calls import call_plain, doubles_at
 from cosim.loop.pin_voltages import noise_at, volts
 from cosim.loop.state import Fault
 from cosim.types import Record
+from mech.compiled import call_plain, carray, doubles_at, inner_inlined
 
 #: Torques that differ by this share are one.
 _SAME = 1e-9
 _COLLAPSED, _NOT_FINITE, _RAN_AWAY = Fault.STEP_COLLAPSED, Fault.NOT_FINITE, Fault.RAN_AWAY
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def show(s: Record) -> None:
     """Fill the pins' voltages that a row shows."""
     for j in range(s.n):
@@ -31,14 +29,14 @@ def show(s: Record) -> None:
         s.out[s.dac_first + i] = volts(s, s.dac_channel[i], s.t)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def record(s: Record) -> None:
     """Write the accepted point as a row, when rows are wanted."""
     s.points += 1
     row(s)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def row(s: Record) -> None:
     """Write a row, when rows are wanted: of an accepted point, or of what a jump there makes of it."""
     if s.rows.capacity == 0:
@@ -50,7 +48,7 @@ def row(s: Record) -> None:
         call_plain(s.drain_address)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def moved(s: Record, b: Any) -> bool:
     """Whether a motor's torque jumped from what it was before, by more than rounding."""
     for j in range(s.n):
@@ -59,7 +57,7 @@ def moved(s: Record, b: Any) -> bool:
     return False
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def check(s: Record) -> None:
     """End the run on speeds that no device has, and on steps cut endlessly."""
     if s.points - s.points_before > s.most_points:

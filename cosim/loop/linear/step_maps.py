@@ -20,12 +20,11 @@ from __future__ import annotations
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from cosim.loop.linear.divided_differences import TOP, double, single
 from cosim.types import Array, Complex
-from mech.compiled import inner
+from mech.compiled import entry, inner, inner_inlined, matrix, vector
 
 Ints = Annotated[NDArray[np.int64], 1]
 Vector = Annotated[Array, 1]
@@ -105,7 +104,7 @@ class Plan(NamedTuple):
     slots: Ints  # [0] slots in use, [1] maps built
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@entry(Plan, float, result=int, how=inner_inlined)
 def slot_of(k: Any, h: float) -> int:
     """Where the matrices of the step length `h` [s] are; built when they are not there yet.
 
@@ -122,7 +121,7 @@ def slot_of(k: Any, h: float) -> int:
     return int(i)
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def build(k: Any, h: float, data: Any) -> None:
     """Fill `data` with the matrices of all blocks for the step length `h` [s]."""
     k.slots[1] += 1
@@ -208,7 +207,7 @@ def _accelerations(k: Any, h: float, data: Any) -> None:
                     data[at + m] = c0 * COEFFICIENTS[0, m] + c1 * COEFFICIENTS[1, m] + c2 * COEFFICIENTS[2, m]
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _column(
     k: Any, h: float, kind: int, c: int, f: int, pre: Any, post: Any,
     f1: Any, f2: Any, pairs: Any, through: Any, past: Any,
@@ -248,7 +247,7 @@ def _column(
                     through[i, lap] += k.wb2[i, c] * k.e_pre[c, which] * factor * f2[i, power + lap]
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@entry(Plan, int, vector, vector, vector, matrix, how=inner_inlined)
 def currents(k: Any, slot: int, gains: Any, features: Any, out: Any, matrix: Any) -> None:
     """Add to the node currents `out` [3 n] what the fixed features do, to `matrix` what the moving ones do.
 
@@ -274,7 +273,7 @@ def currents(k: Any, slot: int, gains: Any, features: Any, out: Any, matrix: Any
                 matrix[r, k.move[k.columns[start + i]]] += g * data[at + i]
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@entry(Plan, int, vector, vector, vector, how=inner_inlined)
 def finish(k: Any, slot: int, gains: Any, features: Any, out: Any) -> None:
     """Fill `out[3 n:]`: the currents and the states at the end of the step."""
     data = k.data[slot]

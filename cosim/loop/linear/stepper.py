@@ -11,8 +11,6 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from numba import carray, njit
-
 from cosim.loop.equations_of_motion import evaluate
 from cosim.loop.events import process_events
 from cosim.loop.linear.contact_events import find, first_crossing, meet, strike
@@ -22,11 +20,11 @@ from cosim.loop.linear.gauss_step import accept, attempt, guess, near, present
 from cosim.loop.linear.recording import check, moved, record, row
 from cosim.loop.linear.step_maps import Plan, slot_of
 from cosim.loop.linear.step_memory import StepMemory
-from cosim.loop.numba_calls import call_plain, lent, record_at, table
 from cosim.loop.pin_voltages import gains_ramp, ramp_step
 from cosim.loop.state import Fault
 from cosim.types import Record
-from mech.compiled import inner, inner_inlined
+from mech.compiled import call_plain, carray, entry, inner, inner_inlined, lent, record_at
+from mech.kinds import table
 
 _COLLAPSED = Fault.STEP_COLLAPSED
 #: The shortest step is the interval over 2^_LEVELS.
@@ -96,7 +94,7 @@ class _Trial(NamedTuple):
     until: float
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _side(k: Any, joint: int, current: float) -> float:
     if current >= k.limit[joint, 1]:
         return 1.0
@@ -136,7 +134,7 @@ def _right_hand(s: Record, k: Any, b: Any) -> None:
     _limit(s, k, b)
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _limit(s: Record, k: Any, b: Any) -> None:
     """Clamp the currents at the accepted point, and compute the accelerations."""
     for j in range(s.n):
@@ -159,7 +157,7 @@ def _interval(s: Record) -> _Interval:
     return _Interval(s.t, length, finest)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _time(s: Record, interval: _Interval, position: int) -> float:
     if position == _PARTS:
         return float(s.t_event)
@@ -190,7 +188,7 @@ def _longest(s: Record, wish: float, jump: float, first: float, watch: bool) -> 
     return float(longest)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _take(
     s: Record, k: Any, b: Any, interval: _Interval, level: int, watch: bool, wish: float, until: float
 ) -> _Trial:
@@ -287,7 +285,7 @@ def _switch_contacts(s: Record, k: Any, b: Any) -> bool:
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@entry(int, int, int, int, float, result=bool)
 def _steps(state: int, plan: int, step: int, exact: int, first: float) -> bool:
     """Go on by collocation; whether the run is over. Otherwise all is linear from the event now due on."""
     s = carray(record_at(state, STATE_KIND), 1)[0]

@@ -22,14 +22,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
+from cosim.loop.state import STATE
 from cosim.types import Record
+from mech.compiled import entry, inner_spliced, vector
 
 Vector = Any
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@entry(STATE, float, vector, vector, how=inner_spliced)
 def predict(s: Record, h: float, q_out: Vector, v_out: Vector) -> None:
     """Angles and speeds [rad, rad/s] a time `h` after the last accepted point."""
     for j in range(s.coordinates):
@@ -38,7 +38,7 @@ def predict(s: Record, h: float, q_out: Vector, v_out: Vector) -> None:
         v_out[j] = s.v[j] + h * (s.a[j] + h * slope / 2)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@entry(STATE, float, vector, float, bool, result=float, how=inner_spliced)
 def correct(s: Record, h: float, a_new: Vector, weight: float, take: bool) -> float:
     """Return the defect [rad] of the step `h` with `a_new` [rad/s^2] at its end, and `take` q and v there.
 

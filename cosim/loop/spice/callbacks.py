@@ -1,4 +1,4 @@
-"""What ngspice calls while it integrates: sources, step control, accepted points - compiled on import.
+"""What ngspice calls while it integrates: sources, step control, accepted points.
 
 ngspice owns time. Per point it asks `synchronise` for the step, polls `source` for every EXTERNAL source at
 the trial time, and hands the accepted values to `accepted`, where the linkage takes its step. Sample instants
@@ -10,26 +10,22 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
-from numba import carray, cfunc, njit, types
+import numpy as np
 
 from cosim.loop.columns import write_row
 from cosim.loop.events import announce, process_events
-from cosim.loop.numba_calls import call_plain, doubles_at, name_hash, vector_value
+from cosim.loop.ngspice_data import name_hash, vector_value
 from cosim.loop.spice import friction_events, runge_kutta, stop_surfaces
 from cosim.loop.spice.coupling import advance, bound_by_pole, fill, present, shortened
 from cosim.loop.spice.watch import watch
 from cosim.loop.state import NO_VOLTAGE, STATE, Fault
 from cosim.types import Record
-from mech.compiled import inner
+from mech.compiled import PointerTo, call_plain, callback, carray, doubles_at, inner, inner_spliced
 
 _NOT_FINITE, _COLLAPSED, _CRAWLS = Fault.NOT_FINITE, Fault.STEP_COLLAPSED, Fault.CRAWLS
 _NEVER = 1e300
 #: A source's name in ngspice has a dot behind its letter where it stands inside a subcircuit; its length.
 _DOT, _LONGEST = 46, 512
-
-_record = numba.from_dtype(STATE)
-_f8, _i4, _i8, _u1 = types.float64, types.int32, types.int64, types.uint8
 
 
 @inner
@@ -51,7 +47,7 @@ def _probe_noise(s: Record, letters: Any) -> float:
     return 0.0
 
 
-@cfunc(_i4(types.CPointer(_f8), _f8, types.CPointer(_u1), _i4, types.CPointer(_record)), cache=True)
+@callback(PointerTo(np.float64), float, PointerTo(np.uint8), np.int32, PointerTo(STATE))
 def source(voltage: Any, t: float, name: Any, ident: int, user: Any) -> int:
     """GetVSRCData: sources are named v00, v01, ... in the order of `STATE.out`, probes by their path."""
     s = carray(user, 1)[0]
@@ -69,7 +65,7 @@ def source(voltage: Any, t: float, name: Any, ident: int, user: Any) -> int:
     return 0
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inner_spliced
 def _within(t: float, h: float, end: float) -> float:
     """Return the step `h` [s], cut to the end of the run where it passes it.
 
@@ -83,7 +79,7 @@ def _within(t: float, h: float, end: float) -> float:
     return h
 
 
-@cfunc(_i4(_f8, types.CPointer(_f8), _f8, _i4, _i4, _i4, types.CPointer(_record)), cache=True)
+@callback(float, PointerTo(np.float64), float, np.int32, np.int32, np.int32, PointerTo(STATE))
 def synchronise(t: float, delta: Any, old: float, redo: int, ident: int, where: int, user: Any) -> int:
     """GetSyncData: before a step (0) set its length; after one (1) have it redone where it is wrong.
 
@@ -125,7 +121,7 @@ def synchronise(t: float, delta: Any, old: float, redo: int, ident: int, where: 
     return 0
 
 
-@cfunc(_i4(types.CPointer(_i8), _i4, _i4, types.CPointer(_record)), cache=True)
+@callback(PointerTo(np.int64), np.int32, np.int32, PointerTo(STATE))
 def accepted(data: Any, count: int, ident: int, user: Any) -> int:
     """SendData: the point is final; the linkage takes its step and the row is written."""
     s = carray(user, 1)[0]

@@ -5,15 +5,13 @@ What ngspice calls is in `callbacks.py`.
 
 from __future__ import annotations
 
-from numba import njit
-
 from cosim.loop.equations_of_motion import RUNAWAY_RAD_PER_S, evaluate
 from cosim.loop.pin_voltages import component, is_gain, noise_at
 from cosim.loop.spice import friction_events, runge_kutta, stop_surfaces
 from cosim.loop.spice.adams import correct, predict
-from cosim.loop.state import Fault
+from cosim.loop.state import STATE, Fault
 from cosim.types import Record
-from mech.compiled import inner, inner_inlined
+from mech.compiled import entry, inner, inner_inlined
 from mech.kernels import solve
 from mech.shaft import engage
 
@@ -28,7 +26,7 @@ _REDONE, _SHORTER = 4.0, 0.1
 _POLE_SHARE = 0.5
 
 
-@njit(cache=True, error_model="numpy")
+@entry(STATE, float)
 def fill(s: Record, t: float) -> None:
     """Set the values of all EXTERNAL sources at the trial time `t`."""
     n = s.n
@@ -96,7 +94,7 @@ def _at_trial(s: Record, t: float) -> None:
         evaluate(s, t, s.q_trial, s.v_trial, s.a_trial)
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def present(s: Record, t: float) -> None:
     """Compute the accelerations at the accepted point `t`, with friction just behind it."""
     if not s.w.located:
@@ -105,7 +103,7 @@ def present(s: Record, t: float) -> None:
         s.history = min(s.history, 1)
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def advance(s: Record, t: float) -> None:
     """Take the linkage to the accepted time `t`, the motors' torques there being in `s.tau`."""
     h = t - s.t
@@ -147,7 +145,7 @@ def advance(s: Record, t: float) -> None:
         bound_by_pole(s)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def shortened(s: Record, h: float) -> float:
     """Return the step [s] with which the trial step `h` should be taken again; `h` where it is good.
 

@@ -11,11 +11,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from cosim.loop.equations_of_motion import evaluate
 from cosim.types import Record
-from mech.compiled import inner
+from mech.compiled import inner, inner_inlined
 from mech.records import NMAX
 from mech.stiction import bounds, settle
 
@@ -28,7 +27,7 @@ _BEYOND = 1e-9
 _APPROACH, _CLOSE = 0.98, 0.05
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _rests(s: Record, j: int) -> float:
     """Time [s] after the last accepted point at which a slipping joint comes to rest, along the predictor."""
     jerk = (s.a[j] - s.a_old[j]) / s.h_old if s.history > 1 else 0.0
@@ -46,7 +45,7 @@ def _rests(s: Record, j: int) -> float:
     return float(min(one, other))
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _starts(s: Record, j: int) -> float:
     """Time [s] after the last accepted point at which a held joint starts, along its torque's last slope."""
     if s.history < 2:
@@ -59,7 +58,7 @@ def _starts(s: Record, j: int) -> float:
     return float((room + _BEYOND * s.p.coulomb[j]) / abs(slope))
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def edge(s: Record, h: float) -> float:
     """Step [s], at most `h`, that ends at or shortly before the next instant at which friction changes."""
     for j in range(s.n):
@@ -82,7 +81,7 @@ def _overcome(s: Record) -> bool:
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def trial(s: Record, t: float) -> None:
     """Find the accelerations at the trial point, where held joints start within the step if they must.
 
@@ -107,7 +106,7 @@ def trial(s: Record, t: float) -> None:
     w.holding = holding
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def meet(s: Record, t: float) -> bool:
     """Find the accelerations just behind the accepted point; whether friction has changed there."""
     changed = False

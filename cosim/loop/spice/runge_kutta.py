@@ -17,10 +17,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from cosim.loop.state import STATE
 from cosim.types import Record
-from mech.compiled import inner
+from mech.compiled import entry, inner, vector
 from mech.kernels import dynamics, solve
 from mech.records import NMAX
 from mech.shaft import EDGE_RAD, margin
@@ -54,7 +54,7 @@ def _torque(s: Record, x: float, h: float, known: bool, tau: Vector) -> None:
             tau[j] = last + x * h * (right - bend * h * (1.0 - x))
 
 
-@njit(cache=True, error_model="numpy")
+@entry(STATE, float, bool, vector, vector, vector)
 def step(s: Record, h: float, known: bool, q_out: Vector, v_out: Vector, work: Vector) -> None:
     """Take the linkage over the step `h` [s] into `q_out`, `v_out` [rad, rad/s].
 
@@ -100,7 +100,7 @@ def step(s: Record, h: float, known: bool, q_out: Vector, v_out: Vector, work: V
                 work[5] -= share * s.w.tau_loss[j] * (v[motor + j] - v[j])
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def advance(s: Record, h: float) -> float:
     """Take q, v and the works over the step `h` [s], the torques at its end being in `s.tau`.
 
@@ -130,7 +130,7 @@ def extrapolate(s: Record, h: float, q_out: Vector, v_out: Vector) -> None:
     step(s, h, False, q_out, v_out, np.zeros(6))
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def longest(s: Record) -> float:
     """Longest step [s] that resolves the shafts at the pose in `s.w`.
 
@@ -151,7 +151,7 @@ def longest(s: Record) -> float:
     return float(min(h, DECAY_SHARE / decays) if decays > 0.0 else h)
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def edge(s: Record, h: float) -> float:
     """Step [s], at most `h`, that ends at or shortly before the next change of a flank."""
     if s.p.backlash_on == 0:

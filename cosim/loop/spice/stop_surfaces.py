@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from cosim.types import Record
+from mech.compiled import inner, inner_inlined
 
 #: A step that crosses ends this far [rad] behind the surface: that tells the side, and no tolerance sees it.
 _BEHIND_RAD = 1e-11
@@ -21,7 +20,7 @@ _APPROACH, _CLOSE = 0.98, 0.05
 _LOOKS, _HALVINGS = 8, 50
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def inside(s: Record) -> int:
     """Return a number that encodes which joints are in which of their stops."""
     code = 0
@@ -30,12 +29,12 @@ def inside(s: Record) -> int:
     return code
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inner_inlined
 def _moved(s: Record, j: int, jerk: float, t: float) -> float:
     return float(t * (s.v[j] + t * (s.a[j] / 2 + t * jerk / 6)))
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def edge(s: Record, h: float) -> float:
     """Step [s], at most `h`, that ends at or shortly before the next crossing of a stop's surface."""
     if s.p.rigid != 0:

@@ -12,11 +12,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from cosim.circuits.decks import AT_LIMIT, AT_SUPPLY, MOST_NODES, REST_RAD_PER_S, SUPPLY_V, Drive
 from cosim.errors import CosimError
 from cosim.ngspice.simulator import Simulator
+from mech.compiled import inner
 
 __all__ = ["begin", "hung", "operating_point", "watch"]
 
@@ -33,7 +33,7 @@ def begin(state: np.void, nodes: Sequence[str], limits: Mapping[str, float], per
     state["hang"]["wait"], state["hang"]["quiet"] = max(period_s, _WAIT_S), _QUIET * period_s
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def watch(s: Any, i: int, value: float, t: float) -> None:
     """Note the pins at the first moment at which output `i` has hung long enough; called at every point."""
     moving = False

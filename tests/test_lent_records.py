@@ -1,14 +1,13 @@
-"""Records that are lent to compiled code: numba's type of a named tuple, whatever form numpy's alias has."""
+"""Named tuples that are lent to compiled code: their fields, whatever form numpy's alias has."""
 
 import types
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import pytest
-from numba import types as numba_types
 from numpy.typing import NDArray
 
-from cosim.loop.numba_calls import kind_of, table
+from mech.kinds import ArrayOf, fields_of, table
 
 # What `NDArray[x]` is: expanded (numpy up to 2.4, and any numpy on Python 3.11), or an alias of the language
 EXPANDED: Any = lambda element: np.ndarray[tuple[Any, ...], np.dtype[element]]  # noqa: E731
@@ -23,15 +22,13 @@ def test_the_element_of_an_array_is_found_in_every_form_of_numpys_alias(
     form: Any, element: Any, dimensions: int
 ) -> None:
     record = NamedTuple("record", [("count", int), ("data", Annotated[form(element), dimensions])])  # noqa: UP014
-    count, data = kind_of(record).types
-    assert count == numba_types.int64
-    assert data == numba_types.Array(getattr(numba_types, np.dtype(element).name), dimensions, "C")
+    assert fields_of(record) == (int, ArrayOf(element, dimensions))
 
 
 def test_an_array_of_nothing_is_refused() -> None:
     record = NamedTuple("record", [("data", Annotated[list[str], 1])])  # noqa: UP014
     with pytest.raises(TypeError, match="names no element"):
-        kind_of(record)
+        fields_of(record)
 
 
 def test_a_table_has_numbers_addresses_and_lengths_in_order() -> None:

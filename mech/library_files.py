@@ -1,0 +1,262 @@
+"""Files of compiled code: named after what they are made from, checked, and built where they are missing.
+
+A package's compiled functions are one file of object code. Its name tells the content of all sources that
+went into it and the processor that it was made for: it cannot be stale, and serves wherever the same
+sources are installed. It is believed where its check sum holds. Building takes half a minute and happens in
+a process of its own (`mech.build`), the only one that imports numba.
+"""
+
+from __future__ import annotations
+
+import atexit
+import functools
+import hashlib
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+__all__ = [
+    "BUILDS_NONE",
+    "FOLDER",
+    "PACKAGES",
+    "closure",
+    "file_of",
+    "folder",
+    "is_built",
+    "modules_of",
+    "pack",
+    "ready",
+    "sources",
+    "stamp",
+    "unpack",
+]
+
+ROOT = Path(__file__).resolve().parent.parent
+#: Names the folder of the libraries, in the environment of a process that builds none.
+FOLDER = "COSIM_LIBRARIES"
+#: Packages with compiled functions.
+PACKAGES = ("mech", "cosim.loop", "cosim.loop.linear", "cosim.loop.spice")
+#: Set in processes that build no libraries: they could not keep one.
+BUILDS_NONE = "COSIM_BUILDS_NONE"
+#: Folders whose modules' imports are followed: of what lies elsewhere compiled functions use constants
+#: at most.
+_FOLLOWED = ("mech", "cosim.loop")
+_OFFERS = re.compile(r"^@(?:entry|callback)\(", re.M)
+_IMPORT = re.compile(
+    r"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)|import[ \t]+([^\n]*))", re.M
+)
+_SUM = hashlib.sha256
+_HEAD = b"cosim library 1\n"
+#: More bytes than a library has; time between looks at those who build [s].
+_LARGEST, _LOOK_S = 1 << 20, 0.02
+
+
+def folder() -> Path:
+    """Return the folder of the libraries, which need not exist.
+
+    The variable `FOLDER` names it, or ``XDG_CACHE_HOME`` its parent.
+    """
+    chosen = os.environ.get(FOLDER)
+    if chosen:
+        return Path(chosen)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "cosim" / "code"
+
+
+def file_of(package: str) -> Path:
+    """Return the file of a package's library."""
+    return folder() / f"{package}-{stamp(package)}.library"
+
+
+@functools.cache
+def stamp(package: str) -> str:
+    """Return what tells the sources of a package's library and the processor."""
+    digest = _SUM(_processor())
+    for name in sorted(closure(modules_of(package))):
+        digest.update(name.encode() + b"\0" + sources()[name] + b"\0")
+    return digest.hexdigest()[:16]
+
+
+@functools.cache
+def modules_of(package: str) -> tuple[str, ...]:
+    """Return the modules of a package that offer compiled functions."""
+    paths = sorted((ROOT / package.replace(".", "/")).glob("*.py"))
+    return tuple(f"{package}.{path.stem}" for path in paths if _OFFERS.search(path.read_text("utf-8")))
+
+
+def is_built() -> bool:
+    """Return whether all libraries are there."""
+    return all(file_of(package).is_file() for package in _packages())
+
+
+@functools.cache
+def _packages() -> tuple[str, ...]:
+    """Return the packages that are installed: the mechanics serve alone, too."""
+    return tuple(each for each in PACKAGES if (ROOT / each.replace(".", "/")).is_dir())
+
+
+def pack(code: bytes) -> bytes:
+    """Return a library's file."""
+    return _HEAD + _SUM(code).digest() + code
+
+
+def unpack(file: Path) -> bytes | None:
+    """Return the object code of a file, or None where it is missing or damaged."""
+    try:
+        content = file.read_bytes()
+    except OSError:
+        return None
+    code = content[len(_HEAD) + _SUM().digest_size :]
+    return code if content == pack(code) else None
+
+
+def closure(modules: Sequence[str]) -> set[str]:
+    """Return modules with all that they import of ours, directly or, within `_FOLLOWED`, not."""
+    reached, waiting = set[str](), list(modules)
+    while waiting:
+        name = waiting.pop()
+        if name in reached or name not in sources():
+            continue
+        reached.add(name)
+        if name.startswith(_FOLLOWED):
+            waiting += _imports(name)
+    return reached
+
+
+class _Sources(dict[str, bytes]):
+    """Sources of our modules by name, read when they are asked for."""
+
+    def __contains__(self, name: object) -> bool:
+        return self.get(str(name)) is not None
+
+    def get(self, name: str, default: Any = None) -> Any:
+        if not super().__contains__(name):
+            self[name] = self._read(name)
+        return super().__getitem__(name)
+
+    def __getitem__(self, name: str) -> bytes:
+        return bytes(self.get(name))
+
+    @staticmethod
+    def _read(name: str) -> Any:
+        if name.partition(".")[0] not in ("mech", "cosim"):
+            return None
+        place = ROOT / name.replace(".", "/")
+        for path in (place.with_suffix(".py"), place / "__init__.py"):
+            if path.is_file():
+                return path.read_bytes()
+        return None
+
+
+@functools.cache
+def sources() -> Any:
+    """Return the sources of our modules by name."""
+    return _Sources()
+
+
+@functools.cache
+def _imports(module: str) -> tuple[str, ...]:
+    """Return names that a module imports; those that are no modules of ours do no harm."""
+    names: list[str] = []
+    for package, listed, plain in _IMPORT.findall(sources()[module].decode()):
+        words = re.findall(r"[\w.]+", listed or plain)
+        names += [package, *(f"{package}.{word}" for word in words)] if package else words
+    return tuple(names)
+
+
+@functools.cache
+def _processor() -> bytes:
+    """Return what tells processors apart that need different code, and the loader's version."""
+    import llvmlite
+
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as stream:
+            first = stream.read(8192).partition("\n\n")[0].splitlines()
+    except OSError:
+        first = [platform.processor()]
+    told = ("model name", "flags", "Features", "CPU implementer", "CPU part")
+    lines = [line for line in first if line.startswith(told)] or first
+    return "\n".join([platform.machine(), llvmlite.__version__, *lines]).encode()
+
+
+def ready(tell: Callable[[str, float], None] | None = None) -> None:
+    """Build the libraries that are missing or damaged, all at once.
+
+    Parameters
+    ----------
+    tell
+        Called with a package and the seconds that it took.
+
+    Raises
+    ------
+    RuntimeError
+        When one cannot be built.
+    """
+    missing = [package for package in _packages() if unpack(file_of(package)) is None]
+    if not missing:
+        return
+    if BUILDS_NONE in os.environ:
+        names = ", ".join(str(file_of(package)) for package in missing)
+        raise RuntimeError(f"compiled code is missing, and this process builds none: {names}")
+    _see_to_folder()
+    begun, waiting = time.perf_counter(), {package: _Builder(package) for package in missing}
+    try:
+        while waiting:
+            for package, builder in list(waiting.items()):
+                if builder.process.poll() is None:
+                    continue
+                if unpack(file_of(package)) is None:
+                    words = builder.last_words()
+                    raise RuntimeError(f"the compiled code of {package} cannot be built: {words}")
+                waiting.pop(package).end()
+                if tell is not None:
+                    tell(package, time.perf_counter() - begun)
+            time.sleep(_LOOK_S)
+    finally:
+        for builder in waiting.values():
+            builder.end()
+
+
+class _Builder:
+    """The process that builds a package's library."""
+
+    def __init__(self, package: str) -> None:
+        self._words = tempfile.TemporaryFile()
+        # sources and packages lie where this process finds them
+        path = os.pathsep.join([str(ROOT), *(os.path.abspath(each) for each in sys.path if each)])
+        self.process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "mech.build", package, str(file_of(package)), *modules_of(package)],
+            env={**os.environ, "COSIM_BUILDS_LIBRARIES": "1", "PYTHONPATH": path},
+            stdin=subprocess.DEVNULL, stdout=self._words, stderr=self._words,
+        )  # fmt: skip
+
+    def end(self) -> None:
+        """End it, where it runs."""
+        self.process.kill()
+        self.process.wait()
+        self._words.close()
+
+    def last_words(self) -> str:
+        """Return why it failed."""
+        self._words.seek(0)
+        lines = self._words.read().decode(errors="replace").strip().splitlines()
+        return lines[-1] if lines else f"it ended with {self.process.returncode}"
+
+
+def _see_to_folder() -> None:
+    """Make the folder; where nothing can be written, take one for this process and its children alone."""
+    try:
+        folder().mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder()) as stream:
+            stream.write(bytes(_LARGEST))
+    except OSError:
+        place = tempfile.mkdtemp(prefix="cosim-code-")
+        atexit.register(shutil.rmtree, place, ignore_errors=True)
+        os.environ[FOLDER] = place
