@@ -170,8 +170,8 @@ def _until_up(address: str) -> None:
     from importlib import import_module
 
     distributed = import_module("distributed")
-    with distributed.Client(address, timeout=90) as client:
-        client.wait_for_workers(1, timeout=90)
+    with distributed.Client(address, timeout=_LIMIT_S) as client:
+        client.wait_for_workers(1, timeout=_LIMIT_S)
 
 
 def _start(words: list[str], out: Path, folder: Path) -> subprocess.Popen[bytes]:
