@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.figure import Figure, figure
 from benchmarks.rig import ROOT
-from cosim.tolerance.engine import Job, run
+from cosim.tolerance.engine import Job, Processes, run
 from cosim.tolerance.intervals import clopper_pearson
 from cosim.tolerance.model_levels import Levels
 from cosim.tolerance.preparation import Asked, Prepared, prepare
@@ -27,8 +27,9 @@ _SCENES = {
     "drop": (("duration_s=0.3",), "max_penetration"),
     "slope": (("duration_s=0.3",), "peak_force"),
 }
-#: Dear samples of a study of two models, and of one of its yield.
-_DEAR, _DEAR_OF_A_YIELD = 48, 64
+#: Dear samples of a study of two models, and of one of its yield: the bound of no failure among devices that
+#: nobody expects to fail, 2/n, is half of the interval that is wanted.
+_DEAR, _DEAR_OF_A_YIELD = 48, 8000
 #: Half the interval of a yield that plain samples are held against, and the failure rate.
 _HALF, _RATE = 0.0004, 0.01
 _CHUNKS, _SAMPLES_OF_ENGINE = 5, 60
@@ -93,6 +94,16 @@ def two_levels(scene: str) -> Callable[[int], list[Figure]]:
 
 
 def yields(repetitions: int) -> list[Figure]:
+    """Return `yield_of` with as many dear samples as the target's interval takes: some minutes."""
+    return yield_of(_DEAR_OF_A_YIELD)
+
+
+def _shown(at: int, of: int, what: str) -> None:
+    if at == of or at % 500 == 0:
+        print(f"  {what}: {at} of {of}", flush=True)
+
+
+def yield_of(n: int) -> list[Figure]:
     """Seconds of a yield by strata at a failure rate of 1 %, over those of plain samples as close.
 
     The limit is where 1 % of the devices fail on the cheap model, by 2,048 of them. The interval is the one
@@ -104,24 +115,38 @@ def yields(repetitions: int) -> list[Figure]:
     with first.batch((measure,), "linear") as batch:  # its process keeps what it has measured
         table = batch.measures(first.tolerances.values(draws.uniforms(0, draws.n)))
     limit = float(np.nanquantile(table[:, 0], 1.0 - _RATE))
-    prepared = _prepared(scene, _DEAR_OF_A_YIELD, (Spec(measure, high=limit),))
-    levels = _levels(prepared)
+    prepared = _prepared(scene, n, (Spec(measure, high=limit),))
+    with tempfile.TemporaryDirectory(prefix="cosim-bench-") as name:
+        levels = monte_carlo(prepared, _shown, Processes(Path(name) / "mc")).levels
+    assert levels is not None
     (share,) = levels.yields.values()
     dear, cheap = levels.seconds
-    dears = _DEAR_OF_A_YIELD + levels.extra
-    cheaps = max(each.cheap for each in levels.moments.values())
-    spent = dears * (dear + cheap) + cheaps * cheap
+    dears = n + levels.extra
+    # those on both models, the pilot's twice, and the cheap model's own
+    cheaps = max(each.cheap + min(each.dear + 64, n) for each in levels.moments.values())
+    cheaps += 0 if share.by.startswith("a plane") else _looked_through(levels, n)
+    spent = dears * dear + cheaps * cheap
     half = share.failing.half
     plain = _plain_devices(half)
     details = {
         "half_width": half,
         "failing": share.failing.value,
         "samples": (dears, cheaps),
+        "by": share.by,
+        "weights": share.weights,
+        "counted": share.counted,
+        "failed": share.failed,
         "cost_ratio": cheap / dear,
         "plain_samples": plain,
         "target_holds_for": f"a half width of {_HALF:g}",
     }
     return [figure("yield_vs_plain", [spent / (plain * dear)], details=details)]
+
+
+def _looked_through(levels: Levels, n: int) -> int:
+    """Return how many devices the cheap model was asked for the border, at most."""
+    dear, cheap = levels.seconds
+    return n + levels.extra + min(1 << 18, int(n * dear / cheap))
 
 
 def _plain_devices(half: float) -> int:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
 from cosim.catalogue import UNITS
@@ -180,7 +181,8 @@ def _distribution(findings: "Findings", name: str, column: Array) -> Drawn:
     legend(bars, columns=3)
     ordered = np.sort(column)
     at = stats.norm.ppf((np.arange(1, len(ordered) + 1) - 0.375) / (len(ordered) + 0.25))
-    normal.plot(at, ordered, ".", color=FORCE, markersize=3.0, rasterized=True, label="samples")
+    some = _some(len(ordered), ends=True)
+    normal.plot(at[some], ordered[some], ".", color=FORCE, markersize=3.0, rasterized=True, label="samples")
     ends = np.array([at[0], at[-1]])
     normal.plot(
         ends,
@@ -196,6 +198,15 @@ def _distribution(findings: "Findings", name: str, column: Array) -> Drawn:
         "ends are heavier or cut tails."
     )
     return Drawn(drawing, caption)
+
+
+def _some(n: int, *, ends: bool = False) -> NDArray[np.int64]:
+    """Return the places of the points of n that a figure shows: all, or evenly spread ones, and the ends."""
+    if n <= _POINTS:
+        return np.arange(n)
+    spread = np.linspace(0, n - 1, _POINTS).astype(np.int64)
+    few = np.arange(_POINTS // 8)
+    return np.unique(np.concatenate([spread, few, n - 1 - few])) if ends else spread
 
 
 def _limits(findings: "Findings", name: str, line: object) -> None:
@@ -214,7 +225,8 @@ def _estimates(findings: "Findings", name: str, column: Array) -> Drawn:
     mean = np.cumsum(column) / n
     square = np.cumsum((column - column[0]) ** 2) / n - (mean - column[0]) ** 2
     half = 1.96 * np.sqrt(np.maximum(square, 0.0) / n)
-    shown = n >= min(10, len(column))
+    shown = _some(len(column))
+    shown = shown[n[shown] >= min(10, len(column))]
     axes.plot(n[shown], mean[shown], color=FORCE, label="running mean")
     axes.fill_between(
         n[shown], (mean - half)[shown], (mean + half)[shown], color=FORCE, alpha=0.2, linewidth=0
@@ -252,15 +264,13 @@ def _tornado(findings: "Findings", name: str) -> Drawn:
 
 
 def _scatter(findings: "Findings", name: str) -> Drawn:
-    study, surface = findings.study, findings.surfaces[name]
+    study, surface = findings.study.thinned(_POINTS), findings.surfaces[name]
     z = deviations(study.tolerances, study.uniforms())
     order = np.argsort(-np.abs(surface.linear))[:3]
     drawing, grid = figure(2.9, columns=len(order), sharey=True)
     column = study.column(name)
     for axes, j in zip(grid[0], order, strict=True):
-        axes.plot(
-            z[:_POINTS, j], column[:_POINTS], ".", color=FORCE, markersize=2.5, alpha=0.6, rasterized=True
-        )
+        axes.plot(z[:, j], column, ".", color=FORCE, markersize=2.5, alpha=0.6, rasterized=True)
         ends = np.array([z[:, j].min(), z[:, j].max()])
         axes.plot(ends, surface.mean + surface.linear[j] * ends, color=JOINTS[1])
         axes.set_xlabel(f"{surface.names[j]} [sd]")

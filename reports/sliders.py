@@ -9,6 +9,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy import stats
 
 from cosim.catalogue import UNITS
 from cosim.tolerance.intervals import clopper_pearson
@@ -35,7 +36,8 @@ def sliders_page(findings: "Findings") -> str:
 
 
 def _data(findings: "Findings") -> dict[str, Any]:
-    study, surfaces = findings.study, findings.surfaces
+    # of each randomisation as many: their intervals are those of the study
+    study, surfaces = findings.study.thinned(_SAMPLES), findings.surfaces
     known = np.flatnonzero(np.isfinite(study.results).all(axis=1))[:_SAMPLES]
     weight = np.zeros(len(study.tolerances.variables))
     for surface in surfaces.values():
@@ -67,23 +69,26 @@ def _data(findings: "Findings") -> dict[str, Any]:
         }
         for name, s in surfaces.items()
     ]  # fmt: skip
-    every = [spec for spec in findings.specs if spec.measure in surfaces]
-    passing = [spec.passed(study.column(spec.measure)[known]) for spec in every]
     specs = [
         {
-            "measure": spec.measure, "text": spec.text, "designed": float(np.mean(good)),
+            "measure": spec.measure, "text": spec.text,
             "low": max(spec.low, -1e300), "high": min(spec.high, 1e300),
         }
-        for spec, good in zip(every, passing, strict=True)
+        for spec in findings.specs if spec.measure in surfaces
     ]  # fmt: skip
+    how = study.sampling
+    interval = "Clopper and Pearson, for so many independent devices"
+    if how.replicates > 1:
+        interval = f"Student t over {how.replicates} randomisations"
     note = (
         f"{len(known)} devices, model {study.model}. The error is the standard deviation of what a surface "
         "leaves unexplained; far from the design, where no device was, it says nothing. Intervals of a "
-        "yield: 95 %, Clopper and Pearson, for so many independent devices."
+        f"yield: 95 %, {interval}."
     )
     return {
         "sliders": sliders, "surfaces": shown, "specs": specs, "note": note,
-        "designed": float(np.mean(np.all(passing, axis=0))) if passing else 1.0,
+        "groups": (known // how.each).tolist() if how.replicates > 1 else [],
+        "replicates": how.replicates, "t": float(stats.t.ppf(0.975, max(how.replicates - 1, 1))),
         "bounds": [
             [float(f"{v:.5g}") for v in clopper_pearson(k, len(known))] for k in range(len(known) + 1)
         ],

@@ -74,9 +74,15 @@ def two_models(levels: "Levels") -> Section:
             ]
             for text, each in levels.yields.items()
         ]  # fmt: skip
-        head = ["specification", "yield", *(f"{levels.cheap} {name}" for name in STRATA), "correlation"]
+        head = [
+            "specification",
+            "yield",
+            *(f"stratum that {name}" if name != "border" else "border" for name in STRATA),
+            "correlation",
+        ]
+        by = " and ".join(dict.fromkeys(each.by for each in levels.yields.values()))
         note = (
-            f"Strata by what {levels.cheap} says: their weight, and how many of their samples on "
+            f"Strata by what {by} says: their weight, and how many of their samples on "
             f"{levels.dear} failed. The interval holds each stratum's exact bound and the weights' error."
         )
         tables.append(Table("Yield by strata", head, rows, note))

@@ -55,6 +55,24 @@ def test_a_moved_resistor_moves_measure_and_yield(tmp_path: Path) -> None:
     assert (tmp_path / "sliders.png").stat().st_size > 0
 
 
+@pytest.mark.browser
+def test_sliders_of_randomisations_tell_the_interval_of_the_study(tmp_path: Path) -> None:
+    """Student's t over 16 randomisations, not the exact one of independent devices."""
+    result = measured(formulas(256, method="lhs", limit=1.0))
+    page = tmp_path / SLIDERS
+    page.write_text(sliders_page(result), encoding="utf-8")
+    (wanted,) = result.yields.values()
+    assert "Student t" in wanted.how
+    with Browser(900, 800) as browser:
+        visit = browser.visit(page)
+        assert not visit.complaints
+        shown = browser.evaluate("document.querySelector('#yields td:nth-child(3)').textContent")
+        words = shown.replace("(", "").replace(")", "").split()
+        told = [float(words[k]) / 100.0 for k in (0, 2, 4)]
+        assert told == pytest.approx([wanted.value, wanted.low, wanted.high], rel=2e-4)
+        assert "16 randomisations" in browser.evaluate("document.getElementById('note').textContent")
+
+
 def test_without_a_fitted_surface_no_page_links_to_sliders(tmp_path: Path) -> None:
     few = measured(formulas(8))  # fewer samples than random variables ask for
     assert few.bill

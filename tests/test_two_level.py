@@ -134,6 +134,32 @@ def test_a_plane_that_fits_badly_is_left_aside_or_does_no_harm():
         assert abs(np.mean(values) - exact) < 4.0 * np.std(values) / math.sqrt(40)
 
 
+def saturated(u):
+    """The linear model, which saturates at 1.2 standard deviations above its middle."""
+    return np.minimum(linear(u), 100.0 + 1.2 * math.sqrt((SLOPE**2).sum()))
+
+
+def test_a_measure_that_saturates_on_the_dear_model_is_unbiased_and_its_gain_is_told():
+    """Mean of min(z, c): c Phi(-c) - phi(c); of its square: Phi(c) - c phi(c) + c^2 Phi(-c)."""
+    c, sigma = 1.2, math.sqrt((SLOPE**2).sum())
+    first = c * stats.norm.sf(c) - stats.norm.pdf(c)
+    second = stats.norm.cdf(c) - c * stats.norm.pdf(c) + c**2 * stats.norm.sf(c)
+    mean, spread = 100.0 + sigma * first, sigma * math.sqrt(second - first**2)
+    rows = [
+        moments(linear, saturated, D, dear_samples=64, seed=seed, cost_ratio=0.01, deviations=normal)
+        for seed in range(100)
+    ]
+    for name, exact in (("mean", mean), ("spread", spread)):
+        values = np.array([getattr(f, name) for f in rows])
+        assert abs(values.mean() - exact) < 4.0 * values.std() / math.sqrt(100) + 2e-3 * sigma
+        inside = sum(getattr(f, f"{name}_low") <= exact <= getattr(f, f"{name}_high") for f in rows)
+        # 95 % of 100 less three times a binomial's own scatter
+        assert inside >= 88, name
+    # what saturates is lost to the cheap model, and the pilot says how much
+    assert 0.8 < np.median([f.pilot.correlation for f in rows]) < 0.99
+    assert 0.05 < np.median([f.pilot.gain() for f in rows]) < 0.5
+
+
 def test_a_cheap_model_that_says_nothing_is_left_aside_with_a_word():
     result = moments(lambda u: normal(u)[:, 5], lambda u: normal(u)[:, 0], D, dear_samples=400, seed=1,
                     cost_ratio=0.01)  # fmt: skip

@@ -29,11 +29,11 @@ def disk_errors(path: str | os.PathLike[str]) -> Iterator[None]:
 
 
 @contextmanager
-def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_file(path: str | os.PathLike[str], *, tidy: bool = True) -> Iterator[Path]:
     """Yield a temporary file beside `path` that replaces it at the end of the block.
 
     A failure, a full disk or a kill leaves an earlier file as it was; what killed processes of this machine
-    left beside it is removed.
+    left beside it is removed, unless `tidy` says that somebody else does so: that looks at the whole folder.
 
     Raises
     ------
@@ -44,7 +44,8 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     with disk_errors(path):
         if os.path.exists(target) and not os.path.isfile(target):
             fail("is not a regular file", file=os.fspath(path))
-        _sweep(target)
+        if tidy:
+            _sweep(target)
         handle, name = tempfile.mkstemp(prefix=_prefix(target), suffix=target.suffix, dir=target.parent)
         os.close(handle)
         temporary = Path(name)
@@ -127,6 +128,12 @@ def make_scratch(purpose: str) -> Path:
     with disk_errors(f"{place} (the folder for temporary files, TMPDIR)"):
         _sweep_killed(place, r"cosim-[a-z]+\.")
         return Path(tempfile.mkdtemp(prefix=f"cosim-{purpose}.{_label()}-{os.getpid()}.", dir=place))
+
+
+def sweep_folder(folder: str | os.PathLike[str]) -> None:
+    """Remove the temporary files that killed processes of this machine left in a folder, whatever for."""
+    with disk_errors(folder):
+        _sweep_killed(Path(folder), r"\..+\.", r"\.[a-z]+")
 
 
 def _sweep(target: Path) -> None:

@@ -21,7 +21,17 @@ from cosim.tolerance.intervals import CONFIDENCE, Estimate, clopper_pearson
 from cosim.tolerance.spec import Spec
 from cosim.types import Array
 
-__all__ = ["BORDER", "STRATA", "Border", "allocation", "failure_rate", "learned", "replicate_weights"]
+__all__ = [
+    "BORDER",
+    "FAILS",
+    "PASSES",
+    "STRATA",
+    "Border",
+    "allocation",
+    "failure_rate",
+    "learned",
+    "replicate_weights",
+]
 
 #: Names of the strata, by what the cheap model says.
 STRATA = ("fails", "border", "passes")

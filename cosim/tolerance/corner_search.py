@@ -16,6 +16,8 @@ __all__ = ["Corner", "corner"]
 
 #: Worst samples from which the search begins, too.
 _STARTS = 3
+#: Samples that are looked at together.
+_TOGETHER = 1 << 15
 
 
 @dataclass(frozen=True)
@@ -57,9 +59,9 @@ def corner(study: Study, name: str, cheap: Measurer, own: Measurer | None = None
         Measures it on the study's model, if that is another one: the corners are measured again there.
     """
     tolerances = study.tolerances
-    points, within = _in_box(study)
+    within = _within(study)
     column = np.where(within, study.column(name), np.nan)
-    starts = [points[k] for k, _ in worst(study, name, 40) if within[k]][:_STARTS]
+    starts = [_in_box(study, k, 1)[0] for k, _ in worst(study, name, 40) if within[k]][:_STARTS]
 
     def measure(at: Array) -> Array:
         return cheap.measures(tolerances.in_box(at))[:, 0]
@@ -74,19 +76,28 @@ def corner(study: Study, name: str, cheap: Measurer, own: Measurer | None = None
             k = int(pick(column))
             beyond = column[k] < values[0] if side == 0 else column[k] > values[1]
             if beyond or not np.isfinite(values[side]):
-                values[side], ends[side] = float(column[k]), points[k]
+                values[side], ends[side] = float(column[k]), _in_box(study, k, 1)[0]
     there = tolerances.in_box(ends)
     low, high = (dict(zip(tolerances.keys, map(float, row), strict=True)) for row in there)
     return Corner(values[0], values[1], low, high, most.evaluations, int(np.sum(~within)))
 
 
-def _in_box(study: Study) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the samples as points of the box, and which of them lie inside."""
-    uniforms = study.uniforms()
+def _within(study: Study) -> NDArray[np.bool_]:
+    """Return which samples lie inside the box (n,)."""
+    inside = np.empty(study.sampling.n, dtype=bool)
+    for first in range(0, study.sampling.n, _TOGETHER):
+        points = _in_box(study, first, min(_TOGETHER, study.sampling.n - first))
+        inside[first : first + len(points)] = (np.abs(points) <= 1.0 + 1e-9).all(axis=1)
+    return inside
+
+
+def _in_box(study: Study, first: int, count: int) -> Array:
+    """Return samples as points of the box (count, variables)."""
+    uniforms = study.sampling.uniforms(first, count)
     points = np.empty_like(uniforms)
     for j in range(uniforms.shape[1]):
         shape = study.tolerances.shape(j)
         deviation = shape.inverse(uniforms[:, j])
         low, high = shape.box
         points[:, j] = np.where(deviation < 0.0, -deviation / (low or -np.inf), deviation / (high or np.inf))
-    return points, np.asarray((np.abs(points) <= 1.0 + 1e-9).all(axis=1))
+    return points

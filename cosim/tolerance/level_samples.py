@@ -34,6 +34,8 @@ CHEAPER = {"spice": "linear", "linear": "ideal"}
 _TIMED, _WARM = (4, 24), 4
 #: Cheap samples of one randomisation, at most; in all they never cost more than the dear ones.
 _MOST_CHEAP = 1 << 16
+#: ... and beside planes, which leave them little to tell, this share of the dear ones' cost.
+_BESIDE_PLANES = 0.1
 
 
 @dataclass(frozen=True)
@@ -162,10 +164,12 @@ class LevelSamples:
         planes = {name: fit_plane(z, table[name]) for name in self.names}
         return {name: plane for name, plane in planes.items() if plane is not None}
 
-    def cube(self, pilots: Mapping[str, Pilot | str], first: int, beside: int = 0) -> Sampling:
+    def cube(
+        self, pilots: Mapping[str, Pilot | str], first: int, beside: int = 0, *, weighs: bool = True
+    ) -> Sampling:
         """Return the cheap level's points: as many as the most demanding estimate wants, within its cost.
 
-        `beside` are cheap samples that are spent already.
+        `beside` are cheap samples that are spent already; `weighs` says that strata are weighed by these.
         """
         dear = self.study.sampling.n - first
         paying = _paying(pilots)
@@ -173,8 +177,9 @@ class LevelSamples:
         if not paying:
             return sampling("sobol", 0, count, seed + 1)
         each = max(cheap_samples(pilot, dear) for pilot in paying)
-        most = int((self.study.sampling.n / paying[0].cost_ratio - beside) / REPLICATES)
-        if self.prepared.asked.specs:
+        within = _BESIDE_PLANES if beside else 1.0
+        most = int((within * self.study.sampling.n / paying[0].cost_ratio - beside) / REPLICATES)
+        if self.prepared.asked.specs and weighs:
             each = _MOST_CHEAP
         each = max(min(each, most, _MOST_CHEAP), 16)
         return sampling("sobol", (1 << (each.bit_length() - 1)) * REPLICATES, count, seed + 1)
@@ -184,7 +189,7 @@ class LevelSamples:
         plane: tuple[Plane, Array] | None = None,
     ) -> TwoLevel:  # fmt: skip
         """Return mean and standard deviation of a measure; `plane` comes with what it is at `values`."""
-        high = self.study.column(name)[first:]
+        high = self.study.column(name)[first : len(same)]
         if isinstance(pilot, str):
             known = high[np.isfinite(high)]
             none = Pilot(0.0, 0.0, 0.0, 0.0, float(known.mean()) if len(known) else 0.0, 0.0, 1.0)

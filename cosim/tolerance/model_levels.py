@@ -16,14 +16,15 @@ from typing import Any
 import numpy as np
 
 from cosim.errors import InputError, Problem
-from cosim.tolerance.border_strata import STRATA, learned
+from cosim.tolerance.border_strata import STRATA, Border, learned
 from cosim.tolerance.engine import Processes
 from cosim.tolerance.level_samples import LevelSamples, cheaper
 from cosim.tolerance.monte_carlo import Study
 from cosim.tolerance.plane import Plane
+from cosim.tolerance.plane_samples import PlaneSamples
 from cosim.tolerance.preparation import Prepared
 from cosim.tolerance.sensitivity import deviations
-from cosim.tolerance.strata_yields import Stratified, yields_by_strata
+from cosim.tolerance.strata_yields import Stratified, expected_halves, yields_by_strata
 from cosim.tolerance.two_level import TwoLevel
 from cosim.tolerance.unit_cube import Sampling
 from cosim.types import Array, Progress
@@ -34,6 +35,11 @@ __all__ = ["LEAST_DEAR", "Levels", "check", "two_levels"]
 #: Dear samples that a study of two models needs.
 LEAST_DEAR = 32
 _PILOT = 32
+#: Planes sort the devices where their border costs less than this much of an interval without a border: the
+#: cheap model's own, narrower one takes as many seconds as the dear samples.
+_WORTH = 1.5
+#: Dear samples that mean and deviation use of a study whose yield takes far more of them.
+_ON_BOTH = 2048
 #: Points of which a plane is evaluated together.
 _TOGETHER = 1 << 14
 
@@ -110,11 +116,13 @@ def two_levels(
     first = _pilot_size(n)
     if not work.names:
         return Levels(study.model, cheap, (0.0, 0.0), {}, {}, 0)
-    same = work.measured("same", study.sampling, n)
-    pilots = {name: work.pilot(name, same, first) for name in work.names}
-    border = learned(prepared.asked.specs, work.named(same[:first]), work.named(work.own()[:first]))
+    both = work.measured("pilot", study.sampling, first)
+    pilots = {name: work.pilot(name, both, first) for name in work.names}
     planes = work.planes(pilots)
-    cube = work.cube(pilots, first, max((plane.samples for plane in planes.values()), default=0))
+    flat = _flat(work, planes, first)
+    same = work.measured("same", study.sampling, n if flat is None else min(n, first + _ON_BOTH))
+    spent = max((plane.samples for plane in planes.values()), default=0)
+    cube = work.cube(pilots, first, spent, weighs=flat is None)
     values = work.measured("cheap", cube, cube.n) if cube.n else np.empty((0, len(work.names)))
     at = _at(planes, study, cube)
     moments = {
@@ -122,8 +130,14 @@ def two_levels(
     }
     yields: dict[str, Stratified] = {}
     extra = 0
-    if prepared.asked.specs and cube.n:
-        extra, yields = yields_by_strata(work, border, same, values, cube, first)
+    if flat is not None:
+        by = f"a plane through samples of {cheap}"
+        extra, yields = yields_by_strata(
+            flat.samples, flat.border, flat.same, flat.values, flat.cube, first, by
+        )
+    elif prepared.asked.specs and cube.n:
+        border = learned(prepared.asked.specs, work.named(same[:first]), work.named(work.own()[:first]))
+        extra, yields = yields_by_strata(work, border, same, values, cube, first, cheap)
     return Levels(study.model, cheap, work.seconds(), moments, yields, extra)
 
 
@@ -151,6 +165,34 @@ def check(prepared: Prepared) -> None:
     if problems:
         raise InputError(problems)
     cheaper(prepared.plan.model)
+
+
+@dataclass(frozen=True)
+class _Flat:
+    """Planes in the cheap model's place: who measures, the border, the study's devices, and others."""
+
+    samples: PlaneSamples
+    border: Border
+    same: Array
+    values: Array
+    cube: Sampling
+
+
+def _flat(work: LevelSamples, planes: Mapping[str, Plane], first: int) -> _Flat | None:
+    """Return what sorts devices by planes; ``None`` where their border is too wide to be worth it.
+
+    What is promised depends on weights and pilot alone, not on what fails.
+    """
+    specs, n = work.prepared.asked.specs, work.study.sampling.n
+    if not specs or not all(spec.measure in planes for spec in specs):
+        return None
+    samples = PlaneSamples(work, planes)
+    same = samples.measured("same", work.study.sampling, n)
+    border = learned(specs, work.named(same[:first]), work.named(work.own()[:first]))
+    cube = samples.cube()
+    values = samples.measured("cheap", cube, cube.n)
+    half, best = expected_halves(border, work.named(values), cube, n - first)
+    return _Flat(samples, border, same, values, cube) if half < _WORTH * best else None
 
 
 def _at(planes: Mapping[str, Plane], study: Study, cube: Sampling) -> dict[str, tuple[Plane, Array]]:

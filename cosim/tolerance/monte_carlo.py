@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -84,6 +84,17 @@ class Study:
     def uniforms(self) -> Array:
         """Return the random numbers of all samples (n, variables)."""
         return self.sampling.uniforms(0, self.sampling.n)
+
+    def thinned(self, most: int) -> Study:
+        """Return the study of its first samples, of each randomisation as many; at most so many in all.
+
+        What looks at each component of each sample has that much to hold, however long the study.
+        """
+        few = self.sampling.thinned(most)
+        if few is self.sampling:
+            return self
+        rows = self.results.reshape(few.replicates, self.sampling.each, -1)[:, : few.each]
+        return replace(self, sampling=few, results=rows.reshape(few.n, -1), failures={})
 
 
 @dataclass(frozen=True)

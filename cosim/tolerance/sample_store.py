@@ -21,7 +21,7 @@ from typing_extensions import TypedDict
 from cosim.errors import fail
 from cosim.storage.checksums import plain_json
 from cosim.storage.field_types import fits
-from cosim.storage.staging import atomic_file, disk_errors
+from cosim.storage.staging import atomic_file, disk_errors, sweep_folder
 from cosim.types import Array
 
 __all__ = ["SAMPLES", "Samples"]
@@ -67,6 +67,7 @@ class Samples:
         self.first, self.last = first, last
         self._parts = folder / PARTS
         self._seen: dict[tuple[Any, ...], bool] = {}
+        self._tidy = False
         about = {"digest": digest, "names": list(names), "first": first, "last": last}
         with disk_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
@@ -97,7 +98,10 @@ class Samples:
         place = self._parts / f"{first:012d}-{len(table)}.parquet"
         with disk_errors(self.folder):
             self._parts.mkdir(exist_ok=True)
-            with atomic_file(place) as file:
+            if not self._tidy:  # not each time: there may be ten thousand parts to look through
+                sweep_folder(self._parts)
+                self._tidy = True
+            with atomic_file(place, tidy=False) as file:
                 pq.write_table(rows, file)
 
     def _schema(self) -> pa.Schema:
@@ -137,6 +141,8 @@ class Samples:
                 for table in _regrouped(self._ordered()):
                     writer.write_table(table, row_group_size=_GROUP)
         with disk_errors(self.folder):
+            if self._parts.is_dir():
+                sweep_folder(self._parts)
             for path in self._parts.iterdir() if self._parts.is_dir() else ():
                 if _PART.fullmatch(path.name) and not path.is_symlink():
                     path.unlink()

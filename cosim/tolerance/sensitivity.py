@@ -23,6 +23,8 @@ __all__ = ["GOOD", "Surface", "deviations", "fit_surface"]
 #: Share of the variance of held-out samples that a surface must explain to be relied upon.
 GOOD = 0.99
 _FOLDS = 10
+#: Samples that a surface is fitted to, at most: what they leave open is far below what a surface leaves.
+_MOST = 1 << 14
 #: Variables whose squares and products are candidates, and terms that are added at most.
 _LEADING, _MOST_TERMS = 10, 40
 _Z = 1.959964
@@ -123,6 +125,7 @@ def deviations(tolerances: Tolerances, uniforms: Array) -> Array:
 
 def fit_surface(study: Study, name: str) -> Surface | None:
     """Fit a measure; ``None`` where there are too few samples for as many variables, or nothing changes."""
+    study = study.thinned(_MOST)
     y = study.column(name)
     known = np.isfinite(y)
     z = deviations(study.tolerances, study.uniforms())[known]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 from cosim.tolerance import intervals
 from cosim.tolerance.border_strata import (
     BORDER,
+    FAILS,
+    PASSES,
     STRATA,
     Border,
     allocation,
@@ -19,16 +22,39 @@ from cosim.tolerance.border_strata import (
     replicate_weights,
 )  # fmt: skip
 from cosim.tolerance.intervals import Estimate
-from cosim.tolerance.level_samples import Chosen, LevelSamples
-from cosim.tolerance.monte_carlo import passed
+from cosim.tolerance.level_samples import Chosen
+from cosim.tolerance.monte_carlo import Study, passed
+from cosim.tolerance.preparation import Points, Prepared
 from cosim.tolerance.spec import Spec
 from cosim.tolerance.unit_cube import Sampling
 from cosim.types import Array
 
-__all__ = ["Stratified", "yields_by_strata"]
+__all__ = ["Sampled", "Stratified", "expected_halves", "yields_by_strata"]
 
 #: Samples of the cheap model that are looked through for the border, at most.
 _LOOKED_THROUGH = 1 << 18
+
+
+class Sampled(Protocol):
+    """Who measures: on the study's model, and what tells the strata apart; see `LevelSamples`."""
+
+    study: Study
+    prepared: Prepared
+
+    def named(self, table: Array) -> dict[str, Array]:
+        """Return the columns of a table by measure."""
+
+    def own(self) -> Array:
+        """Return the study's samples of these measures (n, measures)."""
+
+    def seconds(self) -> tuple[float, float]:
+        """Return seconds of a dear and of a cheap sample."""
+
+    def decided(self, name: str, decide: Callable[[], Any]) -> Any:
+        """Return what was decided before, else decide it and keep it."""
+
+    def measured(self, name: str, points: Points, n: int, model: str | None = None) -> Array:
+        """Return measures (n, measures) of points."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +71,8 @@ class Stratified:
         Of whether a device passes, between both models; NaN where all of the plain samples agree.
     word
         Why only the plain samples are used, if so.
+    by
+        What sorts devices into the strata.
     """
 
     failing: Estimate
@@ -54,6 +82,7 @@ class Stratified:
     failed: tuple[int, ...]
     correlation: float
     word: str = ""
+    by: str = ""
 
     @property
     def passing(self) -> Estimate:
@@ -62,8 +91,29 @@ class Stratified:
         return Estimate(1.0 - of.value, 1.0 - of.high, 1.0 - of.low, of.how)
 
 
+def expected_halves(
+    border: Border, values: Mapping[str, Array], cube: Sampling, n: int
+) -> tuple[float, float]:
+    """Return half the interval that strata promise, and that they would without a border.
+
+    With n plain dear samples and n/2 more. Half of the devices at the border are taken to fail, and none
+    beyond it.
+    """
+    weights = replicate_weights(border.strata(values), cube.replicates)
+
+    def half(of: Array) -> float:
+        counted = allocation(of.mean(axis=0), n, n // 2)
+        return failure_rate(of, (counted[0], counted[1] // 2, 0), counted, cube.n).half
+
+    sharp = weights.copy()
+    sharp[:, FAILS] += 0.5 * sharp[:, BORDER]
+    sharp[:, PASSES] += 0.5 * sharp[:, BORDER]
+    sharp[:, BORDER] = 0.0
+    return half(weights), half(sharp)
+
+
 def yields_by_strata(
-    work: LevelSamples, border: Border, same: Array, values: Array, cube: Sampling, first: int
+    work: Sampled, border: Border, same: Array, values: Array, cube: Sampling, first: int, by: str
 ) -> tuple[int, dict[str, Stratified]]:
     """Return the dear samples besides the study's own, and the yield of each specification by strata.
 
@@ -77,6 +127,8 @@ def yields_by_strata(
         How these were drawn: its randomisations give the weights' error.
     first
         Own devices that the border was learned from; they are not counted.
+    by
+        What sorts the devices, for people.
     """
     study, specs = work.study, work.prepared.asked.specs
     n = study.sampling.n
@@ -96,12 +148,13 @@ def yields_by_strata(
     strata = strata[first:]
     every = {spec.text: (spec,) for spec in specs} | ({"all": tuple(specs)} if len(specs) > 1 else {})
     return len(more), {
-        text: _stratified(work, some, results, strata, weights, cube, same) for text, some in every.items()
+        text: replace(_stratified(work, some, results, strata, weights, cube, same), by=by)
+        for text, some in every.items()
     }
 
 
 def _chosen(
-    work: LevelSamples, border: Border, strata: NDArray[np.int64], weights: Array, wanted: Sequence[int]
+    work: Sampled, border: Border, strata: NDArray[np.int64], weights: Array, wanted: Sequence[int]
 ) -> list[int]:
     """Return the numbers of further samples at the border and beyond, as the cheap model finds them."""
     missing = [max(wanted[h] - int(np.sum(strata == h)), 0) for h in range(BORDER + 1)]
@@ -121,7 +174,7 @@ def _chosen(
 
 
 def _stratified(
-    work: LevelSamples, specs: Sequence[Spec], results: Array, strata: NDArray[np.int64], weights: Array,
+    work: Sampled, specs: Sequence[Spec], results: Array, strata: NDArray[np.int64], weights: Array,
     cube: Sampling, same: Array,
 ) -> Stratified:  # fmt: skip
     """Return the yield of some specifications; the strata are those of all of them."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -27,7 +27,11 @@ from cosim.tolerance.sensitivity import GOOD, Surface, fit_surface
 from cosim.tolerance.spec import Spec
 from cosim.units import heading
 
-__all__ = ["Findings", "components_csv", "estimate_dict", "find", "summary_dict"]
+__all__ = ["MOST_LOOKED_AT", "Findings", "components_csv", "estimate_dict", "find", "summary_dict"]
+
+
+#: Samples that the bill, the decision and what a page shows of single components look at, at most.
+MOST_LOOKED_AT = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -119,10 +123,10 @@ class Findings:
         """Return all samples: measures, and whether they pass."""
         columns = ["sample", *(heading(name, UNITS.get(name, "")) for name in self.study.names), "pass"]
         verdict = passed(self.study, self.specs)
-        rows = [
+        rows = (
             [k, *("" if math.isnan(v) else repr(float(v)) for v in row), int(verdict[k])]
             for k, row in enumerate(self.study.results)
-        ]
+        )
         return _csv(columns, rows)
 
     def bill_csv(self) -> str:
@@ -166,7 +170,12 @@ def find(
     summaries = {name: summary(study, name) for name in study.names}
     fitted = {name: fit_surface(study, name) for name in study.names}
     surfaces = {name: surface for name, surface in fitted.items() if surface is not None}
-    notes_of = [*notes]
+    notes_of, few = [*notes], study.thinned(MOST_LOOKED_AT)
+    if few is not study:
+        notes_of.append(
+            f"sensitivities and the bill look at {few.sampling.n} of the {study.sampling.n} samples, the "
+            "first of each randomisation; mean, deviation, quantiles and yield at all of them"
+        )
     for name, surface in fitted.items():
         if surface is None:
             count = len(study.tolerances.variables)
@@ -179,7 +188,7 @@ def find(
                 f"{name}: the fitted surface explains R^2 = {surface.explained:.4g} of samples that it was "
                 f"not fitted to, less than {GOOD:g}: shares and bill are rough; more samples help"
             )
-    notes_of += _decision(study, surfaces, specs)
+    notes_of += _decision(few, surfaces, specs)
     shares = yields(study, specs)
     if levels is not None:
         summaries = {name: _corrected(each, levels) for name, each in summaries.items()}
@@ -188,7 +197,7 @@ def find(
     notes_of += _of_rare(rare) if rare is not None else []
     return Findings(
         study, tuple(specs), summaries, shares, surfaces,
-        tuple(bill(study, surfaces, specs, wanted)), wanted, dict(corners or {}), tuple(notes_of), levels,
+        tuple(bill(few, surfaces, specs, wanted)), wanted, dict(corners or {}), tuple(notes_of), levels,
         rare,
     )  # fmt: skip
 
@@ -239,7 +248,7 @@ def _of_levels(levels: Levels) -> list[str]:
             )
         )
         what = "all specifications" if text == "all" else text
-        lines.append(f"yield, {what}: by {levels.cheap}, {counted}; correlation of passing {agreed}")
+        lines.append(f"yield, {what}: by {share.by}, {counted}; correlation of passing {agreed}")
         if share.word:
             lines.append(f"yield, {what}: {share.word}")
     return lines
@@ -328,7 +337,7 @@ def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def _csv(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+def _csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(head)

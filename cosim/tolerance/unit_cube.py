@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import Any, Literal
 
@@ -41,6 +41,8 @@ class Sampling:
         Of the study.
     replicates
         Independent randomisations, one after the other, of ``n / replicates`` samples each; 1: plain.
+    among
+        Points that each randomisation has in all, where only its first are taken; 0: these are all.
     """
 
     method: Method
@@ -48,6 +50,7 @@ class Sampling:
     variables: int
     seed: int
     replicates: int = 1
+    among: int = 0
 
     @property
     def each(self) -> int:
@@ -62,7 +65,8 @@ class Sampling:
         at = 0
         while at < count:
             replicate, start = divmod(first + at, self.each)
-            rows = _replicate(self.method, self.each, self.variables, self.seed, replicate)[start:]
+            whole = self.among or self.each
+            rows = _replicate(self.method, whole, self.variables, self.seed, replicate)[start : self.each]
             take = min(len(rows), count - at)
             out[at : at + take] = rows[:take]
             at += take
@@ -77,7 +81,17 @@ class Sampling:
 
     def as_dict(self) -> dict[str, Any]:
         """Return it JSON-ready."""
-        return asdict(self)
+        stored = asdict(self)
+        if not self.among:
+            del stored["among"]
+        return stored
+
+    def thinned(self, most: int) -> Sampling:
+        """Return the first points of each randomisation, at most so many in all."""
+        each = max(most // self.replicates, 1)
+        if self.each <= each:
+            return self
+        return replace(self, n=each * self.replicates, among=self.among or self.each)
 
     @classmethod
     def of(cls, stored: Mapping[str, Any]) -> Sampling:
