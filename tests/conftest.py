@@ -8,6 +8,14 @@ from zlib import crc32
 import kept_processes
 import pytest
 
+# a module that is first imported while a test has replaced a function elsewhere would keep the replacement
+import cosim.api.batches
+import cosim.api.queries
+import cosim.api.simulation
+import cosim.api.verification
+import cosim.comparisons.effects_ledger
+import cosim.comparisons.sweep  # noqa: F401
+
 # results carry the date of their run: for tests that compare bytes all have the same
 os.environ.setdefault("SOURCE_DATE_EPOCH", "0")
 
