@@ -1,6 +1,6 @@
-"""Build a library: the object code of all that a package's modules offer, from one module of LLVM.
+"""Build libraries: the object code of all that a package's modules offer, from one module of LLVM.
 
-``python -P -m mech.build PACKAGE FILE MODULE ...`` in a process whose environment says
+``python -P -m mech.build PACKAGE ...`` in a process whose environment says
 ``COSIM_BUILDS_LIBRARIES=1``.
 
 numba compiles function by function, and each with copies of all that it calls: it optimises the innermost
@@ -23,7 +23,7 @@ from numba.core import codegen, cpu, types
 from numba.core.registry import cpu_target
 
 from mech.library import symbol
-from mech.library_files import pack, unpack
+from mech.library_files import file_of, folder, modules_of, pack, unpack
 from mech.numba_calls import EXPORTS, Export
 
 #: Memory of arrays inside compiled functions, as numba counts references to it: count, destructor and
@@ -159,13 +159,9 @@ def _callers_first(libraries: list[Any]) -> list[Any]:
     return order[::-1]
 
 
-def build(package: str, modules: list[str]) -> bytes:
-    """Return the object code of what the modules of a package offer."""
-    _translate_only()
-    for name in modules:
-        importlib.import_module(name)
+def _object_code(package: str, exports: list[Export]) -> bytes:
+    """Return the object code of a package that offers these functions."""
     context = cpu_target.target_context
-    exports = [each for each in EXPORTS if each.module.rpartition(".")[0] == package]
     results = [_translated(each) for each in exports]
     joined = context.codegen().create_library(package)
     whole = joined._final_module
@@ -173,31 +169,42 @@ def build(package: str, modules: list[str]) -> bytes:
         joined.add_ir_module(_offered(context, export, result))
     for library in _callers_first([each.library for each in results]):
         whole.link_in(library._final_module.clone())
-    memory = llvm.parse_assembly(_MEMORY)
-    whole.link_in(memory)
+    whole.link_in(llvm.parse_assembly(_MEMORY))
     offered = {symbol(each.module, each.name) for each in exports}
-    for function in whole.functions:
+    for number, function in enumerate(whole.functions):
         if not function.is_declaration and function.name not in offered:
             function.linkage = "internal"
+            function.name = f"inner{number}"  # numba's names count what was compiled before
+    for number, value in enumerate(whole.global_variables):
+        if not value.is_declaration:
+            value.name = f"value{number}"
     codegen.CPUCodeLibrary._optimize_final_module(joined)
     whole.verify()
     strange = {each.name for each in whole.functions if each.is_declaration} - _CALLED
     if strange := {name for name in strange if not name.startswith("llvm.")}:
-        raise RuntimeError(
-            f"{package} calls what is not there when it is loaded: {', '.join(sorted(strange))}"
-        )
+        raise RuntimeError(f"{package} calls what is not there when it is loaded: {sorted(strange)}")
     return bytes(joined._codegen._tm.emit_object(whole))
 
 
-def main(package: str, file: Path, modules: list[str]) -> None:
-    """Build a library into its file, once where several processes want it."""
-    with open(f"{file}.lock", "w") as lock:
+def main(packages: list[str]) -> None:
+    """Build the libraries of packages, each once where several processes want it.
+
+    All in one process: most functions belong to several libraries, and are translated once.
+    """
+    _translate_only()
+    with open(folder() / f"{packages[-1]}.lock", "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if unpack(file) is None:
+        missing = [package for package in packages if unpack(file_of(package)) is None]
+        for package in missing:
+            for name in modules_of(package):
+                importlib.import_module(name)
+        for package in missing:
+            exports = [each for each in EXPORTS if each.module.rpartition(".")[0] == package]
+            file = file_of(package)
             whole = Path(f"{file}.{os.getpid()}")
-            whole.write_bytes(pack(build(package, modules)))
+            whole.write_bytes(pack(_object_code(package, exports)))
             whole.replace(file)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], Path(sys.argv[2]), sys.argv[3:])
+    main(sys.argv[1:])

@@ -44,6 +44,8 @@ ROOT = Path(__file__).resolve().parent.parent
 FOLDER = "COSIM_LIBRARIES"
 #: Packages with compiled functions.
 PACKAGES = ("mech", "cosim.loop", "cosim.loop.linear", "cosim.loop.spice")
+#: Takes as long to build as all others.
+_LONGEST = "cosim.loop.linear"
 #: Set in processes that build no libraries: they could not keep one.
 BUILDS_NONE = "COSIM_BUILDS_NONE"
 #: Folders whose modules' imports are followed: of what lies elsewhere compiled functions use constants
@@ -187,12 +189,12 @@ def _processor() -> bytes:
 
 
 def ready(tell: Callable[[str, float], None] | None = None) -> None:
-    """Build the libraries that are missing or damaged, all at once.
+    """Build the libraries that are missing or damaged.
 
     Parameters
     ----------
     tell
-        Called with a package and the seconds that it took.
+        Called with a package and the seconds since the beginning when it is there.
 
     Raises
     ------
@@ -206,48 +208,60 @@ def ready(tell: Callable[[str, float], None] | None = None) -> None:
         names = ", ".join(str(file_of(package)) for package in missing)
         raise RuntimeError(f"compiled code is missing, and this process builds none: {names}")
     _see_to_folder()
-    begun, waiting = time.perf_counter(), {package: _Builder(package) for package in missing}
+    begun = time.perf_counter()
+    # two processes at once, the longest alone in one; what the others share is translated once
+    halves = [[each for each in missing if (each == _LONGEST) == (half == 0)] for half in range(2)]
+    builders = [_Builder(half) for half in halves if half]
     try:
-        while waiting:
-            for package, builder in list(waiting.items()):
-                if builder.process.poll() is None:
-                    continue
-                if unpack(file_of(package)) is None:
-                    words = builder.last_words()
-                    raise RuntimeError(f"the compiled code of {package} cannot be built: {words}")
-                waiting.pop(package).end()
+        working = True
+        while working:
+            working = any(builder.works() for builder in builders)
+            for package in [each for each in missing if unpack(file_of(each)) is not None]:
+                missing.remove(package)
                 if tell is not None:
                     tell(package, time.perf_counter() - begun)
+            failed = [each for each in builders if not (each.works() or each.is_done())]
+            if failed:
+                raise RuntimeError(f"the compiled code cannot be built: {failed[0].last_words()}")
             time.sleep(_LOOK_S)
     finally:
-        for builder in waiting.values():
+        for builder in builders:
             builder.end()
 
 
 class _Builder:
-    """The process that builds a package's library."""
+    """The process that builds the libraries of packages."""
 
-    def __init__(self, package: str) -> None:
-        self._words = tempfile.TemporaryFile()
+    def __init__(self, packages: Sequence[str]) -> None:
+        self._packages, self._words = packages, tempfile.TemporaryFile()
         # sources and packages lie where this process finds them
         path = os.pathsep.join([str(ROOT), *(os.path.abspath(each) for each in sys.path if each)])
-        self.process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "mech.build", package, str(file_of(package)), *modules_of(package)],
-            env={**os.environ, "COSIM_BUILDS_LIBRARIES": "1", "PYTHONPATH": path},
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "mech.build", *packages],
+            env={**os.environ, "COSIM_BUILDS_LIBRARIES": "1", "PYTHONPATH": path, FOLDER: str(folder()),
+                 "NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING": "1"},
             stdin=subprocess.DEVNULL, stdout=self._words, stderr=self._words,
         )  # fmt: skip
 
+    def works(self) -> bool:
+        """Return whether it still runs."""
+        return self._process.poll() is None
+
+    def is_done(self) -> bool:
+        """Return whether its libraries are there."""
+        return all(unpack(file_of(package)) is not None for package in self._packages)
+
     def end(self) -> None:
         """End it, where it runs."""
-        self.process.kill()
-        self.process.wait()
+        self._process.kill()
+        self._process.wait()
         self._words.close()
 
     def last_words(self) -> str:
         """Return why it failed."""
         self._words.seek(0)
         lines = self._words.read().decode(errors="replace").strip().splitlines()
-        return lines[-1] if lines else f"it ended with {self.process.returncode}"
+        return lines[-1] if lines else f"it ended with {self._process.returncode}"
 
 
 def _see_to_folder() -> None:

@@ -98,7 +98,7 @@ def test_what_cannot_be_compiled_says_why(mechanics: Path) -> None:
     source.write_text(source.read_text().replace("def tip(p", "def tip(p, more", 1))
     done = call(mechanics, mechanics.parent / "libraries")
     assert done.returncode != 0
-    assert "the compiled code of mech cannot be built: " in done.stderr
+    assert "the compiled code cannot be built: " in done.stderr
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
