@@ -7,7 +7,7 @@ entries and nothing else.
 
 What an entry takes is stated by kinds: ``int``, ``float``, ``complex``, ``bool``; a structured dtype for
 one record of it; `vector` and `matrix` for contiguous float64 arrays, `ArrayOf` for others; a named tuple
-of numbers and arrays (`mech.lending`). A callback also takes `PointerTo` and ``numpy.int32``.
+of numbers and arrays (`mech.kinds.table`). A callback also takes `PointerTo` and ``numpy.int32``.
 """
 
 from __future__ import annotations

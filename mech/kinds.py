@@ -74,12 +74,16 @@ def table(record: Any) -> Any:
     ------
     ValueError
         When an array is not contiguous.
+    TypeError
+        When an array is of another kind than its field: an address carries no types.
     """
     words: list[int] = []
     for kind, value in zip(fields_of(cast(Hashable, type(record))), record, strict=True):
         if isinstance(value, np.ndarray):
             if not value.flags.c_contiguous:
                 raise ValueError("only contiguous arrays have an address and lengths")
+            if (value.dtype, value.ndim) != (np.dtype(kind.element), kind.dimensions):
+                raise TypeError(f"{value.ndim} dimensions of {value.dtype} are lent as {kind}")
             words += [value.ctypes.data, *value.shape]
         elif kind is float:
             words.append(int(np.float64(value).view(np.int64)))

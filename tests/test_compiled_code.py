@@ -198,6 +198,31 @@ def test_an_entry_keeps_its_name_and_words() -> None:
     assert isinstance(tip._function, ctypes._CFuncPtr)
 
 
+#: Lets the C library have no memory, and calls what needs some.
+NO_MEMORY = """
+import ctypes
+import llvmlite.binding as llvm
+import numpy as np
+from mech import Chain
+from mech.records import OPERATOR, new_work
+from mech.stiction import settle
+
+none = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_size_t)(lambda size: None)
+llvm.add_symbol("malloc", ctypes.cast(none, ctypes.c_void_p).value)
+p = Chain(lengths_m=(0.3, 0.2), masses_kg=0.1, coulomb_n_m=0.1).pack()
+settle(p[0], np.zeros(1, OPERATOR)[0], 0.0, *np.zeros((4, 6)), new_work()[0])
+"""
+
+
+def test_no_memory_is_an_error_and_no_crash() -> None:
+    """It ended the process by a trap once."""
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, "-c", NO_MEMORY], env=env, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr.splitlines()[-1]) == (1, "MemoryError: settle")
+
+
 @pytest.mark.slow
 @pytest.mark.own_process
 def test_warm_compiles_ahead_and_says_where(

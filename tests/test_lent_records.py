@@ -43,3 +43,7 @@ def test_a_table_has_numbers_addresses_and_lengths_in_order() -> None:
     assert table(record(7, 2, data))[1:2].view(np.float64)[0] == 2.0
     with pytest.raises(ValueError, match="contiguous"):
         table(record(7, 0.5, data.T))
+    # broken once: without the check the 32 bits of each number are read as half of one
+    for other in (data.astype(np.float32), data.ravel(), data.astype(int)):
+        with pytest.raises(TypeError, match="are lent as"):
+            table(record(7, 0.5, other))
