@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.rig import ROOT
+from cosim.accuracy.hard_cases.circuit_cases import inputs_exchanged
 from cosim.ngspice.deck import Deck
 from tests.reference.mna import Circuit
 from tests.slips import bench_text
@@ -52,7 +53,7 @@ def slip(rng: np.random.Generator) -> Slip:
     kind = str(rng.choice(["swapped", "positive", "lagging"]))
     if kind == "swapped":
         block = str(rng.choice(_SWAPPED))
-        return Slip(block, _swap, f"{block}: inputs swapped")
+        return Slip(block, inputs_exchanged, f"{block}: inputs swapped")
     if kind == "positive":
         ohm = f"{10 ** rng.uniform(*_OHM):.4g}"
         return Slip("diffamp", lambda text: text.replace(".ends", f"Rslip out inp {ohm}\n.ends"),
@@ -61,15 +62,6 @@ def slip(rng: np.random.Generator) -> Slip:
     rows = f"Rs1 out f1 {_LAG_OHM}\nCs1 f1 0 {farad}\nRs2 f1 f2 {_LAG_OHM}\nCs2 f2 0 {farad}\n"
     return Slip("angle", lambda text: text.replace("xop wiper out", f"{rows}xop wiper f2"),
                 f"angle: two lags of {_LAG_OHM}Ohm and {farad} F within the follower")  # fmt: skip
-
-
-def _swap(text: str) -> str:
-    rows = text.split("\n")
-    at = next(k for k, row in enumerate(rows) if row.startswith("xop "))
-    words = rows[at].split()
-    words[1], words[2] = words[2], words[1]
-    rows[at] = " ".join(words)
-    return "\n".join(rows)
 
 
 def growing(board: Deck, gains: Mapping[str, float]) -> list[complex] | None:

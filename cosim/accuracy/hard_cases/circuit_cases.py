@@ -181,18 +181,19 @@ def _refused(file: str, line: str, words: str) -> Callable[[CaseRunner, str], fl
     return find
 
 
+def inputs_exchanged(text: str) -> str:
+    """Return a block's netlist with the two inputs of its first op-amp exchanged."""
+    rows = text.split("\n")
+    at = next(k for k, row in enumerate(rows) if row.startswith("xop "))
+    words = rows[at].split()
+    words[1], words[2] = words[2], words[1]
+    rows[at] = " ".join(words)
+    return "\n".join(rows)
+
+
 def _swapped(runner: CaseRunner, model: str) -> float:
     """Whether a follower with the inputs of its op-amp exchanged is called unstable."""
-
-    def exchange(text: str) -> str:
-        rows = text.split("\n")
-        at = next(k for k, row in enumerate(rows) if row.startswith("xop "))
-        words = rows[at].split()
-        words[1], words[2] = words[2], words[1]
-        rows[at] = " ".join(words)
-        return "\n".join(rows)
-
-    place = runner.netlists({"blocks/angle.cir": exchange})
+    place = runner.netlists({"blocks/angle.cir": inputs_exchanged})
     tables = slider(
         device={"board": str(place / "board1.cir")}, duration_s=0.1, solver={"max_step_s": 1e-3},
         effects={"opamp": "gbw"} if model != "ideal" else {},
