@@ -47,6 +47,7 @@ class Push:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["linear", "spice"])
 def test_an_operator_in_python_is_priced(tmp_path: Path, model: str) -> None:
     """Against the built-in hand in `spice`, by which the machine's speed is known."""

@@ -395,11 +395,13 @@ def test_a_verdict_survives_its_file():
 
 
 @pytest.mark.parametrize("board", [BOARD1, BOARD2])
-def test_the_verdict_costs_little(board):
+def test_a_known_board_is_not_judged_again(board, monkeypatch):
+    """A verdict is kept by the board's content: the second asks no process, but reads a file."""
     deck = finite(board)
-    import time
+    first = judged(deck)
 
-    judged(deck)  # the child has loaded what it needs
-    begun = time.process_time()
-    verdict(Question((deck,)), deck.path)
-    assert time.process_time() - begun < 0.1  # kept: a file is read
+    def never(*arguments, **more):
+        raise AssertionError("judged again")
+
+    monkeypatch.setattr("cosim.stability_gate.call", never)
+    assert verdict(Question((deck,)), deck.path) == first

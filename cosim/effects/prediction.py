@@ -43,7 +43,7 @@ EXACT_INTERVAL_S = {"spice": 0.0, "linear": 4.2e-4, "ideal": 3.3e-4}
 #: Seconds a sample for a control law in Python.
 LAW_S = 7e-5
 #: Microseconds a point for an operator in Python: it is called some twice a point, at trials too.
-OPERATOR_US = {"spice": 15.0, "linear": 24.0, "ideal": 24.0}
+OPERATOR_US = {"spice": 26.0, "linear": 36.0, "ideal": 36.0}
 #: Seconds of processor time from the command to the first point, with everything compiled and extracted
 #: before: two processes load Python, ngspice and compiled code, and the board's stability is judged.
 START_S = 1.6
