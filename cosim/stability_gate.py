@@ -12,6 +12,7 @@ from cosim import effects
 from cosim.caution import Caution
 from cosim.circuits.decks import AT_LIMIT, AT_SUPPLY, REST_RAD_PER_S, SUPPLY_V
 from cosim.circuits.extraction import motor_response
+from cosim.circuits.extraction.motor_response import MotorResponse
 from cosim.circuits.instability.stability_verdict import Question, Verdict, keep, known
 from cosim.coupled_poles import growing, hidden
 from cosim.ngspice.child import TIME_LIMIT_S, Child, call
@@ -22,7 +23,7 @@ from cosim.scene import Level, PartFile
 from cosim.types import Array
 from cosim.units import quantity, signed
 
-__all__ = ["FINITE", "coupled", "latched", "left", "question", "reached", "verdict"]
+__all__ = ["FINITE", "answer_of", "coupled", "latched", "left", "question", "reached", "verdict"]
 
 
 #: Levels at which a board is judged: every amplifier has its bandwidth, the winding its inductance.
@@ -102,15 +103,8 @@ def coupled(plan: Plan, child: Child | None = None, poses: Sequence[Array] = ())
 
     About the start, or about `poses` ([n] rad each) that a run has reached; the first bad one is reported.
     """
-    scene, board = plan.scene, _finite(plan, vendors=True)
+    scene, response = plan.scene, answer_of(plan, child)
     constants = plan.stated()
-    response = motor_response.known(board)
-    if response is None:
-        response = call(
-            "cosim.circuits.extraction.motor_response:measure", {"board": board},
-            time_limit_s=scene.solver.time_limit_s, deck=str(plan.board.path), child=child,
-        )  # fmt: skip
-        motor_response.keep(board, response)
     reached = at_poses(scene, constants.gear, poses, child) if poses else [at_start(scene, constants.gear)]
     cautions: dict[Caution, None] = {}
     for pose in reached:
@@ -128,6 +122,19 @@ def coupled(plan: Plan, child: Child | None = None, poses: Sequence[Array] = ())
         if cautions:
             break
     return list(cautions)
+
+
+def answer_of(plan: Plan, child: Child | None = None) -> MotorResponse:
+    """Return what the motors of a plan's board answer at `FINITE` levels: kept, or measured in the child."""
+    board = _finite(plan, vendors=True)
+    response = motor_response.known(board)
+    if response is None:
+        response = call(
+            "cosim.circuits.extraction.motor_response:measure", {"board": board},
+            time_limit_s=plan.scene.solver.time_limit_s, deck=str(plan.board.path), child=child,
+        )  # fmt: skip
+        motor_response.keep(board, response)
+    return response
 
 
 def reached(plan: Plan, q: Array) -> list[Array]:

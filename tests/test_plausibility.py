@@ -103,6 +103,20 @@ def test_a_slip_is_reported(code: str, doubt: str, overrides: list[str]) -> None
     assert any(doubt in text for text in rows), rows
 
 
+@pytest.mark.parametrize("model", ["linear", "spice"])
+def test_every_model_says_which_constants_its_board_misses(model: str) -> None:
+    """A summer's feedback twice as large doubles every gain; half the capacitor halves the damper's again."""
+    values = ["device.values.r_sum_fb=20k", "device.values.c_der_in=500n"]
+    run = press(f"solver.model={model}", "duration_s=0.05", *values)
+    (spring, command) = [str(c) for c in run.warnings if c.code == "constant-missed"]
+    made = [float(re.findall(r"its circuit makes (\S+)", text)[0]) for text in (spring, command)]
+    # 2 k_fs and v_nm / 2, but for op-amps of a gain of 106 dB and the four digits that are printed
+    assert made == pytest.approx([2 * 3.0003, 15.625 / 2], rel=3e-4)
+    alone = press(f"solver.model={model}", "duration_s=0.05", values[1])
+    (damper,) = [str(c) for c in alone.warnings if c.code == "constant-missed"]
+    assert float(re.findall(r"its circuit makes (\S+)", damper)[0]) == pytest.approx(0.06969 / 2, rel=3e-4)
+
+
 @pytest.mark.few(2)
 @pytest.mark.parametrize(
     "override",

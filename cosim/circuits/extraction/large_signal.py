@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cosim.circuits.extraction.path_measurement import LOW_HZ, Session
+from cosim.circuits.extraction.multipliers import LOW_HZ
+from cosim.circuits.extraction.testbench import Testbench
 from cosim.errors import InputError, NoOperatingPoint
 
 __all__ = ["large_signal_error"]
@@ -17,7 +18,7 @@ __all__ = ["large_signal_error"]
 _STEPS = 8
 
 
-def large_signal_error(session: Session) -> tuple[float, str] | None:
+def large_signal_error(bench: Testbench) -> tuple[float, str] | None:
     """Compare the currents of a `.dc` sweep of each spring with the slope at rest, up to rated current.
 
     Returns
@@ -27,25 +28,25 @@ def large_signal_error(session: Session) -> tuple[float, str] | None:
         the board states no rated current or ngspice finds no operating point on the way.
     """
     try:
-        rated, reach = (session.simulator.constant(name) for name in ("i_rated", "dac_v"))
+        rated, reach = (bench.simulator.constant(name) for name in ("i_rated", "dac_v"))
     except InputError:
         return None
     once = f"lin 1 {LOW_HZ[0]!r} {LOW_HZ[0]!r}"
     worst, where = 0.0, ""
-    for pin in (name for name in session.channels if name.startswith("ksp")):
+    for pin in (name for name in bench.channels if name.startswith("ksp")):
         motor, source = f"imot{pin[3]}", f"u{pin[4]}"
-        session.hold({pin: session.v_fs})
+        bench.hold({pin: bench.v_fs})
         try:
-            slope = float(session.respond(source, once, [motor])[0, 0].real)
+            slope = float(bench.respond(source, once, [motor])[0, 0].real)
             if slope != 0.0:
                 end = min(rated / abs(slope), reach)
                 for volts in (end, -end):
-                    current = session.sweep(source, 0.0, volts, _STEPS, motor)
+                    current = bench.sweep(source, 0.0, volts, _STEPS, motor)
                     straight = current[0] + slope * np.linspace(0.0, volts, _STEPS + 1)
                     off = float(np.abs(current - straight).max()) / rated
                     worst, where = max((worst, where), (off, pin))
         except NoOperatingPoint:
             return None
         finally:
-            session.hold({pin: 0.0})
+            bench.hold({pin: 0.0})
     return worst, where

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from cosim.circuits.cache import load_arrays, store_arrays
+from cosim.circuits.extraction.large_signal import large_signal_error
 from cosim.circuits.extraction.testbench import Testbench
 from cosim.ngspice.deck import Deck
 from cosim.types import Array, Complex
@@ -20,9 +21,11 @@ from cosim.types import Array, Complex
 __all__ = ["MotorResponse", "keep", "known", "measure"]
 
 
-_VERSION = 1
+_VERSION = 2
 #: Every frequency at which a device and its circuit can move each other.
 _SWEEP = "dec 10 1m 1g"
+_LOWEST = "lin 1 1m 1m"
+_ARRAYS = ("hz", "rest", "channel", "command")
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,11 @@ class MotorResponse:
         [F, n, 2 n]: pot, vel -> imot with all gains at zero.
     channel
         [F, m, n, n]: what each gain pin at full scale adds to pot -> imot, in the order of `names`.
+    command
+        [n]: cmd -> imot as the frequency goes to zero.
+    bent
+        Difference between a motor's current and its slope at rest, up to rated current, as a share of it; 0
+        where that is not known.
     v_fs
         Full scale [V].
     """
@@ -44,6 +52,8 @@ class MotorResponse:
     hz: Array
     rest: Complex
     channel: Complex
+    command: Array
+    bent: float
     v_fs: float
     names: tuple[str, ...]
 
@@ -65,13 +75,16 @@ def measure(payload: Mapping[str, Any], report: Callable[[dict[str, Any]], None]
         report({})
         return np.stack([bench.respond(pin, _SWEEP, motors) for pin in pins], axis=2)
 
+    command = [bench.respond(f"cmd{i}", _LOWEST, [f"imot{i}"])[0, 0].real for i in range(1, n + 1)]
     rest = driven([*pots, *(f"vel{j}" for j in range(1, n + 1))])
     each = []
     for channel in bench.channels:
         bench.hold({channel: bench.v_fs})
         each.append(driven(pots) - rest[:, :, :n])
         bench.hold({channel: 0.0})
-    return MotorResponse(bench.hz, rest, np.stack(each, axis=1), bench.v_fs, tuple(bench.channels))
+    hz, names = bench.hz, tuple(bench.channels)
+    bent, _ = large_signal_error(bench) or (0.0, "")
+    return MotorResponse(hz, rest, np.stack(each, axis=1), np.array(command), bent, bench.v_fs, names)
 
 
 def _name(board: Deck) -> str:
@@ -86,7 +99,10 @@ def known(board: Deck) -> MotorResponse | None:
             return None
         about, arrays = stored
         return MotorResponse(
-            arrays["hz"], arrays["rest"], arrays["channel"], float(about["v_fs"]), tuple(about["names"])
+            *(arrays[name] for name in _ARRAYS),
+            float(about["bent"]),
+            float(about["v_fs"]),
+            tuple(about["names"]),
         )
     except (KeyError, TypeError, ValueError):  # damaged: the board itself is at hand
         return None
@@ -94,5 +110,10 @@ def known(board: Deck) -> MotorResponse | None:
 
 def keep(board: Deck, motor_response: MotorResponse) -> None:
     """Keep it under the deck's digest."""
-    arrays = {"hz": motor_response.hz, "rest": motor_response.rest, "channel": motor_response.channel}
-    store_arrays(_name(board), {"v_fs": motor_response.v_fs, "names": list(motor_response.names)}, arrays)
+    arrays = {name: getattr(motor_response, name) for name in _ARRAYS}
+    about = {
+        "bent": motor_response.bent,
+        "v_fs": motor_response.v_fs,
+        "names": list(motor_response.names),
+    }
+    store_arrays(_name(board), about, arrays)
