@@ -98,12 +98,9 @@ def known(board: Deck) -> MotorResponse | None:
         if stored is None:
             return None
         about, arrays = stored
-        return MotorResponse(
-            *(arrays[name] for name in _ARRAYS),
-            float(about["bent"]),
-            float(about["v_fs"]),
-            tuple(about["names"]),
-        )
+        hz, rest, channel, command = (arrays[name] for name in _ARRAYS)
+        bent, v_fs = float(about["bent"]), float(about["v_fs"])
+        return MotorResponse(hz, rest, channel, command, bent, v_fs, tuple(about["names"]))
     except (KeyError, TypeError, ValueError):  # damaged: the board itself is at hand
         return None
 
