@@ -45,6 +45,12 @@ def test_a_moved_resistor_moves_measure_and_yield(tmp_path: Path) -> None:
         shown = float(words[2]) / 100.0, float(words[4]) / 100.0
         assert shown == pytest.approx((exact_bounds.low, exact_bounds.high), rel=2e-4)
         browser.screenshot(tmp_path / "sliders.png")
+        # a telephone scrolls the tables, not the page, however long a name or a number is
+        browser.evaluate("document.querySelector('#measures td').textContent = 'x'.repeat(80)")
+        browser.resize(420, 800)
+        assert browser.evaluate("document.documentElement.scrollWidth") <= 420
+        assert browser.evaluate("document.querySelector('.scroll').scrollWidth") > 420
+        browser.resize(900, 800)
         browser.evaluate("document.getElementById('reset').click()")
         assert browser.evaluate(cell) == before
         # paper is white, whatever the screen's scheme
