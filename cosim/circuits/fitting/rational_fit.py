@@ -23,6 +23,7 @@ from cosim.circuits.fitting.pole_chains import (
     least_squares,
     states_of,
 )
+from cosim.circuits.fitting.vector_fitting import in_order, relocated
 from cosim.circuits.linear_circuit import rational
 from cosim.types import Array, Complex
 
@@ -233,32 +234,18 @@ def _with_powers(s: Complex, f: Complex, poles: Complex) -> Complex:
 def _relocated(s: Complex, f: Complex, poles: Complex) -> tuple[Complex, float]:
     """Improve the poles together, and return them with their misfit.
 
-    AAA leaves each of q equal poles wrong by the q-th root of rounding. Vector fitting (Gustavsen and
-    Semlyen, IEEE Trans. Power Delivery 14, 1052, 1999) on chains finds the polynomial that they are the zeros
-    of: f (1 + w x) = d + r x, with the states x of the chains, has better poles in the zeros of 1 + w x, the
-    eigenvalues of A - b w.
+    AAA leaves each of q equal poles wrong by the q-th root of rounding: steps of vector fitting on one chain
+    of them all find the polynomial that they are the zeros of.
     """
+    both, rows = np.concatenate([s, s.conj()]), np.concatenate([f, f.conj()]).T[None]
     best, misfit = poles, _misfit(s, f, poles)
     for _ in range(_MOVES):
-        chains = chained(best)
-        basis = chain_basis(s, chains)
-        size = basis.shape[1]
-        rows: list[Array] = []
-        right: list[Array] = []
-        for path in f.T:
-            known = np.concatenate([basis, -path[:, None] * basis[:, 1:], path[:, None]], axis=1)
-            upper = np.asarray(np.linalg.qr(np.concatenate([known.real, known.imag]), mode="r"), float)
-            rows.append(upper[size:, size:-1])
-            right.append(upper[size:, -1])
-        shift = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=1e-12)[0]
-        moved: list[complex] = []
-        at = 0
-        for chain in chains:
-            a, b = chain_matrices(chain)
-            zeros = np.linalg.eigvals(a - b[:, None] * shift[at : at + len(a)])
-            moved += zeros[zeros.imag >= 0.0].tolist()
-            at += len(a)
-        trial = np.array(moved, complex)
+        pairs = np.concatenate([best, best[best.imag > 0.0].conj()])
+        try:
+            moved = relocated(both, rows, in_order(pairs[None]))[0]
+        except np.linalg.LinAlgError:  # more poles than the paths have
+            break
+        trial = moved[moved.imag >= 0.0]
         if not (trial.real < 0.0).all() or (now := _misfit(s, f, trial)) >= misfit:
             break
         best, misfit = trial, now

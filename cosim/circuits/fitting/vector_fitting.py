@@ -1,9 +1,8 @@
-"""Fits of known order: the paths to one place share their poles, and many such rows are fitted at once.
+"""Vector fitting: the paths to one place share their poles, and many such rows are fitted at once.
 
-One step of vector fitting (Gustavsen and Semlyen, IEEE Trans. Power Delivery 14, 1052, 1999) from near poles
-is exact but for rounding where the order is right. The states are a chain from the fastest pole to the
-slowest, sound for equal poles as well; points come with their conjugates: complex algebra, real systems.
-`rational_fit` has a step of its own, for one block with poles from AAA: real algebra, chains of near poles.
+One step of it (Gustavsen and Semlyen, IEEE Trans. Power Delivery 14, 1052, 1999) from near poles is exact
+but for rounding where the order is right. The states are a chain from the fastest pole to the slowest, sound
+for equal poles as well; points come with their conjugates: complex algebra, real systems.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from cosim.types import Array, Complex
 
-__all__ = ["Fractions", "fractions", "realised", "relocated", "shortened", "weight"]
+__all__ = ["Fractions", "fractions", "in_order", "realised", "relocated", "shortened", "weight"]
 
 
 @dataclass(frozen=True)
@@ -84,9 +83,12 @@ def relocated(s: Complex, f: Complex, poles: Complex) -> Complex:
 def _closed(poles: Complex) -> Complex:
     """Return poles [R, N] that are real or have their conjugates exactly, the fastest first."""
     partner = np.argmin(np.abs(poles[:, :, None] - poles.conj()[:, None, :]), axis=2)
-    poles = 0.5 * (poles + np.take_along_axis(poles.conj(), partner, axis=1))
-    # of a pair, the half with the positive imaginary part comes first, however their moduli round
-    order = np.lexsort((poles.imag < 0.0, -np.abs(poles)), axis=1)
+    return in_order(0.5 * (poles + np.take_along_axis(poles.conj(), partner, axis=1)))
+
+
+def in_order(poles: Complex) -> Complex:
+    """Return poles [R, N], closed under conjugation, the fastest first; of a pair the upper half."""
+    order = np.lexsort((poles.imag < 0.0, -np.abs(poles)), axis=1)  # however their moduli round
     out: Complex = np.take_along_axis(poles, order, axis=1)
     return out
 
