@@ -51,24 +51,43 @@ def test_an_analog_spring_behind_a_pole(tmp_path):
     assert impedance(at_wall(scene, circuit), HZ) == pytest.approx(expected, rel=1e-5)
 
 
-@pytest.mark.parametrize("late", [0.0, 0.25])
-def test_a_sampled_wall_is_its_fundamental(tmp_path, late):
-    """Against a staircase summed by hand: K + B (1 - 1/z)/T, held for T, half a period late on average."""
+@pytest.mark.parametrize(
+    ("late", "filter_hz", "settling"),
+    [(0.0, None, 0.0), (0.25, None, 0.0), (0.25, 6.0, 0.0), (0.0, 6.0, 4e-3)],
+)
+def test_a_sampled_wall_is_its_fundamental(tmp_path, late, filter_hz, settling):
+    """Against a staircase summed by hand: K + B (1 - 1/z)/T, held for T, half a period late on average.
+
+    With the velocity's low-pass, sample by sample; a ramp of converters is the mean of steps within it.
+    """
     k, b, period = 80.0, 1.5, 0.025
+    more = {"effects": {"delay": True}}
+    if filter_hz is not None:
+        more |= {"computer": {"velocity": {"filter_hz": filter_hz}}}
+    if settling:
+        more = merge(more, {"computer": {"dac": {"settling_s": settling}}, "effects": {"dac_settling": True}})
     scene = carriage(
-        tmp_path, {"effects": {"delay": True}}, discrete_stiffness_n_per_m=k / COMMAND,
+        tmp_path, more, discrete_stiffness_n_per_m=k / COMMAND,
         discrete_damping_n_s_per_m=b / COMMAND, delay_fraction=late,
     )  # fmt: skip
     for hz in (0.7, 5.0, 33.0):
         # many turns of a sine of 1 m: the staircase's Fourier coefficient at hz, each step exactly
-        count = 20_000
-        n = np.arange(count)
+        count, before = 20_000, 200
+        n = np.arange(-before, count)
         x = np.exp(2j * np.pi * hz * period * n)
-        force = k * x + b * (x - x * np.exp(-2j * np.pi * hz * period)) / period
+        speed = (x - x * np.exp(-2j * np.pi * hz * period)) / period
+        if filter_hz is not None:
+            keep = math.exp(-2.0 * math.pi * filter_hz * period)  # of a pole at so many hertz, a period later
+            for i in range(1, len(speed)):
+                speed[i] = keep * speed[i - 1] + (1.0 - keep) * speed[i]
+        n, force = n[before:], (k * x + b * speed)[before:]
         w = 2 * np.pi * hz
-        begin = (n + late) * period
-        part = (np.exp(-1j * w * (begin + period)) - np.exp(-1j * w * begin)) / (-1j * w)
-        fundamental = np.sum(force * part) / (count * period)
+        fundamental = 0.0
+        nodes, weights = np.polynomial.legendre.leggauss(8)
+        for node, weight in zip(nodes, weights, strict=True):
+            begin = (n + late) * period + settling * (1.0 + node) / 2.0
+            part = (np.exp(-1j * w * (begin + period)) - np.exp(-1j * w * begin)) / (-1j * w)
+            fundamental += weight / 2.0 * np.sum(force * part) / (count * period)
         expected = 0.2j * w + fundamental / (1j * w)
         value = impedance(at_wall(scene, ideal(1, emf=False)), np.array([hz]))[0]
         assert value == pytest.approx(expected, rel=1e-6)  # 5e-7 of the board's resistors in COMMAND
