@@ -18,10 +18,9 @@ from cosim.circuits.design_constants import DesignConstants
 from cosim.loop.spice.run_spice import simulate
 from cosim.ngspice.simulator import Simulator
 from cosim.plan import Plan, resolve
-from cosim.results import RAW
 from cosim.runner import request_of
 from cosim.scene import Scene, load_scene
-from cosim.storage.rawfile import read_raw
+from cosim.storage.rawfile import RAW, read_raw
 
 ROOT = Path(__file__).resolve().parents[1]
 SLOPE = ROOT / "scenes" / "slope.toml"

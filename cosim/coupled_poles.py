@@ -13,7 +13,6 @@ import numpy as np
 
 from cosim.caution import Caution
 from cosim.circuits.extraction.motor_response import MotorResponse
-from cosim.circuits.fitting.aaa import poles_of
 from cosim.circuits.instability.encirclements import pivots, winding
 from cosim.types import Array
 
@@ -51,6 +50,8 @@ def growing(
     shown = pivots(mechanics)
     if round(-sum(winding(response.hz, shown[:, k]) for k in range(n))) <= 0:
         return []
+    from cosim.circuits.fitting.aaa import poles_of  # loads scipy, for what few boards need
+
     mobility = (s[:, None, None] * np.linalg.inv(mechanics)).reshape(len(s), n * n)
     f = mobility[:, np.abs(mobility).max(axis=0) > 0.0]  # joints may not reach each other
     f /= np.abs(f).max(axis=0)

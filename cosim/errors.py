@@ -5,7 +5,6 @@ input is at fault, 1 when the simulation failed although the input was in order.
 nothing heavy, so that ``cosim --help`` may import it.
 """
 
-import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, NoReturn
@@ -241,6 +240,8 @@ def nearest(key: str, allowed: Iterable[str]) -> str | None:
     >>> nearest('perid_s', ['period_s', 'method'])
     'period_s'
     """
+    import difflib
+
     names = {name.lower(): name for name in allowed}
     close = difflib.get_close_matches(key.lower(), names, n=1, cutoff=0.5)
     return names[close[0]] if close else None

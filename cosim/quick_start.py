@@ -2,9 +2,14 @@
 
 import gc
 import importlib.util
+import os
 import sys
 
-__all__ = ["collect_seldom", "defer"]
+__all__ = ["FRUGAL", "collect_seldom", "defer", "frugal"]
+
+#: What keeps libraries from preparing for what we do not do, in the environment from before they load:
+#: OpenBLAS from threads, which spin while our small matrices use one, pydantic from a search for plug-ins.
+FRUGAL = {"OPENBLAS_NUM_THREADS": "1", "PYDANTIC_DISABLE_PLUGINS": "__all__"}
 
 #: Objects between two collections of garbage, and younger collections between older ones. Modules that load
 #: make half a million objects that stay; Python's own 700 look through them again and again.
@@ -16,6 +21,12 @@ _UNUSED = ("f2py", "testing")
 def collect_seldom() -> None:
     """Collect garbage less often from now on; only for processes of our own."""
     gc.set_threshold(*_THRESHOLDS)
+
+
+def frugal() -> None:
+    """Put `FRUGAL` into the environment, where the user has not decided; only for processes of our own."""
+    for name, value in FRUGAL.items():
+        os.environ.setdefault(name, value)
 
 
 def defer() -> None:

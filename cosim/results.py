@@ -31,13 +31,13 @@ from cosim.notebook_view import view
 from cosim.scene import Scene, scene_from_dict
 from cosim.storage import field_types
 from cosim.storage.checksums import check_files, file_sums, intact, listed, read_sealed, sealed
-from cosim.storage.rawfile import Signals, read_raw
+from cosim.storage.rawfile import RAW, Signals, read_raw
 from cosim.storage.results_nearby import results_below
 from cosim.storage.run_record import Record
 from cosim.storage.staging import Staging, disk_errors
 from cosim.units import heading, name_of, sample_unit, signal_unit
 
-RAW, SAMPLES, RECORD, SCENE = "signals.raw", "samples.csv", "run.json", "scene.toml"
+SAMPLES, RECORD, SCENE = "samples.csv", "run.json", "scene.toml"
 BOARD = "board.json"
 FORMATS = ("parquet", "csv")
 _FORMAT_VERSION = 3
@@ -195,7 +195,7 @@ class Run:
             write_csv(folder / SAMPLES, self.samples, sample_unit)
             (folder / SCENE).write_text(self.scene.to_toml(), encoding="utf-8")
             sums = {"files": file_sums(folder, _SEALED), "forms": file_sums(folder, _FORMS)}
-            plain = json.loads(json_text({**self._record(), **sums}))
+            plain = json.loads(json_text({**self._record(), **sums}, indent=None))
             (folder / RECORD).write_text(json_text(sealed(plain)) + "\n", encoding="utf-8")
 
     def _record(self) -> dict[str, Any]:
@@ -288,7 +288,7 @@ def written_files(folder: Path) -> set[str]:
     return {RECORD, *intact(folder, record.get("files")), *intact(folder, record.get("forms")), *page}
 
 
-def json_text(value: Any) -> str:
+def json_text(value: Any, indent: int | None = 2) -> str:
     """Return `value` as JSON; takes numpy's numbers, refuses NaN and infinity.
 
     Raises
@@ -296,10 +296,13 @@ def json_text(value: Any) -> str:
     CosimError
         When a number is not finite, with the path that leads to it.
     """
-    bad = _not_finite(value, "")
-    if bad:
-        raise CosimError(f"internal: {bad} is not a finite number and would not be valid JSON")
-    return json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False, default=_plain)
+    try:
+        return json.dumps(value, indent=indent, ensure_ascii=False, allow_nan=False, default=_plain)
+    except ValueError:
+        bad = _not_finite(value, "")
+        if bad is None:
+            raise
+        raise CosimError(f"internal: {bad} is not a finite number and would not be valid JSON") from None
 
 
 def _plain(value: Any) -> Any:

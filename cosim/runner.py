@@ -24,10 +24,10 @@ from cosim.ngspice import deck_file
 from cosim.ngspice.child import OUTBOX, Child, call
 from cosim.plan import Plan, resolve
 from cosim.provenance import provenance, run_date
-from cosim.results import RAW, Run, written_files
+from cosim.results import Run, written_files
 from cosim.scene import PythonOperator, Scene
 from cosim.stability_gate import answer_of, coupled, latched, left, question, reached, verdict
-from cosim.storage.rawfile import Signals, read_raw, stamp
+from cosim.storage.rawfile import RAW, Signals, read_raw, stamp
 from cosim.storage.staging import Staging, disk_errors, require_ours, scratch_folder
 from cosim.types import Measures
 from cosim.units import quantity

@@ -46,6 +46,12 @@ def changes(dacs: Sequence[Array], rows: int) -> NDArray[np.bool_]:
     return changed
 
 
+def _each_once(times: Array) -> Array:
+    """Return times ascending, without repetition; `np.unique` would load masked arrays for it."""
+    ascending = np.sort(times)
+    return np.asarray(ascending[np.append(True, ascending[1:] != ascending[:-1])], np.float64)
+
+
 @dataclass(frozen=True)
 class Spans:
     """Times [s] at which something begins and ends, ascending; [k] each."""
@@ -288,7 +294,7 @@ class Trace:
         if len(self.t) < 2:
             return Spans(np.zeros(0), np.zeros(0))
         crossed = self.cubics.crossings(level)
-        edges = np.unique(np.concatenate([[self.t[0]], crossed, self.t[:-1][self._jumped], [self.t[-1]]]))
+        edges = _each_once(np.concatenate([[self.t[0]], crossed, self.t[:-1][self._jumped], [self.t[-1]]]))
         high = self.cubics(0.5 * (edges[:-1] + edges[1:])) > level
         start = high & ~np.append(False, high[:-1])
         stop = high & ~np.append(high[1:], False)

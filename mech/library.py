@@ -12,7 +12,7 @@ import numpy as np
 from mech.kinds import ArrayOf, table
 from mech.library_files import file_of, ready, unpack
 
-__all__ = ["Callback", "Entry", "callback", "entry", "inner", "symbol"]
+__all__ = ["Callback", "Entry", "callback", "entry", "inner", "load", "symbol"]
 
 
 def inner(function: Any) -> Any:
@@ -137,14 +137,22 @@ def _loaded(package: str) -> Any:
     """Return the engine once it holds a package's library, which is built where it is not there."""
     import llvmlite.binding as llvm
 
-    ready()
     code = unpack(file_of(package))
+    if code is None:
+        ready()
+        code = unpack(file_of(package))
     if code is None:
         raise RuntimeError(f"{file_of(package)} was removed while it was read")
     engine = _engine()
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
     return engine
+
+
+def load(package: str) -> None:
+    """Load a package's library now, where it is there: a process that waits has the time."""
+    if unpack(file_of(package)) is not None:
+        _loaded(package)
 
 
 def _address(package: str, module: str, name: str) -> int:

@@ -15,7 +15,6 @@ import os
 import platform
 import re
 import shutil
-import subprocess
 import sys
 import tempfile
 import time
@@ -233,6 +232,8 @@ class _Builder:
     """The process that builds the libraries of packages."""
 
     def __init__(self, packages: Sequence[str]) -> None:
+        import subprocess  # few processes build
+
         self._packages, self._words = packages, tempfile.TemporaryFile()
         # sources and packages lie where this process finds them
         path = os.pathsep.join([str(ROOT), *(os.path.abspath(each) for each in sys.path if each)])

@@ -149,7 +149,7 @@ def random_board(seed: int) -> Deck:
 
 def networks_and_truth(payload: dict[str, Any], report: Any) -> list[Any]:
     """In a child: networks fitted to the usual sweep, and all paths at other frequencies, for each board."""
-    from cosim.circuits.extraction.extract import SWEEP, networks
+    from cosim.circuits.extraction.measured_model import SWEEP, networks
     from cosim.circuits.extraction.path_measurement import Session
 
     rows = []

@@ -66,6 +66,17 @@ def test_importing_costs_no_heavy_import():
     assert result.strip() == "[]"
 
 
+def test_a_run_on_linear_loads_neither_ngspice_nor_what_fits_a_circuit():
+    """Its process finds the circuit in the cache; nor does it build the checks of a scene that it is sent."""
+    heavy = ("PySpice", "cosim.ngspice.simulator", "cosim.circuits.fitting.networks", "scipy.linalg", "numba",
+             "cosim.circuits.extraction.path_measurement", "importlib.metadata")  # fmt: skip
+    result = python(
+        f"import sys, cosim.loop.early_linear; print([name for name in {heavy} if name in sys.modules]);"
+        "from cosim.scene import Scene; print(Scene.__pydantic_complete__)"
+    )
+    assert result.split() == ["[]", "False"]
+
+
 def test_importing_costs_at_most_half_more_than_numpy():
     """In processor time, of pairs one after the other, so that the machine's load drops out."""
 

@@ -254,6 +254,7 @@ def test_one_per_cent_of_a_resistor_moves_the_gain_by_its_share():
 def test_cache_serves_the_same_board_only(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     from cosim.circuits.extraction import extract as extraction
+    from cosim.circuits.extraction import path_measurement
 
     deck = board(tmp_path)
     stages: list[dict[str, object]] = []
@@ -266,7 +267,7 @@ def test_cache_serves_the_same_board_only(tmp_path, monkeypatch):
         raise Measured
 
     first = in_fresh_child(payload)
-    monkeypatch.setattr(extraction, "Session", refuse)
+    monkeypatch.setattr(path_measurement, "Session", refuse)
     again = extraction.extract(dict(payload), stages.append)
     assert not stages
     for name, value in first.arrays().items():

@@ -5,7 +5,6 @@ import pytest
 from extraction_boards import in_child, random_board
 
 from cosim.circuits.extraction.certificate import cautions
-from cosim.circuits.fitting.networks import derivatives
 from cosim.circuits.fitting.rational_fit import FitError, Modes, fit
 from cosim.circuits.fitting.reduction import TERMS, error_bound, path_scale, reduce, rest
 from cosim.circuits.linear_circuit import rational
@@ -141,7 +140,7 @@ def check(full, small, bound, omega, tolerance):
     if len(small.a) < len(full.a):
         assert bound.worst <= tolerance
     assert (np.linalg.eigvals(small.a).real < 0).all() if len(small.a) else True
-    at_rest = derivatives(full, 1)[0] - derivatives(small, 1)[0]
+    at_rest = full.derivatives(1)[0] - small.derivatives(1)[0]
     assert (np.abs(at_rest) <= 1e-9 * scale).all(), "the DC gain is kept"
 
 

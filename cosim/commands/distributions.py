@@ -1,8 +1,6 @@
 """What `compare` and `sweep` print and write of designs by their distributions (``--mc N``)."""
 
 import argparse
-import csv
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -118,6 +116,9 @@ def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _csv(designs: "Sequence[Side]") -> str:
+    import csv
+    import io
+
     from cosim.catalogue import UNITS
     from cosim.units import heading
 

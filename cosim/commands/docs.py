@@ -2,17 +2,9 @@
 
 import argparse
 from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 from cosim.commands.command import Command
-
-
-class _Quiet(SimpleHTTPRequestHandler):
-    """Serves files without printing a line for each."""
-
-    def log_message(self, format: str, *args: Any) -> None:
-        pass
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,10 +22,18 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     folder = docs_folder()
     if args.where or args.json:
         return {"folder": str(folder), "first": str(folder / "index.html")}, str(folder)
+    from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer  # 20 ms that no other command needs
+
+    class Quiet(SimpleHTTPRequestHandler):
+        """Serves files without printing a line for each."""
+
+        def log_message(self, format: str, *args: Any) -> None:
+            pass
+
     if not 0 <= args.port <= 65535:
         fail("is out of range", key="--port", value=args.port, allowed="0 to 65535")
     try:
-        server = ThreadingHTTPServer(("127.0.0.1", args.port), partial(_Quiet, directory=str(folder)))
+        server = ThreadingHTTPServer(("127.0.0.1", args.port), partial(Quiet, directory=str(folder)))
     except OSError as error:
         fail(f"cannot be served on: {error.strerror}", key="--port", value=args.port)
     with server:

@@ -16,17 +16,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.circuits.extraction.noise_contributions import ComponentNoise, component_noise
 from cosim.errors import fail
 from cosim.loop.noise import stream
 from cosim.ngspice.deck import Deck
 from cosim.scene import Scene
 from cosim.types import Array, Complex, Report
+
+if TYPE_CHECKING:
+    from cosim.circuits.extraction.noise_contributions import ComponentNoise
 
 __all__ = ["ComponentGrid", "component_grid", "realise", "references"]
 
@@ -70,6 +72,8 @@ def component_grid(scene: Scene, board: Deck, report: Report) -> ComponentGrid |
     """Measure the board's noise and draw it for a scene, in ngspice's process; nothing where it is off."""
     if not scene.effects.component_noise:
         return None
+    from cosim.circuits.extraction.noise_contributions import component_noise  # few runs have this noise
+
     measured = component_noise({"board": board}, report)
     return realise(measured, scene.seed, scene.duration_s, scene.device.component_noise_bandwidth_hz)
 

@@ -45,8 +45,6 @@ _CPU_SHARE, _CPU_MORE_S = 4.0, MOST_PREPARING_S
 """CPU time of a call: so many times its time limit, for several threads, and imports."""
 TIME_LIMIT_S = 600.0
 """Time limit of a call that belongs to no scene: the default of a scene's own [s]."""
-_GRACE_S = 0.3
-"""Time the child gets to end by itself when asked to."""
 _LAST_LINES = 15
 """Lines of the child's output quoted in an error."""
 
@@ -335,13 +333,10 @@ def _raised(
 
 
 def _dispose(process: "subprocess.Popen[bytes]", folder: Path, receive: int) -> None:
-    """Ask the child to end, end it if it does not, and remove its folder."""
+    """End the child, which keeps nothing that it would have to finish, and remove its folder."""
     os.close(receive)
     if process.stdin is not None:
         process.stdin.close()
-    try:
-        process.wait(_GRACE_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
+    process.kill()
+    process.wait()
     shutil.rmtree(folder, ignore_errors=True)

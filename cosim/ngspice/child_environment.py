@@ -9,6 +9,8 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from cosim.quick_start import FRUGAL
+
 __all__ = ["allowed_files", "environment"]
 
 _LIBRARIES, _BUILDS_NONE = "COSIM_LIBRARIES", "COSIM_BUILDS_NONE"
@@ -53,8 +55,8 @@ def environment(folder: Path) -> dict[str, str]:
     env["HOME"], env["TMPDIR"] = str(folder / "home"), str(folder / "tmp")
     env["PYTHONPATH"] = os.pathsep.join(_modules())
     env["COSIM_NGSPICE_ECHO"] = "1"
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        env.setdefault(name, "1")
+    for name, value in {"OMP_NUM_THREADS": "1", **FRUGAL}.items():
+        env.setdefault(name, value)
     return env
 
 

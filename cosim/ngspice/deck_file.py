@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 from typing_extensions import TypedDict
@@ -41,8 +41,9 @@ class _Record(TypedDict):
 
 def save(board: Deck, folder: Path) -> None:
     """Write a board into an existing folder."""
-    record = {**asdict(board), "path": str(board.path), "digest": board.digest}
-    (folder / FILE).write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    record = {**vars(board), "path": str(board.path), "digest": board.digest}
+    text = json.dumps(record, indent=1, ensure_ascii=False, default=vars)  # of its lines, amplifiers, parts
+    (folder / FILE).write_text(text + "\n", encoding="utf-8")
 
 
 def load(folder: Path, *, trust: bool = False) -> Deck:

@@ -3,7 +3,8 @@
 import math
 import operator
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 from cosim.ngspice.lines import number
@@ -29,7 +30,7 @@ def evaluate(text: str, known: Mapping[str, float]) -> float | None:
     return value if value is not None and math.isfinite(value) else None
 
 
-def reduce(words: list[str], known: Mapping[str, Any]) -> Any:
+def reduce(words: Sequence[str], known: Mapping[str, Any]) -> Any:
     """Return the value of an expression in words, in the arithmetic of `known`; ``None`` if malformed."""
     values: list[Any] = []
     waiting: list[str] = []
@@ -79,9 +80,10 @@ def is_well_formed(text: str) -> bool:
     return evaluate(text, {name: math.sqrt(2 + k) for k, name in enumerate(names)}) is not None
 
 
-def split(text: str) -> list[str] | None:
+@lru_cache(maxsize=10_000)  # a parameter is evaluated until no value changes
+def split(text: str) -> tuple[str, ...] | None:
     """Return the words of an expression; ``None`` where it holds what is not known here."""
-    words, at = [], 0
+    words, at = list[str](), 0
     text = text.strip()
     while at < len(text):
         match = _WORD.match(text, at)
@@ -89,7 +91,7 @@ def split(text: str) -> list[str] | None:
             return None
         words.append(match[1])
         at = match.end()
-    return words
+    return tuple(words)
 
 
 def _apply(sign: str, values: list[float]) -> None:

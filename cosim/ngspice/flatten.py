@@ -5,13 +5,14 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 
 from cosim.errors import InputError, Problem, fail, nearest
 from cosim.ngspice.dialect import Dialect
 from cosim.ngspice.foreign_functions import in_own_words
 from cosim.ngspice.lax_forms import put_right
-from cosim.ngspice.lines import Line, read_lines
+from cosim.ngspice.lines import Line, lines_of, text_of
 from cosim.ngspice.values import as_meant
 
 __all__ = ["Reader", "including", "sections"]
@@ -96,15 +97,7 @@ class Reader:
         """Return the lines of one file, its values as its dialect means them."""
         place = path.resolve()
         if place not in self._read:
-            rows = read_lines(path, self.dialect)
-            functions = {line.text.split(None, 1)[-1].partition("(")[0].strip().lower()
-                         for line in rows if line.keyword == ".func"}  # fmt: skip
-            if self.dialect is not Dialect.NGSPICE:
-                rows = [
-                    replace(line, text=in_own_words(line.text, self.dialect, functions))
-                    for line in map(put_right, rows)
-                ]
-            self._read[place] = [as_meant(line, self.dialect, functions) for line in rows]
+            self._read[place] = list(_as_meant(text_of(path), str(path), self.dialect))
         return self._read[place]
 
     def sections(self, path: Path) -> list[str]:
@@ -159,8 +152,8 @@ class Reader:
         """Yield what an include stands for, or the line with the reason why it cannot be followed."""
         fault = line.fault or ("" if names else "names no file")
         target = path.parent / names[0] if names else path  # an absolute name stands for itself
-        allowed = (self.root, *_granted.get())
-        inside = any(target.resolve().is_relative_to(each.resolve()) for each in allowed)
+        place = target.resolve()
+        inside = any(place.is_relative_to(each.resolve()) for each in (self.root, *_granted.get()))
         if not fault and not self.trust and not inside:
             lifted = f"--include {target.parent} or --trust allows it"
             fault = f"include leaves the project's folder {self.root} ({lifted})"
@@ -168,7 +161,7 @@ class Reader:
             there = [entry.name for entry in target.parent.iterdir()] if os.path.isdir(target.parent) else []
             near = nearest(target.name, there)
             fault = f"there is no file {target}" + (f"; nearest is {near}" if near else "")
-        elif (target.resolve(), section) in stack:
+        elif (place, section) in stack:
             fault = "includes itself"
         elif len(stack) > MOST_NESTED:
             fault = f"files include files more than {MOST_NESTED} deep"
@@ -180,6 +173,17 @@ class Reader:
             near = nearest(section, self.sections(target))
             fault = f"{target} has no section '{section}'" + (f", nearest is '{near}'" if near else "")
         yield replace(line, fault=fault)
+
+
+@lru_cache(maxsize=32)  # a run has its board at two sets of levels, a study at hundreds of sets of values
+def _as_meant(content: str, file: str, dialect: Dialect) -> tuple[Line, ...]:
+    """Return a file's lines, their values as the dialect means them."""
+    rows = lines_of(content, file, dialect)
+    functions = {line.text.split(None, 1)[-1].partition("(")[0].strip().lower()
+                 for line in rows if line.keyword == ".func"}  # fmt: skip
+    if dialect is not Dialect.NGSPICE:
+        rows = [replace(row, text=in_own_words(row.text, dialect, functions)) for row in map(put_right, rows)]
+    return tuple(as_meant(line, dialect, functions) for line in rows)
 
 
 def sections(rows: list[Line], dialect: Dialect = Dialect.NGSPICE) -> list[str]:

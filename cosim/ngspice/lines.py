@@ -10,7 +10,10 @@ from cosim.errors import fail
 from cosim.ngspice.dialect import Dialect
 from cosim.storage.bounded_read import read_regular
 
-__all__ = ["Line", "assignments", "join", "number", "read_lines", "strange_character", "tokens"]
+__all__ = [
+    "Line", "assignments", "join", "lines_of", "number", "read_lines", "strange_character", "text_of",
+    "tokens",
+]  # fmt: skip
 
 MOST_BYTES = 8 << 20
 """Size of a file that is read as a netlist; the largest public library that was met has 3 MB."""
@@ -94,12 +97,17 @@ def read_lines(path: Path, dialect: Dialect = Dialect.NGSPICE) -> list[Line]:
     InputError
         If the file cannot be read, is not a regular file, or is larger than `MOST_BYTES`.
     """
+    return lines_of(text_of(path), str(path), dialect)
+
+
+def lines_of(content: str, file: str, dialect: Dialect) -> list[Line]:
+    """Return the logical lines of a file's content, which `text_of` has read."""
     lines: list[Line] = []
-    for lineno, statements, comments in _statements(_text(path), dialect):
+    for lineno, statements, comments in _statements(content, dialect):
         text = " ".join(statements)
         if _first(text) not in _QUOTING:  # a file's name may hold two blanks in a row
             text = _MERE_BLANKS.sub(" ", text)
-        lines.append(Line(text, str(path), lineno, " ".join(comments)))
+        lines.append(Line(text, file, lineno, " ".join(comments)))
     return lines
 
 
@@ -109,8 +117,8 @@ def strange_character(text: str) -> str | None:
     return f"holds control characters or invisible ones: U+{ord(match[0]):04X}" if match else None
 
 
-def _text(path: Path) -> str:
-    """Return a file's text with line feeds only, without the DOS end-of-file mark."""
+def text_of(path: Path) -> str:
+    """Return a netlist's text with line feeds only, without the DOS end-of-file mark (see `read_lines`)."""
     try:
         raw = read_regular(path, MOST_BYTES)
     except OSError as error:
@@ -187,9 +195,14 @@ def _first(text: str) -> str:
 
 def tokens(text: str) -> list[str]:
     """Split a statement at blanks outside braces, parentheses and quotes; ``a = b`` is one token."""
+    return list(_tokens(text))
+
+
+@lru_cache(maxsize=10_000)  # as `_first`
+def _tokens(text: str) -> tuple[str, ...]:
     text = _EQUALS.sub("=", _BLANKS.sub(" ", text))
     if _GROUPED.search(text) is None:
-        return text.split()
+        return tuple(text.split())
     words: list[str] = []
     depth, quote, start = 0, "", 0
     for i, c in enumerate(text):
@@ -204,7 +217,7 @@ def tokens(text: str) -> list[str]:
         elif c == " " and depth == 0:
             words.append(text[start:i])
             start = i + 1
-    return [word for word in (*words, text[start:]) if word]
+    return tuple(word for word in (*words, text[start:]) if word)
 
 
 def join(words: list[str]) -> str:

@@ -4,6 +4,7 @@ import os
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 from cosim.errors import InputError, Problem, fail, nearest
@@ -111,6 +112,7 @@ class Shelf:
     swaps: Mapping[str, "PartSwap | str"]
     used: dict[str, Part] = field(default_factory=dict)
     dialects: set[Dialect] = field(default_factory=set)
+    _described: dict[str, Part] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         known = {*ROLES, "driver_level"}
@@ -135,7 +137,7 @@ class Shelf:
 
     def names(self) -> list[str]:
         """Return the names of all parts on the shelf."""
-        return sorted(file.stem.lower() for file in (self.folder / "parts").glob("*.lib"))
+        return sorted(self._files)
 
     def take(self, name: str) -> Netlist | None:
         """Return the netlist that defines the subcircuit `name`, or ``None`` if the shelf has none.
@@ -196,16 +198,22 @@ class Shelf:
         nodes = [there[pin] for pin in net.blocks[name].pins]
         return instance.rewritten(nodes=nodes, block=name, extra=()), net
 
+    @cached_property
+    def _files(self) -> dict[str, Path]:
+        """Files by the part's name in lower case: letter case counts in a folder but not in SPICE."""
+        files = sorted((self.folder / "parts").glob("*.lib"), reverse=True)  # of two alike the first counts
+        return {file.stem.lower(): file for file in files}
+
     def _file(self, name: str) -> Path | None:
-        folder = self.folder / "parts"
-        # by listing, since letter case counts in a folder but not in SPICE
-        return next((file for file in sorted(folder.glob("*.lib")) if file.stem.lower() == name), None)
+        return self._files.get(name)
 
     def _part(self, name: str, file: Path) -> Part:
-        about = next((row.text for row in self.reader.rows(file) if row.text.startswith("*@")), "")
-        part = described(name, about, str(file))
-        return replace(part, level=self.levels.get(
-            "driver_level" if part.role == "driver" else part.role or "", "ideal"))  # fmt: skip
+        if name not in self._described:
+            about = next((row.text for row in self.reader.rows(file) if row.text.startswith("*@")), "")
+            part = described(name, about, str(file))
+            role = "driver_level" if part.role == "driver" else part.role or ""
+            self._described[name] = replace(part, level=self.levels.get(role, "ideal"))
+        return self._described[name]
 
     def _block(self, name: str) -> Block:
         """Return a part's subcircuit at any level; all levels have the same pins."""

@@ -156,7 +156,7 @@ class Device(Table):
     chain: Chain | None = None
     slider: Slider | None = None
     start: Start
-    potentiometer: Potentiometer = Potentiometer()
+    potentiometer: Potentiometer = Potentiometer.model_construct()
     component_noise_bandwidth_hz: Annotated[float, Field(ge=1e-6, le=1e5), Unit("Hz")] = 1000.0
     temperature_c: Temperature = 27.0
     parts: Mapping[str, Part] = {}

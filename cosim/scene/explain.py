@@ -14,6 +14,7 @@ from pydantic.fields import FieldInfo
 from cosim.errors import Problem, nearest
 from cosim.scene.quantities import Unit
 from cosim.scene.schema import Effects, SceneTables
+from cosim.scene.table import Table
 
 Key = tuple[str | int, ...]
 
@@ -206,7 +207,7 @@ def _models(annotation: Any, key: Sequence[str | int], data: Mapping[str, Any]) 
     return models
 
 
-class _AnyOperator(BaseModel):
+class _AnyOperator(Table):
     type: Literal["none", "mass", "hand", "python"]
 
 

@@ -100,9 +100,9 @@ class Computer(Table):
     delay_periods: int = Field(default=0, ge=0, le=1000)
     delay_fraction: float = Field(default=0.0, ge=0, lt=1)
     law: str | None = None
-    encoder: Encoder = Encoder()
-    dac: Dac = Dac()
-    velocity: Velocity = Velocity()
+    encoder: Encoder = Encoder.model_construct()
+    dac: Dac = Dac.model_construct()
+    velocity: Velocity = Velocity.model_construct()
 
 
 class Wall(Table):
@@ -246,9 +246,9 @@ class SceneTables(Table):
     device: Device
     computer: Computer
     wall: Wall | None = None  # free space when left out
-    operator: Operator = NoOperator()
-    effects: Effects = Effects()
-    tolerance: Tolerance = Tolerance()
-    solver: Solver = Solver()
-    record: Record = Record()
-    measures: Measures = Measures()
+    operator: Operator = NoOperator.model_construct()
+    effects: Effects = Effects.model_construct()
+    tolerance: Tolerance = Tolerance.model_construct()
+    solver: Solver = Solver.model_construct()
+    record: Record = Record.model_construct()
+    measures: Measures = Measures.model_construct()

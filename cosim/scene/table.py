@@ -10,9 +10,13 @@ WORD = Field(strict=False)
 
 
 class Table(BaseModel):
-    """Base of all tables of a scene."""
+    """Base of all tables of a scene.
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+    Their checks are built with those of the first scene that is read, as one; a process that only receives
+    scenes builds none. So a default is made by `model_construct`: a call would build the table's own checks.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
 
 
 def no_bool(value: Any) -> Any:

@@ -29,7 +29,7 @@ class Tolerance(BaseModel):
     "lot=5% dev=1%", "5% uniform"; a bare number is a share.
     """
 
-    model_config = ConfigDict(frozen=True, extra="allow", strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="allow", strict=True, allow_inf_nan=False, defer_build=True)
     __pydantic_extra__: dict[str, Tolerated] = Field(init=False)
 
     resistors: Tolerated | None = None

@@ -18,6 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from cosim.errors import SimulationError, fail
 from cosim.storage.staging import disk_errors
 
+RAW = "signals.raw"
+"""Its name in a result."""
 _COUNT_WIDTH = 20
 _BINARY = b"Binary:\n"
 # A raw file wants a date: this one holds the place of the run's, see `stamp`.

@@ -323,7 +323,7 @@ def _outermost(param: Param, depth: int = 0) -> list[Param]:
     """Return the varying parameters that a value is made of, the outermost of each way."""
     if param.varies:
         return [param]
-    words = split(param.text) or [] if depth < 40 else []
+    words = (split(param.text) if depth < 40 else None) or ()
     by_id: dict[int, Param] = {}
     for word in words:
         if word in param.env:

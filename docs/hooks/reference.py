@@ -242,7 +242,7 @@ def _object(name: str, value: Any, level: int) -> list[str]:
         text += ["```python", f"{name.rpartition('.')[2]}{_signature(value)}", "```", ""]
     text += [docstring(inspect.getdoc(value) or ""), ""]
     if inspect.isclass(value) and level == 2:
-        for member, method in vars(value).items():
+        for member, method in list(vars(value).items()):  # a table of a scene is built when it is first used
             plain = getattr(method, "__func__", method)
             if not member.startswith(("_", "model_")) and inspect.isfunction(plain) and plain.__doc__:
                 text += _object(f"{name}.{member}", plain, 3)

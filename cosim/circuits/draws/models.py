@@ -17,9 +17,9 @@ import numpy as np
 from cosim.circuits.cache import Asked
 from cosim.circuits.draws.admittances import Unlike, changes
 from cosim.circuits.draws.network import DrawnNetwork
-from cosim.circuits.extraction.extract import SWEEP, extracted, networks, without_rates
 from cosim.circuits.extraction.ideal import DC_SWEEP, ideal
 from cosim.circuits.extraction.limits_and_offsets import current_limits
+from cosim.circuits.extraction.measured_model import SWEEP, extracted, networks, without_rates
 from cosim.circuits.extraction.path_measurement import Paths, Session
 from cosim.circuits.extraction.testbench import Testbench
 from cosim.circuits.fitting.rational_fit import WORST, FitError, Modes

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cosim.caution import Caution
-from cosim.circuits.extraction.limits_and_offsets import ControlPath
-from cosim.circuits.extraction.path_measurement import Paths
-from cosim.circuits.fitting.networks import Block, derivatives
-from cosim.circuits.fitting.rational_fit import GOOD
-from cosim.circuits.fitting.reduction import Bound
-from cosim.circuits.linear_circuit import LinearCircuit, channel_names
+from cosim.circuits.linear_circuit import GOOD, LinearCircuit, channel_names
 from cosim.types import Array
 from cosim.units import quantity
+
+if TYPE_CHECKING:  # every run reads a certificate, few write one
+    from cosim.circuits.extraction.limits_and_offsets import ControlPath
+    from cosim.circuits.extraction.path_measurement import Paths
+    from cosim.circuits.fitting.networks import Block
+    from cosim.circuits.fitting.reduction import Bound
 
 __all__ = [
     "BENT",
@@ -54,12 +55,12 @@ def footnote(
     omega = 2.0 * np.pi * band_hz
     m, n = pre.shape[0], post.shape[0]
     if static is None:
-        before = derivatives(pre.joined(), 2)
+        before = pre.joined().derivatives(2)
         damper = (np.arange(m) >= m // 2)[:, None]
         static = (
             np.where(damper, 0.0, before[0]),
             np.where(damper, before[1], 0.0),
-            derivatives(post.joined(), 1)[0],
+            post.joined().derivatives(1)[0],
         )
     first = pre.static_error(omega, static[0], static[1]).upper.max(axis=1)
     second = post.static_error(omega, static[2], np.zeros(post.shape)).upper.max(axis=0)
@@ -205,7 +206,7 @@ def statics(paths: Paths, control: ControlPath, limit: Array) -> dict[str, Any]:
 
 def delays(pre: Block, post: Block) -> dict[str, Any]:
     """Return how late each kind of path is at low frequency [s], the largest of its channels."""
-    before, after = derivatives(pre.joined(), 3), derivatives(post.joined(), 2)
+    before, after = pre.joined().derivatives(3), post.joined().derivatives(2)
     m, n = pre.shape[0], post.shape[0]
 
     def late(first: Array, zeroth: Array) -> Array:

@@ -8,7 +8,7 @@ import os
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cosim.circuits.cache import folder
 from cosim.circuits.decks import Drive, testbench
@@ -16,8 +16,10 @@ from cosim.circuits.design_constants import DesignConstants, Stated
 from cosim.circuits.element_count import element_count
 from cosim.errors import CosimError
 from cosim.ngspice.deck import Deck, board_pins
-from cosim.ngspice.simulator import Simulator
 from cosim.types import Report
+
+if TYPE_CHECKING:
+    from cosim.ngspice.simulator import Simulator
 
 __all__ = ["kept", "of_deck", "read", "read_constants"]
 
@@ -58,6 +60,8 @@ def read(payload: dict[str, Any], report: Report) -> Stated:
     )
     drive = Drive(board.joints, True, channels)
     bench = testbench(board, drive, dict.fromkeys(drive.sources(), "dc 0"))
+    from cosim.ngspice.simulator import Simulator  # who finds the numbers kept needs no ngspice
+
     simulator = Simulator()
     simulator.load(
         "\n".join([*(line.text for line in board.lines), *bench, ".end"]) + "\n",

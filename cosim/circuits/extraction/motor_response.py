@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 
 from cosim.circuits.cache import load_arrays, store_arrays
-from cosim.circuits.extraction.large_signal import large_signal_error
-from cosim.circuits.extraction.testbench import Testbench
 from cosim.ngspice.deck import Deck
 from cosim.types import Array, Complex
 
@@ -67,6 +65,10 @@ class MotorResponse:
 
 def measure(payload: Mapping[str, Any], report: Callable[[dict[str, Any]], None]) -> MotorResponse:
     """Measure a board in ngspice's child process; payload: 'board'."""
+    # who finds the answer kept needs no ngspice
+    from cosim.circuits.extraction.large_signal import large_signal_error
+    from cosim.circuits.extraction.testbench import Testbench
+
     bench = Testbench(payload["board"], multipliers=False)
     n = bench.joints
     motors, pots = [f"imot{i}" for i in range(1, n + 1)], [f"pot{j}" for j in range(1, n + 1)]

@@ -16,8 +16,8 @@ import numpy as np
 
 from cosim.circuits.cache import Asked
 from cosim.circuits.extraction.alter import Handle, Way, altered, handle, nominal_value
-from cosim.circuits.extraction.extract import SWEEP, extracted, linear, with_offsets
 from cosim.circuits.extraction.limits_and_offsets import current_limits
+from cosim.circuits.extraction.measured_model import SWEEP, extracted, linear, with_offsets
 from cosim.circuits.extraction.path_measurement import Paths, Session
 from cosim.circuits.fitting.rational_fit import FitError
 from cosim.circuits.fitting.refit import GRID, Batch, Fitted, Unfit, batches, fitted, points

@@ -18,7 +18,7 @@ from cosim.errors import InputError, Problem
 from cosim.types import Array, Complex
 from cosim.units import quantity
 
-__all__ = ["ROUNDING", "Block", "derivatives", "fit_block"]
+__all__ = ["ROUNDING", "Block", "fit_block"]
 
 
 #: A path below this share of the strongest one to the same output is rounding.
@@ -92,18 +92,6 @@ class Block:
             bound = error_bound(part, none, omega, path_scale(part, omega), slope[at])
             upper[at], lower[at] = bound.upper, bound.lower
         return Bound(upper, lower)
-
-
-def derivatives(modes: Modes, count: int) -> Array:
-    """Return H, dH/ds, d2H/ds2 / 2, ... at s = 0; shape [count, outputs, inputs]."""
-    out = np.zeros((count, *modes.d.shape))
-    out[0] = modes.d
-    state: Array = modes.b
-    for k in range(count):
-        if len(modes.a):
-            state = np.asarray(np.linalg.solve(modes.a, state), float)
-            out[k] -= modes.c @ state
-    return out
 
 
 def fit_block(s: Complex, h: Complex, where: str, file: str, worst: float = WORST) -> Block:

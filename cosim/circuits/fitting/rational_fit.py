@@ -24,14 +24,12 @@ from cosim.circuits.fitting.pole_chains import (
     states_of,
 )
 from cosim.circuits.fitting.vector_fitting import in_order, relocated
-from cosim.circuits.linear_circuit import rational
+from cosim.circuits.linear_circuit import GOOD, rational
 from cosim.types import Array, Complex
 
-__all__ = ["GOOD", "WORST", "FitError", "Modes", "fit"]
+__all__ = ["WORST", "FitError", "Modes", "fit"]
 
 
-#: A fit this good needs no remark: 1e-9 is promised, also between the points.
-GOOD = 3e-10
 #: A worse fit is refused. One in between is used and its error reported: the parts are known to a percent.
 WORST = 1e-3
 #: A pole in the right half plane is believed when the fit with it is at least as good as this.
@@ -101,6 +99,17 @@ class Modes:
     def worst(self) -> float:
         """Largest error of any path."""
         return float(self.error.max(initial=0.0))
+
+    def derivatives(self, count: int) -> Array:
+        """Return H, dH/ds, d2H/ds2 / 2, ... at s = 0; shape [count, outputs, inputs]."""
+        out = np.zeros((count, *self.d.shape))
+        out[0] = self.d
+        state: Array = self.b
+        for k in range(count):
+            if len(self.a):
+                state = np.asarray(np.linalg.solve(self.a, state), float)
+                out[k] -= self.c @ state
+        return out
 
 
 def fit(s: Complex, h: Complex, worst: float = WORST) -> Modes:

@@ -32,9 +32,9 @@ from cosim.loop.signals import Layout, write_signals
 from cosim.loop.state import Fault
 from cosim.loop.userclass import PrintCapture
 from cosim.loop.userlaw import UserLaw, load_law
-from cosim.results import RAW
 from cosim.scene import PythonOperator, Scene
 from cosim.scene.mechanism import is_linear_between_events
+from cosim.storage.rawfile import RAW
 from cosim.types import Report
 
 #: First step behind a jump of the DACs, as a share of the period, when rows are recorded; or as a share of

@@ -33,8 +33,8 @@ from cosim.loop.userlaw import UserLaw, load_law
 from cosim.measures import AT_LIMIT
 from cosim.ngspice.deck import Deck
 from cosim.ngspice.simulator import Simulator
-from cosim.results import RAW
 from cosim.scene import PythonOperator, Scene
+from cosim.storage.rawfile import RAW
 from cosim.types import Report
 
 #: Frequency of the low-frequency limit of the back-EMF's viscosity: far below L/R, far above leakage.
