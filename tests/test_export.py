@@ -1,6 +1,9 @@
 """Exported decks run in the ngspice program, and agree with the lockstep."""
 
+import json
 import re
+import shutil
+import subprocess
 from dataclasses import replace
 from shutil import copytree
 
@@ -12,6 +15,7 @@ from support import SCENES, merge, shared_child, simulate, slider, toml
 
 from cosim.circuits.boardgen import write_board
 from cosim.circuits.decks import Tolerances
+from cosim.cli import main
 from cosim.errors import InputError
 from cosim.export import export
 from cosim.export.waveform import RISE_S, channel, source, straightened
@@ -148,6 +152,37 @@ def test_decks_print_measures(tmp_path):
         assert float(by_name[f"v{j}_end"]) == pytest.approx(run.signals[f"v{j}"][-1], abs=1e-3)
     assert "w2_end" not in by_name
     assert float(by_name["imot1_rms"]) < float(by_name["imot1_max"]) - float(by_name["imot1_min"])
+
+
+VENDOR = """\
+.subckt limited 1 2 3 4 5
+Rin 1 2 10meg
+Gm 0 6 value={limit(v(1,2)*1m, -300u, 300u)}
+Ro 6 0 316meg
+Cc 6 0 31.83p
+Eout 5 0 6 0 1
+Rp 3 4 100k
+.ends limited
+"""
+
+
+def test_the_command_that_export_prints_runs_as_it_is(tmp_path, capsys, monkeypatch):
+    """In a shell, with a name that needs quotes and a model that needs ngspice's PSpice mode."""
+    if shutil.which("ngspice") is None:
+        pytest.skip("the ngspice program is not installed")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "limited.lib").write_text(VENDOR)
+    how = f"file='{tmp_path}/limited.lib',subckt='limited',pins='1 2 3 4 5',dialect='pspice'"
+    part = f"device.parts.tl072={{{how}}}"
+    folder = tmp_path / "a board's $HOME"
+    folder.mkdir()
+    scene, deck = str(SCENES / "drop.toml"), str(folder / "deck; one.cir")
+    assert main(["export", scene, "--set", "duration_s=0.02", "--set", part, "-o", deck, "--json"]) == 0
+    line = json.loads(capsys.readouterr().out)["command"]
+    assert "-D ngbehavior=psa" in line
+    done = subprocess.run(["sh", "-c", line], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"^imot1_max\s*=\s*\S+", done.stdout, re.MULTILINE), done.stdout
 
 
 def test_effects_that_are_off_leave_no_term(tmp_path):

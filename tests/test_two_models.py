@@ -117,6 +117,11 @@ def test_no_failure_leaves_the_bound_of_every_stratum():
     result = failure_rate(weights, (0, 0, 0), (0, 20, 300), 1 << 16)
     assert result.value == 0.0
     assert result.high > 0.99 * 3.0 / 300
+    # a stratum without a sample may fail or not
+    none = failure_rate(np.tile([0.1, 0.2, 0.7], (16, 1)), (0, 0, 0), (0, 10**6, 10**6), 1 << 16)
+    assert none.value == pytest.approx(0.1 / 2, rel=1e-12)
+    assert none.low == 0.0
+    assert none.high > 0.1
     # and with few cheap samples what they have not met: three of 1024 are at the border
     few = failure_rate(np.tile([0.0, 3 / 1024, 1021 / 1024], (16, 1)), (0, 3, 0), (0, 3, 10**6), 1024)
     assert few.high > stats.beta.ppf(0.975, 4, 1021)
