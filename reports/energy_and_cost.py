@@ -112,9 +112,10 @@ def steps(view: View) -> Drawn | None:
     )
     if counted:
         below = grid[1, 0]
-        # The point at a sample closes the period before it.
-        edges = np.searchsorted(view.time, view.sample_time, side="right")
-        count = np.diff(np.append(edges, view.time.size)).astype(np.float64)
+        # The point at a sample closes the period before it; two rows of one time are one point.
+        points = np.unique(view.time)
+        edges = np.searchsorted(points, view.sample_time, side="right")
+        count = np.diff(np.append(edges, points.size)).astype(np.float64)
         last = view.sample_time[-1]
         if view.end_s <= last:  # the run ends with a sample: its period is missing
             count = count[:-1]

@@ -244,8 +244,9 @@ def test_a_run_of_something_else_is_refused(tmp_path):
         export(resolve(run.scene), run, tmp_path / "none" / "deck.cir")
 
 
-def test_a_channel_that_jumps_rises_right_behind_the_sample():
-    time = np.array([0.0, 1e-3, 2e-3, 2.02e-3, 3e-3])
+@pytest.mark.parametrize("behind", [2.02e-3, 2e-3])  # the next point, or that of the limit from the right
+def test_a_channel_that_jumps_rises_right_behind_the_sample(behind: float):
+    time = np.array([0.0, 1e-3, 2e-3, behind, 3e-3])
     t, v = channel(time, np.array([1.0, 1.0, 1.0, 4.0, 4.0]), 0.0)
     assert t.tolist() == [0.0, 2e-3, 2e-3 + RISE_S]
     assert v.tolist() == [1.0, 1.0, 4.0]

@@ -82,16 +82,17 @@ def _check_run(plan: Plan, run: Run) -> None:
 
 def _replay(plan: Plan, run: Run) -> list[str]:
     circuit, signals = plan.circuit, run.signals
-    time = np.asarray(signals["time"])
+    # angles and speeds have one value where the DACs jump
+    time, apart = np.unique(np.asarray(signals["time"]), return_index=True)
     gear = _constant(run, "gear")
     # angles are smooth between samples, unless noise bends them at any point
     angle = source if plan.scene.effects.pot_noise is PotNoise.NONE else stopping_source
     speed = "vm" if plan.scene.effects.shaft else "v"  # a motor behind a shaft has a speed of its own
     sources = channels(plan.scene, signals, circuit.channels)
     for j in range(1, circuit.joints + 1):
-        sources.append(angle(f"pot{j}", time, np.asarray(signals[f"pot{j}"])))
+        sources.append(angle(f"pot{j}", time, np.asarray(signals[f"pot{j}"])[apart]))
         if circuit.speeds:
-            sources.append(source(f"vel{j}", time, gear * np.asarray(signals[f"{speed}{j}"])))
+            sources.append(source(f"vel{j}", time, gear * np.asarray(signals[f"{speed}{j}"])[apart]))
     return _deck(plan, "replay of recorded sources", sources, [])
 
 

@@ -31,8 +31,8 @@ def channel(time: Vector, volts: Vector, settle: float) -> tuple[Vector, Vector]
     time, volts
         Recorded points, shape (points,) [s, V]. Where a ramp begins and ends there is a point.
     settle
-        Length of a ramp [s]. At 0 the channel jumps right after a recorded point, which becomes a ramp of
-        `RISE_S`.
+        Length of a ramp [s]. At 0 the channel jumps right after a recorded point, to that of the same time or
+        to the next, which becomes a ramp of `RISE_S`.
 
     Returns
     -------
@@ -46,7 +46,8 @@ def channel(time: Vector, volts: Vector, settle: float) -> tuple[Vector, Vector]
     t, v = [time[0]], [volts[0]]
     for k in changed:
         before = time[k - 1]
-        t += [before, before + min(RISE_S, time[k] - before)]
+        after = time[np.searchsorted(time, before, side="right")]
+        t += [before, before + min(RISE_S, after - before)]
         v += [volts[k - 1], volts[k]]
     start = 1 if len(t) > 1 and t[1] == t[0] else 0
     return np.array(t[start:]), np.array(v[start:])

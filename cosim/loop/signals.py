@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cosim.circuits.decks import Drive
 from cosim.circuits.design_constants import DesignConstants
 from cosim.loop.energy_ledger import summary, torques_and_energy, works
+from cosim.loop.jump_rows import REACH, right_limits
 from cosim.storage.rawfile import RawWriter
 from mech import NoOperator
 
@@ -33,12 +34,14 @@ class Layout:
     circuit : driven pins
     constants : design constants of the board
     linkage : one `LINKAGE` record
+    one_sided : whether a jump of the DACs has a row for its limit from the left only, as accepted points are
     """
 
     columns: tuple[str, ...]
     circuit: Drive
     constants: DesignConstants
     linkage: np.void
+    one_sided: bool = False
 
 
 def signal_names(columns: Sequence[str]) -> tuple[list[str], list[int]]:
@@ -94,9 +97,9 @@ def _derived(
     totals = np.zeros(workers)
     held, spring = [], []
     for start in range(0, len(table), _CHUNK):
-        # two rows of overlap: the parabola of a step reaches two points back
+        # two rows of overlap: the parabola of a step reaches two points back, the limit of a jump some on
         back = min(start, 2)
-        rows = np.ascontiguousarray(table[start - back : start + _CHUNK])
+        rows, accepted = _shown(table, start - back, start, min(start + _CHUNK, len(table)), layout)
         torques = np.empty((len(rows), len(_POWERS), n))
         energies = np.empty((len(rows), 3))
         push = np.empty((len(rows), 2))
@@ -104,8 +107,8 @@ def _derived(
             layout.linkage, nobody, n, torque_per_amp, rows, first, torques, energies, push, motors, windup
         )
         if work_j is None:
-            done = np.zeros((len(rows), workers))
-            works(n, rows, first, torques, done)
+            done = np.zeros((np.count_nonzero(accepted), workers))
+            works(n, rows[accepted], first, torques[accepted], done)
             totals += done[max(back, 1) :].sum(axis=0)
         speeds = rows[:, first + n : first + 2 * n]
         power = np.einsum("kij,kj->ki", torques, speeds)
@@ -119,6 +122,23 @@ def _derived(
     return summary(
         np.concatenate(held), totals if work_j is None else work_j[:workers], np.concatenate(spring)
     )
+
+
+def _shown(
+    table: NDArray[np.float64], begin: int, start: int, stop: int, layout: Layout
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the rows of `table` from `begin` to `stop`, and which of them are accepted points.
+
+    The others, from `start` on, are limits of jumps from the right.
+    """
+    rows = np.ascontiguousarray(table[begin:stop])
+    accepted = np.ones(len(rows), bool)
+    if not layout.one_sided:
+        return rows, accepted
+    at, right = right_limits(table[start : stop + REACH], layout.columns, layout.circuit.channels)
+    inside = at < stop - start
+    behind = at[inside] + start - begin + 1
+    return np.insert(rows, behind, right[inside], axis=0), np.insert(accepted, behind, False)
 
 
 def _spring_energy(rows: NDArray[np.float64], layout: Layout) -> NDArray[np.float64]:

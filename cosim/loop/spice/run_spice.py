@@ -235,7 +235,8 @@ def _signals(
 ) -> dict[str, Any]:
     """Turn the streamed rows into signals.raw; return the energy ledger."""
     shafts = scene.effects.shaft
-    layout = Layout(tuple(columns(circuit, recorded, shafts=shafts)), circuit, constants, state["p"])
+    names = tuple(columns(circuit, recorded, shafts=shafts))
+    layout = Layout(names, circuit, constants, state["p"], one_sided=True)
     done = np.array(state["work"]) if shafts else None
     ledger = write_signals(folder / ROWS, folder / RAW, layout, scene.title, done)
     (folder / ROWS).unlink()
