@@ -244,6 +244,18 @@ def test_clipping_inside_the_working_range_is_found(checked):
     assert any("multiplier 11 makes" in f.message for f in problems(low, "headroom"))
 
 
+@pytest.mark.parametrize(("edit", "path"), [((), "xdrv"), (("r_drv_fb=2k",), "xsum")])
+def test_the_speed_at_which_the_damper_clips_is_that_of_the_first_amplifier(checked, edit, path):
+    """Driver 15 V less 3.7 V, summing amplifier less 1.5 V; a rad/s is v_rad r_der_fb c_der_in 10/6.19 V."""
+    result = checked(BOARD1, *edit, level="gbw")
+    summed = 3.37034 * 0.1 * 10.0 / 6.19
+    first = {"xdrv": 11.3 / (2.0 * summed), "xsum": 13.5 / summed}[path]
+    (speed,) = result.measured.headroom.speeds
+    assert (speed.joint, speed.path) == (1, f"xboard.{path}1.xop")
+    # op-amps of a gain of 106 dB, and the differentiator's corner at 100 Hz, seen at 0.1 Hz
+    assert speed.speed_rad_per_s == pytest.approx(first, rel=1e-4)
+
+
 def current_loop():
     """Loop gain of the current drive at the motor: integrator with its zero, motor, the op-amp's own loop."""
 
