@@ -26,7 +26,7 @@ from cosim.plan import Plan, resolve
 from cosim.provenance import provenance, run_date
 from cosim.results import Run, written_files
 from cosim.scene import PythonOperator, Scene
-from cosim.stability_gate import answer_of, coupled, latched, left, question, reached, verdict
+from cosim.stability_gate import answer_of, bent, coupled, latched, left, question, reached, verdict
 from cosim.storage.rawfile import RAW, Signals, read_raw, stamp
 from cosim.storage.staging import Staging, disk_errors, require_ours, scratch_folder
 from cosim.types import Measures
@@ -123,7 +123,8 @@ def _run(
     if not judged.unjudged:
         warn(*coupled(plan, child))
         if plan.model == "spice":  # the other models tell it of the circuit that they simulate
-            warn(*plausibility.of_response(answer_of(plan, child), plan.stated().constants()))
+            stated = plan.stated().constants()
+            warn(*plausibility.of_response(answer_of(plan, child), stated, lambda: bent(plan, child)))
     with Staging(target, written_files) as stage:
         done = _simulated(plan, stage.path, child, on_progress)
         answer, samples, signals = done.answer, done.samples, done.signals

@@ -15,6 +15,7 @@ from cosim.circuits.extraction import motor_response
 from cosim.circuits.extraction.motor_response import MotorResponse
 from cosim.circuits.instability.stability_verdict import Question, Verdict, keep, known
 from cosim.coupled_poles import growing, hidden
+from cosim.errors import CosimError
 from cosim.ngspice.child import TIME_LIMIT_S, Child, call
 from cosim.ngspice.deck import Deck, load_deck
 from cosim.plan import Plan, swaps
@@ -23,7 +24,7 @@ from cosim.scene import Level, PartFile
 from cosim.types import Array
 from cosim.units import quantity, signed
 
-__all__ = ["FINITE", "answer_of", "coupled", "latched", "left", "question", "reached", "verdict"]
+__all__ = ["FINITE", "answer_of", "bent", "coupled", "latched", "left", "question", "reached", "verdict"]
 
 
 #: Levels at which a board is judged: every amplifier has its bandwidth, the winding its inductance.
@@ -135,6 +136,18 @@ def answer_of(plan: Plan, child: Child | None = None) -> MotorResponse:
         )  # fmt: skip
         motor_response.keep(board, response)
     return response
+
+
+def bent(plan: Plan, child: Child | None = None) -> float:
+    """Return how far that board leaves its slope at rest, as `large_signal_error`; 0 where unknown."""
+    try:
+        error: float = call(
+            "cosim.circuits.extraction.large_signal:measure", {"board": _finite(plan, vendors=True)},
+            time_limit_s=plan.scene.solver.time_limit_s, deck=str(plan.board.path), child=child,
+        )  # fmt: skip
+    except CosimError:  # it only takes a warning back
+        return 0.0
+    return error
 
 
 def reached(plan: Plan, q: Array) -> list[Array]:

@@ -15,7 +15,7 @@ def late_spring(stiffness, tau, brake):
     rest = np.zeros((len(HZ), 1, 2), complex)
     rest[:, 0, 1] = -brake
     channel = (-stiffness / (1.0 + S * tau)).reshape(-1, 1, 1, 1)
-    return MotorResponse(HZ, rest, channel, np.zeros(1), 0.0, 10.0, ("ksp11",))
+    return MotorResponse(HZ, rest, channel, np.zeros(1), 10.0, ("ksp11",))
 
 
 @pytest.mark.parametrize(("tau", "unstable"), [(0.9e-5, False), (1.1e-5, True)])

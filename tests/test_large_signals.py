@@ -1,7 +1,5 @@
 """Boards whose gain at rated current is another than at rest: told, or refused, by their `.dc` sweep."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from extraction_boards import board, extract, shipped
@@ -9,6 +7,7 @@ from extraction_boards import board, extract, shipped
 from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.extraction.certificate import cautions
 from cosim.circuits.extraction.large_signal import large_signal_error
+from cosim.circuits.extraction.large_signal import measure as bends
 from cosim.circuits.extraction.motor_response import measure
 from cosim.circuits.extraction.path_measurement import Session
 from cosim.errors import InputError
@@ -86,8 +85,8 @@ def test_a_board_of_op_amps_without_bias_is_refused_with_the_reason(tmp_path, jo
     assert [each.code for each in of_circuit(circuit, constants)] == ["not-linear"]
     # nor does a run on ngspice, which knows the board's bends, blame constants for its slope at rest
     response = measure({"board": deck}, lambda _: None)
-    assert not list(of_response(response, constants))
-    assert [c.code for c in of_response(replace(response, bent=0.0), constants)] == ["constant-missed"] * 3
+    assert not list(of_response(response, constants, lambda: bends({"board": deck}, lambda _: None)))
+    assert [c.code for c in of_response(response, constants, lambda: 0.0)] == ["constant-missed"] * 3
 
 
 @pytest.mark.parametrize("joints", [1, 2])

@@ -6,13 +6,17 @@ that saturates below rated torque, has another gain where the motors work, which
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from cosim.circuits.extraction.multipliers import LOW_HZ
 from cosim.circuits.extraction.testbench import Testbench
 from cosim.errors import InputError, NoOperatingPoint
+from cosim.types import Report
 
-__all__ = ["large_signal_error"]
+__all__ = ["large_signal_error", "measure"]
 
 #: Points of the sweep from rest to rated current, on either side.
 _STEPS = 8
@@ -50,3 +54,10 @@ def large_signal_error(bench: Testbench) -> tuple[float, str] | None:
         finally:
             bench.hold({pin: 0.0})
     return worst, where
+
+
+def measure(payload: Mapping[str, Any], report: Report) -> float:
+    """Return the same of a board in ngspice's child process, 0 where it is not known; payload: 'board'."""
+    report({})
+    error, _ = large_signal_error(Testbench(payload["board"], multipliers=False)) or (0.0, "")
+    return error

@@ -19,7 +19,7 @@ from cosim.types import Array, Complex
 __all__ = ["MotorResponse", "keep", "known", "measure"]
 
 
-_VERSION = 2
+_VERSION = 3
 #: Every frequency at which a device and its circuit can move each other.
 _SWEEP = "dec 10 1m 1g"
 _LOWEST = "lin 1 1m 1m"
@@ -40,9 +40,6 @@ class MotorResponse:
         [F, m, n, n]: what each gain pin at full scale adds to pot -> imot, in the order of `names`.
     command
         [n]: cmd -> imot as the frequency goes to zero.
-    bent
-        Difference between a motor's current and its slope at rest, up to rated current, as a share of it; 0
-        where that is not known.
     v_fs
         Full scale [V].
     """
@@ -51,7 +48,6 @@ class MotorResponse:
     rest: Complex
     channel: Complex
     command: Array
-    bent: float
     v_fs: float
     names: tuple[str, ...]
 
@@ -66,7 +62,6 @@ class MotorResponse:
 def measure(payload: Mapping[str, Any], report: Callable[[dict[str, Any]], None]) -> MotorResponse:
     """Measure a board in ngspice's child process; payload: 'board'."""
     # who finds the answer kept needs no ngspice
-    from cosim.circuits.extraction.large_signal import large_signal_error
     from cosim.circuits.extraction.testbench import Testbench
 
     bench = Testbench(payload["board"], multipliers=False)
@@ -84,9 +79,8 @@ def measure(payload: Mapping[str, Any], report: Callable[[dict[str, Any]], None]
         bench.hold({channel: bench.v_fs})
         each.append(driven(pots) - rest[:, :, :n])
         bench.hold({channel: 0.0})
-    hz, names = bench.hz, tuple(bench.channels)
-    bent, _ = large_signal_error(bench) or (0.0, "")
-    return MotorResponse(hz, rest, np.stack(each, axis=1), np.array(command), bent, bench.v_fs, names)
+    names = tuple(bench.channels)
+    return MotorResponse(bench.hz, rest, np.stack(each, axis=1), np.array(command), bench.v_fs, names)
 
 
 def _name(board: Deck) -> str:
@@ -101,8 +95,7 @@ def known(board: Deck) -> MotorResponse | None:
             return None
         about, arrays = stored
         hz, rest, channel, command = (arrays[name] for name in _ARRAYS)
-        bent, v_fs = float(about["bent"]), float(about["v_fs"])
-        return MotorResponse(hz, rest, channel, command, bent, v_fs, tuple(about["names"]))
+        return MotorResponse(hz, rest, channel, command, float(about["v_fs"]), tuple(about["names"]))
     except (KeyError, TypeError, ValueError):  # damaged: the board itself is at hand
         return None
 
@@ -110,9 +103,4 @@ def known(board: Deck) -> MotorResponse | None:
 def keep(board: Deck, motor_response: MotorResponse) -> None:
     """Keep it under the deck's digest."""
     arrays = {name: getattr(motor_response, name) for name in _ARRAYS}
-    about = {
-        "bent": motor_response.bent,
-        "v_fs": motor_response.v_fs,
-        "names": list(motor_response.names),
-    }
-    store_arrays(_name(board), about, arrays)
+    store_arrays(_name(board), {"v_fs": motor_response.v_fs, "names": list(motor_response.names)}, arrays)
