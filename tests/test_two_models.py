@@ -199,7 +199,7 @@ def test_a_yield_by_planes_is_unbiased_and_covered(fails_at, monkeypatch):
 
     Seen to fail with the weight of the border halved.
     """
-    monkeypatch.setattr(plane_samples, "_WEIGHED", 1 << 14)
+    monkeypatch.setattr(plane_samples, "_MOST", 1 << 14)
     rows = []
     for seed in range(40):
         study = formulas(200, two_level=True, seed=seed)

@@ -19,6 +19,7 @@ from scipy import stats
 
 from cosim.tolerance.intervals import CONFIDENCE, Estimate, clopper_pearson
 from cosim.tolerance.spec import Spec
+from cosim.tolerance.strata_bounds import highest_rates
 from cosim.types import Array
 
 __all__ = [
@@ -39,8 +40,8 @@ FAILS, BORDER, PASSES = range(3)
 
 #: Standard deviations of the two models' difference that the border is wide to either side.
 _WIDE = 4.0
-#: Share of the error probability that the weights may use; the strata share the rest.
-_OF_WEIGHTS = 0.3
+#: Share of the error probability that the weights use, from and to; the strata have the rest.
+_OF_WEIGHTS = (0.05, 0.3)
 #: With fewer cheap samples outside the largest stratum, their scatter over randomisations says too little.
 _FEW = 30
 _LEAST = 8
@@ -123,9 +124,12 @@ def allocation(weights: Array, plain: int, most: int) -> tuple[int, int, int]:
         Samples that may come on top.
     """
     rest = plain * float(weights[PASSES])
-    bound = 4.0 / max(plain, 1)  # of the failure rate, with no failure in the rest
-    at_border = (2.5 * float(weights[BORDER]) / bound) ** 2
-    failing = 4.0 * plain * float(weights[FAILS])
+    # least cost times square of the interval, 3.3/plain for no failure in the rest and 2.4 deviations here
+    at_border = 0.5 * plain ** (4.0 / 3.0) * float(weights[BORDER]) ** (2.0 / 3.0)
+    # a device that passes among those that should fail counts less than the border's deviation, 0.5 w/sqrt(n)
+    failing = float(weights[FAILS]) * float(
+        np.clip(2.5 * math.sqrt(at_border) / max(float(weights[BORDER]), 1e-300), 4.0 * plain, 16.0 * plain)
+    )
     wanted = np.array([failing, at_border, rest])
     wanted[:2] = np.where(weights[:2] > 0.0, np.maximum(wanted[:2], _LEAST), 0.0)
     there = plain * weights
@@ -138,8 +142,9 @@ def allocation(weights: Array, plain: int, most: int) -> tuple[int, int, int]:
 def failure_rate(weights: Array, failed: Sequence[int], counted: Sequence[int], cheap: int) -> Estimate:
     """Return the share of devices that fail.
 
-    Exact bounds of each stratum at a shared error probability, and the weights' own error, by Student's t
-    over the randomisations; what no sample has met is bounded by its count.
+    The exact bound of all strata together (`highest_rates`), and the weights' own error, by Student's t over
+    the randomisations; what no sample has met is bounded by its count. The ends share the error probability
+    so that the interval is expected to be shortest.
 
     Parameters
     ----------
@@ -160,22 +165,38 @@ def failure_rate(weights: Array, failed: Sequence[int], counted: Sequence[int], 
     alpha = 1.0 - CONFIDENCE
     mean = weights.mean(axis=0)
     rates = np.array([f / n if n else 0.5 for f, n in zip(failed, counted, strict=True)])
-    shares = (1.0 - _OF_WEIGHTS) * alpha * _of_strata(mean, counted)
-    ends = np.array(
-        [clopper_pearson(f, n, 1.0 - a) if n else (0.0, 1.0)
-         for f, n, a in zip(failed, counted, shares, strict=True)]
-    )  # fmt: skip
-    low, high = (_weighted(weights, ends[:, side], cheap, alpha * _OF_WEIGHTS, side) for side in (0, 1))
+    of_weights = alpha * _share_of_weights(mean, counted, cheap)
+    above = (alpha - of_weights) * _share_above(mean, counted)
+    passed = [n - f for f, n in zip(failed, counted, strict=True)]
+    highest = highest_rates(mean, failed, counted, (PASSES, BORDER, FAILS), above)
+    below = alpha - of_weights - above
+    lowest = 1.0 - highest_rates(mean, passed, counted, (FAILS, BORDER, PASSES), below)
+    low, high = (_weighted(weights, r, cheap, of_weights, side) for side, r in enumerate((lowest, highest)))
     return Estimate(float(mean @ rates), max(low, 0.0), min(high, 1.0), "strata, exact bounds")
 
 
-def _of_strata(weights: Array, counted: Sequence[int]) -> Array:
-    """Return each stratum's share of the error probability, by the width that it is expected to add."""
+def _share_above(weights: Array, counted: Sequence[int]) -> float:
+    """Return the upper end's share of the error probability: the interval is expected to be shortest.
+
+    It is decided by the numbers of samples, not by what failed. A bound of no failure falls with -ln(alpha),
+    one of the border's count about half as fast: what each adds to an end tells that end's share.
+    """
     numbers = np.maximum(np.array(counted, dtype=float), 1.0)
-    width = 4.0 * weights / numbers
-    width[BORDER] = weights[BORDER] / math.sqrt(numbers[BORDER])
-    width = np.maximum(width, 0.05 * max(float(width.sum()), 1e-300))
-    return np.asarray(width / width.sum())
+    each = weights / numbers
+    border = 0.25 * float(weights[BORDER]) / math.sqrt(numbers[BORDER])
+    above = (each[PASSES] + border) / (each[PASSES] + each[FAILS] + 2.0 * border)
+    return float(np.clip(above, 0.05, 0.95))
+
+
+def _share_of_weights(weights: Array, counted: Sequence[int], cheap: int) -> float:
+    """Return the weights' share of the error probability, by the width that they are expected to add."""
+    numbers = np.maximum(np.array(counted, dtype=float), 1.0)
+    failing = np.array([1.0, 0.5, 0.0])
+    variance = float(weights @ failing**2 - (weights @ failing) ** 2)
+    own = math.sqrt(max(variance, 0.0) / cheap)
+    strata = 3.0 * float((weights / numbers)[[FAILS, PASSES]].max())
+    strata += 0.5 * float(weights[BORDER]) / math.sqrt(numbers[BORDER])
+    return float(np.clip(own / (own + strata), *_OF_WEIGHTS))
 
 
 def _weighted(weights: Array, rates: Array, cheap: int, alpha: float, side: int) -> float:

@@ -165,20 +165,20 @@ class LevelSamples:
         return {name: plane for name, plane in planes.items() if plane is not None}
 
     def cube(
-        self, pilots: Mapping[str, Pilot | str], first: int, beside: int = 0, *, weighs: bool = True
+        self, pilots: Mapping[str, Pilot | str], first: int, n: int, beside: int = 0, *, weighs: bool = True
     ) -> Sampling:
         """Return the cheap level's points: as many as the most demanding estimate wants, within its cost.
 
-        `beside` are cheap samples that are spent already; `weighs` says that strata are weighed by these.
+        `n` are the dear samples that they correct, the pilot's `first` among them; `beside` cheap samples are
+        spent already; `weighs` says that strata are weighed by these.
         """
-        dear = self.study.sampling.n - first
         paying = _paying(pilots)
         count, seed = len(self.study.tolerances.variables), self.prepared.seed
         if not paying:
             return sampling("sobol", 0, count, seed + 1)
-        each = max(cheap_samples(pilot, dear) for pilot in paying)
+        each = max(cheap_samples(pilot, n - first) for pilot in paying)
         within = _BESIDE_PLANES if beside else 1.0
-        most = int((within * self.study.sampling.n / paying[0].cost_ratio - beside) / REPLICATES)
+        most = int((within * n / paying[0].cost_ratio - beside) / REPLICATES)
         if self.prepared.asked.specs and weighs:
             each = _MOST_CHEAP
         each = max(min(each, most, _MOST_CHEAP), 16)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from cosim.errors import InputError, Problem
-from cosim.tolerance.border_strata import STRATA, Border, learned
+from cosim.tolerance.border_strata import STRATA, Border, learned, replicate_weights
 from cosim.tolerance.engine import Processes
 from cosim.tolerance.level_samples import LevelSamples, cheaper
 from cosim.tolerance.monte_carlo import Study
@@ -122,7 +122,7 @@ def two_levels(
     flat = _flat(work, planes, first)
     same = work.measured("same", study.sampling, n if flat is None else min(n, first + _ON_BOTH))
     spent = max((plane.samples for plane in planes.values()), default=0)
-    cube = work.cube(pilots, first, spent, weighs=flat is None)
+    cube = work.cube(pilots, first, len(same), spent, weighs=flat is None)
     values = work.measured("cheap", cube, cube.n) if cube.n else np.empty((0, len(work.names)))
     at = _at(planes, study, cube)
     moments = {
@@ -133,11 +133,12 @@ def two_levels(
     if flat is not None:
         by = f"a plane through samples of {cheap}"
         extra, yields = yields_by_strata(
-            flat.samples, flat.border, flat.same, flat.values, flat.cube, first, by
+            flat.samples, flat.border, flat.same, flat.weights, flat.cheap, first, by
         )
     elif prepared.asked.specs and cube.n:
         border = learned(prepared.asked.specs, work.named(same[:first]), work.named(work.own()[:first]))
-        extra, yields = yields_by_strata(work, border, same, values, cube, first, cheap)
+        weights = replicate_weights(border.strata(work.named(values)), cube.replicates)
+        extra, yields = yields_by_strata(work, border, same, weights, cube.n, first, cheap)
     return Levels(study.model, cheap, work.seconds(), moments, yields, extra)
 
 
@@ -169,13 +170,13 @@ def check(prepared: Prepared) -> None:
 
 @dataclass(frozen=True)
 class _Flat:
-    """Planes in the cheap model's place: who measures, the border, the study's devices, and others."""
+    """Planes in the cheap model's place: who measures, border, the study's devices, and weights by others."""
 
     samples: PlaneSamples
     border: Border
     same: Array
-    values: Array
-    cube: Sampling
+    weights: Array
+    cheap: int
 
 
 def _flat(work: LevelSamples, planes: Mapping[str, Plane], first: int) -> _Flat | None:
@@ -189,10 +190,9 @@ def _flat(work: LevelSamples, planes: Mapping[str, Plane], first: int) -> _Flat 
     samples = PlaneSamples(work, planes)
     same = samples.measured("same", work.study.sampling, n)
     border = learned(specs, work.named(same[:first]), work.named(work.own()[:first]))
-    cube = samples.cube()
-    values = samples.measured("cheap", cube, cube.n)
-    half, best = expected_halves(border, work.named(values), cube, n - first)
-    return _Flat(samples, border, same, values, cube) if half < _WORTH * best else None
+    weights, cheap = samples.weights(border)
+    half, best = expected_halves(weights, cheap, n - first)
+    return _Flat(samples, border, same, weights, cheap) if half < _WORTH * best else None
 
 
 def _at(planes: Mapping[str, Plane], study: Study, cube: Sampling) -> dict[str, tuple[Plane, Array]]:

@@ -11,18 +11,22 @@ from typing import Any
 
 import numpy as np
 
+from cosim.tolerance.border_strata import Border, replicate_weights
 from cosim.tolerance.level_samples import LevelSamples
 from cosim.tolerance.monte_carlo import Study
 from cosim.tolerance.plane import Plane
 from cosim.tolerance.preparation import Points, Prepared
 from cosim.tolerance.sensitivity import deviations
-from cosim.tolerance.unit_cube import Sampling, sampling
+from cosim.tolerance.unit_cube import sampling
 from cosim.types import Array
 
 __all__ = ["PlaneSamples"]
 
-#: Points by which the strata are weighed, and of which a plane is evaluated together.
-_WEIGHED, _TOGETHER = 1 << 20, 1 << 14
+#: Points by which the strata are weighed: for each dear sample, so that the weights' error is small beside
+#: the bound of no failure, 3/n; at least, and at most.
+_WEIGHED, _LEAST, _MOST = 800, 1 << 17, 1 << 22
+#: Points of which a plane is evaluated together.
+_TOGETHER = 1 << 14
 #: Seconds of a value of a plane: far below those of any sample.
 _SECONDS = 1e-6
 
@@ -45,10 +49,15 @@ class PlaneSamples:
         self.named = work.named
         self.own = work.own
 
-    def cube(self) -> Sampling:
-        """Return the points by which the strata are weighed."""
-        count = len(self.study.tolerances.variables)
-        return sampling("sobol", _WEIGHED, count, self.prepared.seed + 3)
+    def weights(self, border: Border) -> tuple[Array, int]:
+        """Return the strata's share in each randomisation (randomisations, strata), and the points in all."""
+        count, wanted = len(self.study.tolerances.variables), _WEIGHED * self.study.sampling.n
+        cube = sampling("sobol", min(max(wanted, _LEAST), _MOST), count, self.prepared.seed + 3)
+        strata = np.empty(cube.n, dtype=np.int64)
+        for first in range(0, cube.n, _TOGETHER):
+            table = self._values(cube.uniforms(first, min(_TOGETHER, cube.n - first)))
+            strata[first : first + len(table)] = border.strata(self.named(table))
+        return replicate_weights(strata, cube.replicates), cube.n
 
     def seconds(self) -> tuple[float, float]:
         """Return seconds of a dear sample, and of a value of a plane."""
@@ -62,10 +71,14 @@ class PlaneSamples:
         """Return measures (n, measures) of points: by planes, or on the study's model; NaN: no plane."""
         if model is not None:
             return self._work.measured(f"{name}-by-plane", points, n, model)
-        table = np.full((n, len(self._work.names)), np.nan)
-        for first in range(0, n, _TOGETHER):
-            z = deviations(self.study.tolerances, points.uniforms(first, min(_TOGETHER, n - first)))
-            for column, measure in enumerate(self._work.names):
-                if measure in self._planes:
-                    table[first : first + len(z), column] = self._planes[measure](z)
+        starts = range(0, n, _TOGETHER)
+        parts = [self._values(points.uniforms(first, min(_TOGETHER, n - first))) for first in starts]
+        return np.concatenate(parts) if parts else np.empty((0, len(self._work.names)))
+
+    def _values(self, uniforms: Array) -> Array:
+        z = deviations(self.study.tolerances, uniforms)
+        table = np.full((len(z), len(self._work.names)), np.nan)
+        for column, measure in enumerate(self._work.names):
+            if measure in self._planes:
+                table[:, column] = self._planes[measure](z)
         return table

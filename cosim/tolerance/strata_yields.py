@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -19,14 +19,12 @@ from cosim.tolerance.border_strata import (
     Border,
     allocation,
     failure_rate,
-    replicate_weights,
 )  # fmt: skip
 from cosim.tolerance.intervals import Estimate
 from cosim.tolerance.level_samples import Chosen
 from cosim.tolerance.monte_carlo import Study, passed
 from cosim.tolerance.preparation import Points, Prepared
 from cosim.tolerance.spec import Spec
-from cosim.tolerance.unit_cube import Sampling
 from cosim.types import Array
 
 __all__ = ["Sampled", "Stratified", "expected_halves", "yields_by_strata"]
@@ -91,19 +89,17 @@ class Stratified:
         return Estimate(1.0 - of.value, 1.0 - of.high, 1.0 - of.low, of.how)
 
 
-def expected_halves(
-    border: Border, values: Mapping[str, Array], cube: Sampling, n: int
-) -> tuple[float, float]:
+def expected_halves(weights: Array, cheap: int, n: int) -> tuple[float, float]:
     """Return half the interval that strata promise, and that they would without a border.
 
     With n plain dear samples and n/2 more. Half of the devices at the border are taken to fail, and none
     beyond it.
     """
-    weights = replicate_weights(border.strata(values), cube.replicates)
 
     def half(of: Array) -> float:
         counted = allocation(of.mean(axis=0), n, n // 2)
-        return failure_rate(of, (counted[0], counted[1] // 2, 0), counted, cube.n).half
+        failed = counted[FAILS], counted[BORDER] // 2, 0
+        return failure_rate(of, failed, counted, cheap).half
 
     sharp = weights.copy()
     sharp[:, FAILS] += 0.5 * sharp[:, BORDER]
@@ -113,7 +109,7 @@ def expected_halves(
 
 
 def yields_by_strata(
-    work: Sampled, border: Border, same: Array, values: Array, cube: Sampling, first: int, by: str
+    work: Sampled, border: Border, same: Array, weights: Array, cheap: int, first: int, by: str
 ) -> tuple[int, dict[str, Stratified]]:
     """Return the dear samples besides the study's own, and the yield of each specification by strata.
 
@@ -121,10 +117,8 @@ def yields_by_strata(
     ----------
     same
         [n, measures], the study's own devices on the cheap model.
-    values
-        [cheap, measures], the cheap model's further devices, which tell the strata's weights.
-    cube
-        How these were drawn: its randomisations give the weights' error.
+    weights, cheap
+        (randomisations, strata), the strata's shares, and how many devices of the cheap model they come from.
     first
         Own devices that the border was learned from; they are not counted.
     by
@@ -132,7 +126,6 @@ def yields_by_strata(
     """
     study, specs = work.study, work.prepared.asked.specs
     n = study.sampling.n
-    weights = replicate_weights(border.strata(work.named(values)), cube.replicates)
     wanted = allocation(weights.mean(axis=0), n - first, n // 2)
     strata = border.strata(work.named(same))
     chosen = work.decided("chosen", lambda: _chosen(work, border, strata[first:], weights, wanted))
@@ -148,7 +141,7 @@ def yields_by_strata(
     strata = strata[first:]
     every = {spec.text: (spec,) for spec in specs} | ({"all": tuple(specs)} if len(specs) > 1 else {})
     return len(more), {
-        text: replace(_stratified(work, some, results, strata, weights, cube, same), by=by)
+        text: replace(_stratified(work, some, results, strata, weights, cheap, same), by=by)
         for text, some in every.items()
     }
 
@@ -175,7 +168,7 @@ def _chosen(
 
 def _stratified(
     work: Sampled, specs: Sequence[Spec], results: Array, strata: NDArray[np.int64], weights: Array,
-    cube: Sampling, same: Array,
+    cheap: int, same: Array,
 ) -> Stratified:  # fmt: skip
     """Return the yield of some specifications; the strata are those of all of them."""
     study = work.study
@@ -189,7 +182,7 @@ def _stratified(
     failed = [int(np.sum((strata == h) & ~good)) for h in range(len(STRATA))]
     own = passed(study, specs)
     plain = intervals.share(~own, study.sampling)
-    rate = failure_rate(weights, failed, counted, cube.n)
+    rate = failure_rate(weights, failed, counted, cheap)
     lower = passing(same)
     correlation = math.nan
     if 0 < own.sum() < len(own) and 0 < lower.sum() < len(lower):
