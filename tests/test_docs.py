@@ -136,18 +136,19 @@ _SEARCH = """
 
 
 @pytest.mark.browser
-def test_a_question_finds_its_page_without_a_server(site):
+@pytest.mark.few(2)
+@pytest.mark.parametrize("asked", ASKED)
+def test_a_question_finds_its_page_without_a_server(site, asked):
     """Pages opened from disk search as well: the answer is among the first three, and no network is asked."""
     with Browser() as browser:
-        for asked, page in ASKED.items():
-            visit = browser.visit(site / "index.html")
-            assert visit.complaints == []
-            assert all(request.startswith("file:") for request in visit.requests)
-            assert page in browser.evaluate(_SEARCH.replace("ASKED", json.dumps(asked))), asked
+        visit = browser.visit(site / "index.html")
+        assert visit.complaints == []
+        assert all(request.startswith("file:") for request in visit.requests)
+        assert ASKED[asked] in browser.evaluate(_SEARCH.replace("ASKED", json.dumps(asked)))
 
 
 @pytest.mark.browser
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=pytest.mark.slow)])
 def test_pages_can_be_read_on_a_telephone_and_in_the_dark(site, scheme):
     pages = ("paper", "glossary", "tutorials/first-monte-carlo", "explanation/exact-propagation",
              "how-to/cluster", "reference/scene", "reference/python")  # fmt: skip

@@ -34,8 +34,10 @@ def times_measured(folder):
     return counts
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize(("workers", "chunk"), [(2, 7), (1, 1), (8, None), (8, 1)])
+@pytest.mark.parametrize(
+    ("workers", "chunk"),
+    [(2, 7), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((1, 1), (8, None), (8, 1)))],
+)
 def test_workers_and_chunks_leave_the_same_bytes(tmp_path, workers, chunk):
     truth, samples = undisturbed(tmp_path / "truth", failing=(3, 100))
     other = run(job(tmp_path / "other", N, failing=(3, 100)), tmp_path / "other" / "mc",

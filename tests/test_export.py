@@ -130,8 +130,7 @@ def test_any_number_of_links(tmp_path, n):
     check_agreement(*both_sides(tmp_path, file))
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize("noise", ["none", "white"])
+@pytest.mark.parametrize("noise", ["none", pytest.param("white", marks=pytest.mark.slow)])
 def test_replay_gives_the_recorded_currents(tmp_path, noise):
     run = simulate(load_scene(SCENES / "slope.toml", (f'effects.pot_noise="{noise}"',)), tmp_path / "run")
     again = ngspice(export(resolve(run.scene), run, tmp_path / "replay.cir", "replay"))

@@ -281,6 +281,7 @@ def test_commands_refuse_a_forged_result_in_words(
     assert not os.path.exists(out)
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("kind", ["law", "operator", "measure"])
 @pytest.mark.parametrize("command", ["report", "compare", "compare measures", "verify"])
 def test_python_that_a_stored_scene_names_is_not_run(

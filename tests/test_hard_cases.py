@@ -28,6 +28,7 @@ def runner():
         yield made
 
 
+@pytest.mark.few(150)
 @pytest.mark.parametrize(("case", "model"), EVERY)
 def test_hard_case(runner: CaseRunner, case: HardCase, model: str) -> None:
     result = runner.outcome(case, model)

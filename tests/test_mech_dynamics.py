@@ -270,6 +270,7 @@ for times in (1, 1, 100):
 """
 
 
+@pytest.mark.slow
 def test_kernels_do_not_allocate():
     # They run inside ngspice's callbacks. Arrays that Python hands over are counted once a call of `many`,
     # whatever the number of turns inside it.

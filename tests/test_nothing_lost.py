@@ -276,7 +276,7 @@ def test_inputs_are_not_written_over(
     assert contents(tmp_path) == before
 
 
-@pytest.mark.parametrize("command", ["export", "device"])
+@pytest.mark.parametrize("command", ["export", pytest.param("device", marks=pytest.mark.slow)])
 def test_a_single_file_replaces_what_it_wrote_and_nobody_has_edited(
     command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

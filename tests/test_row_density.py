@@ -116,7 +116,7 @@ def test_the_error_covers_the_density_of_rows_alone(tmp_path: Path, model: str) 
             assert row["error"] <= 3e-3 * abs(row["value"]), measure  # and it is worth being told
 
 
-@pytest.mark.parametrize("period", [0.01, 0.1])
+@pytest.mark.parametrize("period", [pytest.param(0.01, marks=pytest.mark.slow), 0.1])
 def test_the_error_covers_a_ramp_of_gains_in_one_step(tmp_path: Path, period: float) -> None:
     """DACs settle in 10 us, one step of the run; steps of 0.5 us follow gain and input over the ramp."""
     runs = []

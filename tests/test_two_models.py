@@ -214,6 +214,7 @@ def test_a_yield_by_planes_is_unbiased_and_covered(fails_at, monkeypatch):
     assert sum(each.failing.low <= exact <= each.failing.high for each in rows) >= 34
 
 
+@pytest.mark.slow
 def test_linear_is_corrected_by_ideal(tmp_path, capsys):
     """The drop with real windings: what op-amps add to its depth scatters little over the devices."""
     words = ["-n", "40", "--set", "duration_s=0.1", "--set", "effects.motor=ideal", "--two-level", "--json"]
