@@ -46,7 +46,7 @@ LAW_S = 7e-5
 OPERATOR_US = {"spice": 26.0, "linear": 36.0, "ideal": 36.0}
 #: Seconds of processor time from the command to the first point, with everything compiled and extracted
 #: before: two processes load Python, ngspice and compiled code, and the board's stability is judged.
-START_S = 1.6
+START_S = 0.9
 
 
 def predict(scene: Scene, constants: Stated, model: str) -> dict[str, float]:
