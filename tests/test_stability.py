@@ -391,3 +391,10 @@ def test_the_noise_command(tmp_path, capsys):
     assert "jitter of the tip" in capsys.readouterr().out
     assert main(["noise", file, "--set", "effects.pot_noise=none"]) == 2
     assert "no noise" in capsys.readouterr().err
+    # the board's components alone are noise enough, and the same beside the potentiometers'
+    components = ["effects.pot_noise=none,white", "--set", "effects.component_noise=true"]
+    assert main(["noise", file, "--json", "--set", *components]) == 0
+    alone, beside = json.loads(capsys.readouterr().out)["cases"]
+    assert 0.0 < alone["component_force_noise_rms_n"] == beside["component_force_noise_rms_n"]
+    assert "jitter_rms_m" in beside
+    assert "jitter_rms_m" not in alone

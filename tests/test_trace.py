@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support import SCENES, Arm
+from support import SCENES, Arm, simulate
 
+from cosim.measures import wall_frame
 from cosim.scene import load_scene
 from cosim.studies.study import load_study, run_study
 from cosim.studies.wall_trace import SINK, TraceParameters, quasi_static, verdicts
@@ -130,3 +131,35 @@ def test_a_short_trace_from_scene_to_verdicts(tmp_path: Any) -> None:
     # the slide ends within the last fifth: mean force over mean depth, back-EMF and counts in it
     assert stiffness[:2] == pytest.approx([ALONE, BOTH], rel=0.05)
     assert json.loads((tmp_path / "out" / "study.json").read_text())["verdicts"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("reading", ["white", "peak noise", "static", "position"])
+def test_with_everything_on_friction_drags_by_what_it_holds_at_the_joints(reading: str) -> None:
+    """J^-T tau_c sign(v) along the wall, some 0.3 of the normal force, on top of what drags without it."""
+    spec = load_study(SCENES / "paper" / "3_fig16_18.toml")
+    (settings,) = [each.set for each in spec.parameters.runs if each.name.startswith("all on, " + reading)]
+    held = {name.partition("=")[0] for name in settings}
+    assert held >= {"effects.component_noise", "effects.coulomb", "effects.pot_noise", "effects.opamp"}
+    scene = load_scene(SCENES / "slope.toml", settings)
+    rough = simulate(scene)
+    smooth = simulate(load_scene(SCENES / "slope.toml", [*settings, "effects.coulomb=false"]))
+    t = np.asarray(rough.signals["time"])
+    q, v = (np.array([np.asarray(rough.signals[f"{name}{j}"]) for j in (1, 2)]) for name in ("q", "v"))
+    (l1, l2), (nx, ny) = scene.device.chain.lengths_m, scene.wall.normal
+    jacobian = np.array(
+        [[-l1 * np.sin(q[0]) - l2 * np.sin(q[0] + q[1]), -l2 * np.sin(q[0] + q[1])],
+         [l1 * np.cos(q[0]) + l2 * np.cos(q[0] + q[1]), l2 * np.cos(q[0] + q[1])]]
+    ).transpose(2, 1, 0)  # fmt: skip
+    torque = -np.array(scene.device.chain.coulomb_n_m) * np.sign(v.T)
+    drag = np.linalg.solve(jacobian, torque[:, :, None])[:, :, 0] @ np.array([ny, -nx])
+    seen = [wall_frame(run.scene, run.signals) for run in (rough, smooth)]
+    smooth_there = np.interp(t, np.asarray(smooth.signals["time"]), seen[1]["tangent"])
+    # while both joints turn, in the wall and settled from its blow; what sticks at the end is held by less
+    sliding = (np.abs(v) > 0.05).all(axis=0) & (seen[0]["penetration"] > 0.0) & (t > 1.0)
+    step = np.gradient(t)[sliding]
+    assert step.sum() > 0.3
+    extra = float(np.sum((seen[0]["tangent"] - smooth_there)[sliding] * step) / step.sum())
+    expected = float(np.sum(drag[sliding] * step) / step.sum())
+    assert extra == pytest.approx(expected, rel=0.1)  # and inertia
+    assert rough.measures["tangential_ratio"]["value"] == pytest.approx(0.31, abs=0.05)
