@@ -25,7 +25,7 @@ from cosim.circuits.linear_circuit import LinearCircuit
 __all__ = ["Asked", "folder", "load", "load_arrays", "store", "store_arrays"]
 
 #: To be raised with every change of the algorithm that changes a model.
-VERSION = 7
+VERSION = 8
 
 
 @dataclass(frozen=True)

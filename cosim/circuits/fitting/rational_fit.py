@@ -39,8 +39,8 @@ _CERTAIN = 1e-5
 _NEEDED = 1e-7
 #: ... and lies below so many times the fastest point.
 _SURE = 3.0
-#: Poles that stand for powers of s lie so many times the fastest point away: there may be so many of them, as
-#: long as each makes the error smaller by this.
+#: Poles that stand for powers of s lie so many times the fastest point away, or further: there may be so many
+#: of them, as long as each makes the error smaller by this.
 _FAR, _MOST_FAR, _GAIN = 300.0, 4, 10.0
 #: Paths that differ by less are one.
 _EQUAL = 1e-13
@@ -231,8 +231,8 @@ def _with_powers(s: Complex, f: Complex, poles: Complex) -> Complex:
     if (np.argmax(np.abs(f), axis=0) == len(s) - 1).all():
         return poles
     misfit = _misfit(s, f, poles)
-    for _ in range(_MOST_FAR):
-        more = np.append(poles, -_FAR * np.abs(s).max())
+    for k in range(_MOST_FAR):
+        more = np.append(poles, -_FAR * 2.0**k * np.abs(s).max())  # apart: equal ones have no modes
         now = _misfit(s, f, more) if misfit > GOOD else misfit
         if now * _GAIN > misfit:
             break
