@@ -104,7 +104,7 @@ def loop_wall(run: Propagation) -> float:
     """Return the time [s] of the compiled loop alone, called as `Propagation.run` does."""
     state = run.memory.state[0]
     begin(state)
-    run.bench.states[:] = rest(run.circuit, state)
+    run.step.states[:] = rest(run.circuit, state)
     begun = time.perf_counter()
     stepper.run(run.tables, run.first_s)
     return time.perf_counter() - begun

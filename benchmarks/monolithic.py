@@ -177,7 +177,7 @@ def run(
     if feed == "chunks":
         wall, simulator = _in_chunks(text, command, steps)
     else:
-        wall, simulator = bare_run(text, command, data=NO_DATA, sync=NO_SYNC)
+        wall, simulator = bare_run(text, command, trusted=feed == "filesource", data=NO_DATA, sync=NO_SYNC)
     names = {"time": "time", **saved}
     signals: Signals = {name: np.real(simulator.vector(vector)) for name, vector in names.items()}
     return Outcome({"wall_s": wall, "points": len(signals["time"])}, signals, np.empty((0, 0)), ())

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from cosim.circuits.decks import Tolerances, lockstep_deck
 from cosim.circuits.design_constants import DesignConstants
 from cosim.loop.spice.run_spice import simulate
+from cosim.ngspice.lines import Line
 from cosim.ngspice.simulator import Simulator
 from cosim.plan import Plan, resolve
 from cosim.runner import request_of
@@ -118,11 +119,15 @@ def bare_run(
     command: str,
     *,
     prepare: Callable[[Simulator], None] | None = None,
+    trusted: bool = False,
     **callbacks: Any,
 ) -> tuple[float, Simulator]:
-    """Load a deck in this process, attach callbacks and time one analysis; returns (wall [s], simulator)."""
+    """Load a deck in this process, attach callbacks and time one analysis; returns (wall [s], simulator).
+
+    A deck of our own that is `trusted` may read files.
+    """
     simulator = Simulator()
-    simulator.load(text)
+    simulator.load(text, [Line(text.splitlines()[0], trusted=True)] if trusted else [])
     if prepare is not None:
         prepare(simulator)
     simulator.attach(**callbacks)

@@ -181,12 +181,13 @@ def lsoda(system: System, rtol: float) -> Array:
     )
 
 
-def sundials() -> Solver | None:
-    """Return CVODE (BDF, dense Jacobian) when scikit-sundae is installed."""
+def sundials() -> dict[str, Solver]:
+    """Return CVODE and IDA (BDF, dense Jacobian) by name, where scikit-sundae is installed."""
     try:
         from sksundae.cvode import CVODE  # type: ignore[import-not-found,unused-ignore]
+        from sksundae.ida import IDA  # type: ignore[import-not-found,unused-ignore]
     except ImportError:
-        return None
+        return {}
 
     def cvode(system: System, rtol: float) -> Array:
         span, atol = np.array([0.0, system.period_s]), rtol * system.scale
@@ -207,7 +208,25 @@ def sundials() -> Solver | None:
 
         return _by_period(system, step)
 
-    return cvode
+    def ida(system: System, rtol: float) -> Array:
+        span, atol = np.array([0.0, system.period_s]), rtol * system.scale
+
+        def step(a: Array, b: Array, z: Array) -> Array:
+            def residual(t: float, y: Array, rate: Array, out: Array) -> None:
+                np.subtract(rate, a @ y + b, out)
+
+            def jacobian(t: float, y: Array, rate: Array, rest: Array, c: float, out: Array) -> None:
+                out[:] = -a
+                out[np.diag_indices_from(out)] += c
+
+            solver = IDA(
+                residual, rtol=rtol, atol=atol, linsolver="dense", jacfn=jacobian, max_num_steps=100_000
+            )
+            return np.asarray(solver.solve(span, z, a @ z + b).y[-1], np.float64)
+
+        return _by_period(system, step)
+
+    return {"CVODE": cvode, "IDA": ida}
 
 
 def _error(computed: Array, truth: Array) -> float:
@@ -243,10 +262,8 @@ def compare(payload: dict[str, Any], report: Report) -> dict[str, Any]:
     fit = [tol for tol in OUR_TOLERANCES if own[tol] <= ACCURACY]
     if not fit:
         raise RuntimeError(f"our errors are {own}")
-    peers: dict[str, Solver] = {"LSODA": lsoda, "Radau": radau}
-    cvode = sundials()
-    if cvode is not None:
-        peers["CVODE"] = cvode
+    installed = sundials()
+    peers: dict[str, Solver] = {"LSODA": lsoda, "Radau": radau, **installed}
     chosen: dict[str, tuple[float, float]] = {}
     for name, solver in peers.items():
         for rtol in PEER_TOLERANCES:
@@ -289,7 +306,7 @@ def compare(payload: dict[str, Any], report: Report) -> dict[str, Any]:
             }
             for name in peers
         ],
-        "absent": "none" if cvode is not None else "SUNDIALS: scikit-sundae is not installed",
+        "absent": "none" if installed else "SUNDIALS: scikit-sundae is not installed",
     }
 
 

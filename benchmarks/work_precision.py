@@ -9,8 +9,9 @@ the range, and draws all settings of all peers.
   the deck in plain ngspice does not close the loop but is given the codes of a tight run, so that an encoder
   count which comes a sample early is an error of ours alone, and the same for every setting that has it
   (drop: 2e-3 of the force, at whatever tolerance).
-* `wp_linear`: our own loop against SciPy's LSODA and Radau and SUNDIALS' CVODE (where scikit-sundae is
-  installed) on the linear system of the drop; errors against matrix exponentials. Not above 0.05.
+  XSPICE's `filesource` in place of the deck's own sources is drawn, not gated.
+* `wp_linear`: our own loop against SciPy's LSODA and Radau and SUNDIALS' CVODE and IDA (where scikit-sundae
+  is installed) on the linear system of the drop; errors against matrix exponentials. Not above 0.05.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.callback_peer import callback_rows
+from benchmarks.filesource_peer import filesource_rows
 from benchmarks.models import Prepared, model, packed, scene, signals
 from benchmarks.rig import ROOT, SMOOTH, lockstep, retold
 from benchmarks.stiff import DURATION_S, OUR_TOLERANCES, Solver, lsoda, radau, sundials, system
@@ -58,8 +60,9 @@ def wp_spice(out: Path) -> float:
                 study = accuracy(path, folder, overrides=SMOOTH, models=("spice",), repeats=REPETITIONS,
                                  child=child)  # fmt: skip
                 peers = callback_rows(path, SMOOTH, folder, REPETITIONS)
+                drawn = filesource_rows(path, SMOOTH, folder, REPETITIONS)
             study = replace(study, rows=(*study.rows, *peers))
-            write_accuracy(study, out / name)
+            write_accuracy(replace(study, rows=(*study.rows, *drawn)), out / name)
             for wanted in SPICE:
                 best = {}
                 for who in ("spice", "peer"):
@@ -98,10 +101,7 @@ def race(payload: dict[str, Any], report: Any) -> list[dict[str, Any]]:
         columns = [np.interp(instants, got["time"], got[name]) for name in ("q1", "v1", "imot1")]
         return float((np.abs(np.column_stack(columns) - truth).max(axis=0) / size).max())
 
-    peers: dict[str, Solver] = {"LSODA": lsoda, "Radau": radau}
-    cvode = sundials()
-    if cvode is not None:
-        peers["CVODE"] = cvode
+    peers: dict[str, Solver] = {"LSODA": lsoda, "Radau": radau, **sundials()}
     made = []
     for name, solver in peers.items():
         for rtol in PEER_TOLERANCES:

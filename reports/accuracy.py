@@ -39,6 +39,7 @@ _MARKS = {
     "longest step": "^",
     "one deck in ngspice": "x",
     "PySpice, callbacks in Python": "+",
+    "ngspice alone, filesource": "1",
 }
 #: Effects that a scene leaves out and that are named.
 _MOST_NEGLECTED = 5

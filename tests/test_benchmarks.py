@@ -13,6 +13,7 @@ from support import SCENES
 
 from benchmarks.__main__ import write
 from benchmarks.figure import TARGETS, figure, interleaved
+from benchmarks.filesource_peer import with_filesource
 from benchmarks.regression import BAND, BANDS, allowed, committed, worse
 from benchmarks.rig import CURRENTS, Outcome, error, instants, slope
 from benchmarks.same_results import SHORT, differences
@@ -222,8 +223,21 @@ def test_sundials_where_it_is_installed():
     system = System(
         1e-3, [a] * 3, [b] * 3, [nothing] * 3, [np.zeros(1)] * 3, np.zeros(2), np.array([1.0, 1e3])
     )
-    solver = sundials()
-    assert solver is not None
+    solvers = sundials()
+    assert [*solvers] == ["CVODE", "IDA"]
     x = np.arange(1, 4)
-    # y = 1 - (1 + x) exp(-x) at x = 1000/s t; an error of 20 tolerances over some hundred steps
-    np.testing.assert_allclose(solver(system, 1e-8)[:, 0], 1 - (1 + x) * np.exp(-x), atol=2e-7)
+    for solver in solvers.values():
+        # y = 1 - (1 + x) exp(-x) at x = 1000/s t; an error of 20 tolerances over some hundred steps
+        np.testing.assert_allclose(solver(system, 1e-8)[:, 0], 1 - (1 + x) * np.exp(-x), atol=2e-7)
+
+
+def test_the_dacs_of_an_exported_deck_come_from_a_file(tmp_path):
+    deck = ["title", "Bu1 u1 0 v=pwl(time,-1.0,2.0,0.5,2.0,0.6,3.0,4.0,3.0)", "Vksp11 ksp11 0 dc 4.0", ".end"]
+    file = tmp_path / "dacs.txt"
+    lines = with_filesource(deck, ("u1", "ksp11"), file)
+    assert lines[:2] == ["title", "Vksp11 ksp11 0 dc 4.0"]
+    assert lines[2] == "Adacs [%vd(u1,0)] dacs"
+    assert lines[3].startswith(f'.model dacs filesource(file="{file}" ')
+    assert lines[4:] == [".end"]
+    # from 0 on; its last value holds for ever
+    np.testing.assert_array_equal(np.loadtxt(file), [[0, 2], [0.5, 2], [0.6, 3], [1e6 + 4, 3]])
