@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cosim import effects
-from cosim.caution import Caution
+from cosim.caution import Caution, collected
 from cosim.circuits.decks import AT_LIMIT, AT_SUPPLY, REST_RAD_PER_S, SUPPLY_V
 from cosim.circuits.extraction import motor_response
 from cosim.circuits.extraction.motor_response import MotorResponse
@@ -65,14 +65,15 @@ def _finite(plan: Plan, *, vendors: bool) -> Deck:
         if len(_decks) >= _MOST_DECKS:
             _decks.clear()
         parts = {k: v for k, v in swaps(scene).items() if vendors or isinstance(v, str)}
-        _decks[name] = load_deck(
-            scene.device.board,
-            levels={**FINITE, "driver": scene.effects.driver.value},
-            parts=parts,
-            overrides=scene.device.values,
-            temperature_c=effects.temperature_c(scene),
-            trust=plan.trust,
-        )
+        with collected(forward=False):  # the plan's own deck has told what is odd; here its effects are off
+            _decks[name] = load_deck(
+                scene.device.board,
+                levels={**FINITE, "driver": scene.effects.driver.value},
+                parts=parts,
+                overrides=scene.device.values,
+                temperature_c=effects.temperature_c(scene),
+                trust=plan.trust,
+            )
     return _decks[name]
 
 

@@ -8,6 +8,7 @@ from cosim.circuits.design_constants import DesignConstants
 from cosim.circuits.extraction.certificate import cautions
 from cosim.circuits.extraction.large_signal import large_signal_error
 from cosim.circuits.extraction.large_signal import measure as bends
+from cosim.circuits.extraction.limits_and_offsets import current_limits
 from cosim.circuits.extraction.motor_response import measure
 from cosim.circuits.extraction.path_measurement import Session
 from cosim.errors import InputError
@@ -27,16 +28,20 @@ def bent_board(folder, cubic):
     )
 
 
+def error_of(session):
+    return large_signal_error(session, current_limits(session))
+
+
 @pytest.mark.parametrize("cubic", [0.0, 0.1, -0.2, 1.0])
 def test_the_error_is_that_of_the_cubic_at_rated_current(tmp_path, cubic):
     # at full scale u goes to the sum with gain 1, so that the sweep ends at s = i_rated
-    error, pin = large_signal_error(Session(bent_board(tmp_path, cubic)))
+    error, pin = error_of(Session(bent_board(tmp_path, cubic)))
     assert error == pytest.approx(abs(cubic) * RATED**3 / RATED, rel=1e-6, abs=1e-12)
     assert pin == ("ksp11" if cubic else pin)
 
 
 def test_a_board_that_states_no_rated_current_is_not_judged(tmp_path):
-    assert large_signal_error(Session(board(tmp_path))) is None
+    assert error_of(Session(board(tmp_path))) is None
     assert "large_signal_error" not in extract(board(tmp_path)).certificate
 
 
@@ -92,16 +97,35 @@ def test_a_board_of_op_amps_without_bias_is_refused_with_the_reason(tmp_path, jo
 @pytest.mark.parametrize("joints", [1, 2])
 @pytest.mark.parametrize("driver", ["voltage", "current"])
 def test_the_shipped_boards_bend_as_little_as_their_multipliers(joints, driver):
-    at_gbw, _ = large_signal_error(Session(shipped(joints, "gbw", driver)))
+    at_gbw, _ = error_of(Session(shipped(joints, "gbw", driver)))
     assert at_gbw < 1e-7  # of solved formulas
     # level full: 0.4 % of full scale of X and 0.1 % of Y at most, and offsets of 5 mV at 10 V
-    at_full, _ = large_signal_error(Session(shipped(joints, "full", driver)))
+    at_full, _ = error_of(Session(shipped(joints, "full", driver)))
     assert 1e-4 < at_full < 0.004 + 0.001 + 0.0005
+
+
+def clamped_board(folder, limit):
+    """The bent board's plan with a current that stops at a limit."""
+    total = "(v(ws)+v(wd)+v(cmd1)-0.01*v(vel1))"
+    return board(
+        folder,
+        top=f".param i_rated={RATED}\n.csparam i_rated={{i_rated}}",
+        output=f"Bs s 0 V={total}\nBi imot1 0 V=min(max(v(s),{-limit!r}),{limit!r})",
+    )
+
+
+@pytest.mark.parametrize("share", [0.2, 0.7, 1.5])
+def test_a_limit_of_the_current_below_rated_is_no_bend(tmp_path, share):
+    """A driver that is set to less than rated: models have the limit itself, and it is all that bends."""
+    circuit = extract(clamped_board(tmp_path, share * RATED))
+    assert circuit.limit == pytest.approx(np.array([[-share, share]]) * RATED, rel=1e-9)
+    assert circuit.certificate["large_signal_error"] < 1e-9
+    assert not cautions(circuit.certificate)
 
 
 def test_sweeps_leave_every_pin_as_it_was():
     session = Session(shipped(1, "gbw"))
     session.hold({"u1": 0.3})  # shows in the current if a gain stays
     rest = session.operating_point(["imot1"])
-    large_signal_error(session)
+    error_of(session)
     np.testing.assert_array_equal(session.operating_point(["imot1"]), rest)

@@ -135,6 +135,15 @@ def test_a_plain_edit_is_no_slip(override: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("effect", "value"), [("driver_limit", "r_ilim=21k"), ("opamp_offset", "tl072_vos=1m")]
+)
+def test_a_value_that_an_effect_in_force_reads_is_used(effect: str, value: str) -> None:
+    """Broken once: the deck for the verdict, in which the effect is off, said that nothing reads it."""
+    run = press("solver.model=linear", "duration_s=0.05", f"effects.{effect}=true", f"device.values.{value}")
+    assert [str(each) for each in run.warnings if each.code == "value-unused"] == []
+
+
+@pytest.mark.parametrize(
     "overrides",
     [
         ["device.start.tip_m=[0.07,0.150]"],  # 0.5 N, and the hand stays

@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from cosim.circuits.extraction.limits_and_offsets import current_limits
 from cosim.circuits.extraction.multipliers import LOW_HZ
 from cosim.circuits.extraction.testbench import Testbench
 from cosim.errors import InputError, NoOperatingPoint
-from cosim.types import Report
+from cosim.types import Array, Report
 
 __all__ = ["large_signal_error", "measure"]
 
@@ -22,8 +23,15 @@ __all__ = ["large_signal_error", "measure"]
 _STEPS = 8
 
 
-def large_signal_error(bench: Testbench) -> tuple[float, str] | None:
+def large_signal_error(bench: Testbench, limits: Array) -> tuple[float, str] | None:
     """Compare the currents of a `.dc` sweep of each spring with the slope at rest, up to rated current.
+
+    Parameters
+    ----------
+    bench
+        The board.
+    limits
+        Lowest and highest current of each motor [n, 2] A (`current_limits`): models have them as clamps.
 
     Returns
     -------
@@ -41,13 +49,14 @@ def large_signal_error(bench: Testbench) -> tuple[float, str] | None:
         motor, source = f"imot{pin[3]}", f"u{pin[4]}"
         bench.hold({pin: bench.v_fs})
         try:
+            low, high = limits[int(pin[3]) - 1]
             slope = float(bench.respond(source, once, [motor])[0, 0].real)
             if slope != 0.0:
                 end = min(rated / abs(slope), reach)
                 for volts in (end, -end):
                     current = bench.sweep(source, 0.0, volts, _STEPS, motor)
                     straight = current[0] + slope * np.linspace(0.0, volts, _STEPS + 1)
-                    off = float(np.abs(current - straight).max()) / rated
+                    off = float(np.abs(current - np.clip(straight, low, high)).max()) / rated
                     worst, where = max((worst, where), (off, pin))
         except NoOperatingPoint:
             return None
@@ -59,5 +68,6 @@ def large_signal_error(bench: Testbench) -> tuple[float, str] | None:
 def measure(payload: Mapping[str, Any], report: Report) -> float:
     """Return the same of a board in ngspice's child process, 0 where it is not known; payload: 'board'."""
     report({})
-    error, _ = large_signal_error(Testbench(payload["board"], multipliers=False)) or (0.0, "")
+    bench = Testbench(payload["board"], multipliers=False)
+    error, _ = large_signal_error(bench, current_limits(bench)) or (0.0, "")
     return error

@@ -88,7 +88,7 @@ def _finished(
     if asked.model == "linear":
         _check_control(control, str(session.board.path))
     limit = current_limits(session)
-    bent = large_signal_error(session)
+    bent = large_signal_error(session, limit)
     if bent is not None:
         if asked.model == "linear":
             _check_large_signals(*bent, str(session.board.path))
