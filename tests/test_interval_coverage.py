@@ -133,7 +133,7 @@ def correlations(exact: NoiseCovariance, count: int) -> np.ndarray:
 
 @pytest.mark.slow
 def test_of_a_thousand_runs_with_noise_95_in_a_hundred_hold_mean_and_variance(tmp_path) -> None:
-    """Depth at 400 samples of a held contact on `linear`: the run's own interval, by how its samples correlate.
+    """Depth at 400 samples of a held contact on `linear`; the interval knows how samples correlate.
 
     The mean scatters by the sum of the correlations, the variance as chi-square with as many degrees of
     freedom as their squares leave; taken for independent, 400 samples would hold the mean in 61 of a hundred.
