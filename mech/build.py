@@ -11,6 +11,7 @@ code once. What is built depends on the sources alone, not on the order of calls
 from __future__ import annotations
 
 import fcntl
+import gc
 import importlib
 import os
 import sys
@@ -19,11 +20,13 @@ from typing import Any
 
 import llvmlite.binding as llvm
 from llvmlite import ir
-from numba.core import codegen, cpu, types
+from numba import types
+from numba.core import codegen, cpu
 from numba.core.registry import cpu_target
+from numba.core.runtime.context import NRTContext
 
 from mech.library import symbol
-from mech.library_files import file_of, folder, modules_of, pack, unpack
+from mech.library_files import file_of, folder, library_of, modules_of, pack, unpack
 from mech.numba_calls import EXPORTS, Export
 
 #: Memory of arrays inside compiled functions, as numba counts references to it: count, destructor and
@@ -99,6 +102,13 @@ def _translate_only() -> None:
 
     cpu.CPUContext.get_executable = executable
     codegen.CPUCodeLibrary.finalize = finalize
+    counted = NRTContext._call_incref_decref
+
+    def count(nrt: Any, builder: Any, kind: Any, value: Any, name: str) -> None:
+        if not isinstance(kind, types.NamedTuple):  # our tables: their arrays are Python's, which keeps them
+            counted(nrt, builder, kind, value, name)
+
+    NRTContext._call_incref_decref = count
 
 
 def _translated(export: Export) -> Any:
@@ -184,6 +194,7 @@ def main(packages: list[str]) -> None:
 
     All in one process: most functions belong to several libraries, and are translated once.
     """
+    gc.disable()  # millions of objects, most of which stay: a tenth of the time
     _translate_only()
     with open(folder() / f"{packages[-1]}.lock", "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
@@ -192,7 +203,7 @@ def main(packages: list[str]) -> None:
             for name in modules_of(package):
                 importlib.import_module(name)
         for package in missing:
-            exports = [each for each in EXPORTS if each.module.rpartition(".")[0] == package]
+            exports = [each for each in EXPORTS if library_of(each.module) == package]
             file = file_of(package)
             whole = Path(f"{file}.{os.getpid()}")
             whole.write_bytes(pack(_object_code(package, exports)))

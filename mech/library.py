@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mech.kinds import ArrayOf, table
-from mech.library_files import file_of, ready, unpack
+from mech.library_files import file_of, library_of, ready, unpack
 
 __all__ = ["Callback", "Entry", "callback", "entry", "inner", "load", "symbol"]
 
@@ -39,7 +39,7 @@ class Callback:
     """A compiled function that C calls."""
 
     def __init__(self, function: Any) -> None:
-        self._name = (function.__module__.rpartition(".")[0], function.__module__, function.__name__)
+        self._name = (library_of(function.__module__), function.__module__, function.__name__)
 
     @functools.cached_property
     def address(self) -> int:
@@ -61,7 +61,7 @@ class Entry:
     def __init__(self, function: Any, kinds: Sequence[Any], result: Any) -> None:
         functools.update_wrapper(self, function)
         self._kinds, self._result = kinds, result
-        self._name = (function.__module__.rpartition(".")[0], function.__module__, function.__name__)
+        self._name = (library_of(function.__module__), function.__module__, function.__name__)
 
     def __call__(self, *arguments: Any) -> Any:
         """Call it."""

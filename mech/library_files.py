@@ -9,6 +9,7 @@ a process of its own (`mech.build`), the only one that imports numba.
 from __future__ import annotations
 
 import atexit
+import contextlib
 import functools
 import hashlib
 import os
@@ -30,6 +31,7 @@ __all__ = [
     "file_of",
     "folder",
     "is_built",
+    "library_of",
     "modules_of",
     "pack",
     "ready",
@@ -41,10 +43,13 @@ __all__ = [
 ROOT = Path(__file__).resolve().parent.parent
 #: Names the folder of the libraries, in the environment of a process that builds none.
 FOLDER = "COSIM_LIBRARIES"
-#: Packages with compiled functions.
-PACKAGES = ("mech", "cosim.loop", "cosim.loop.linear", "cosim.loop.spice")
-#: Takes as long to build as all others.
-_LONGEST = "cosim.loop.linear"
+#: What two processes build at once, in the same time: packages, and a module that has a library of its own.
+_HALVES = (
+    ("mech", "cosim.loop", "cosim.loop.linear"),
+    ("cosim.loop.linear.exact_steps", "cosim.loop.spice"),
+)
+#: Packages (and that module) with compiled functions.
+PACKAGES = tuple(each for half in _HALVES for each in half)
 #: Set in processes that build no libraries: they could not keep one.
 BUILDS_NONE = "COSIM_BUILDS_NONE"
 #: Folders whose modules' imports are followed: of what lies elsewhere compiled functions use constants
@@ -58,6 +63,9 @@ _SUM = hashlib.sha256
 _HEAD = b"cosim library 1\n"
 #: More bytes than a library has; time between looks at those who build [s].
 _LARGEST, _LOOK_S = 1 << 20, 0.02
+#: Libraries of a package that are kept, those last used, and for how long. One that was used within a day may
+#: be about to be loaded: each process that looks for it says so in the file's time, half a day at the latest.
+_KEPT, _KEPT_S, _IN_USE_S = 8, 30 * 86400.0, 86400.0
 
 
 def folder() -> Path:
@@ -85,11 +93,20 @@ def stamp(package: str) -> str:
     return digest.hexdigest()[:16]
 
 
+def library_of(module: str) -> str:
+    """Return the library with a module's functions: that of its package, or its own."""
+    return module if module in PACKAGES else module.rpartition(".")[0]
+
+
 @functools.cache
 def modules_of(package: str) -> tuple[str, ...]:
-    """Return the modules of a package that offer compiled functions."""
-    paths = sorted((ROOT / package.replace(".", "/")).glob("*.py"))
-    return tuple(f"{package}.{path.stem}" for path in paths if _OFFERS.search(path.read_text("utf-8")))
+    """Return the modules that offer compiled functions in a package's library."""
+    place = ROOT / package.replace(".", "/")
+    if not place.is_dir():
+        return (package,)
+    paths = sorted(path for path in place.glob("*.py") if _OFFERS.search(path.read_text("utf-8")))
+    modules = [f"{package}.{path.stem}" for path in paths]
+    return tuple(module for module in modules if library_of(module) == package)
 
 
 def is_built() -> bool:
@@ -100,7 +117,10 @@ def is_built() -> bool:
 @functools.cache
 def _packages() -> tuple[str, ...]:
     """Return the packages that are installed: the mechanics serve alone, too."""
-    return tuple(each for each in PACKAGES if (ROOT / each.replace(".", "/")).is_dir())
+    places = {each: ROOT / each.replace(".", "/") for each in PACKAGES}
+    return tuple(
+        each for each, place in places.items() if place.is_dir() or place.with_suffix(".py").is_file()
+    )
 
 
 def pack(code: bytes) -> bytes:
@@ -201,6 +221,9 @@ def ready(tell: Callable[[str, float], None] | None = None) -> None:
         When one cannot be built.
     """
     missing = [package for package in _packages() if unpack(file_of(package)) is None]
+    for package in _packages():
+        if package not in missing:
+            _note_use(file_of(package))
     if not missing:
         return
     if BUILDS_NONE in os.environ:
@@ -208,8 +231,8 @@ def ready(tell: Callable[[str, float], None] | None = None) -> None:
         raise RuntimeError(f"compiled code is missing, and this process builds none: {names}")
     _see_to_folder()
     begun = time.perf_counter()
-    # two processes at once, the longest alone in one; what the others share is translated once
-    halves = [[each for each in missing if (each == _LONGEST) == (half == 0)] for half in range(2)]
+    # what the libraries of a half share is translated once
+    halves = [[each for each in half if each in missing] for half in _HALVES]
     builders = [_Builder(half) for half in halves if half]
     try:
         working = True
@@ -226,6 +249,31 @@ def ready(tell: Callable[[str, float], None] | None = None) -> None:
     finally:
         for builder in builders:
             builder.end()
+    _tidy_up()
+
+
+def _note_use(file: Path) -> None:
+    """Give a library the present time, where its own is half of `_IN_USE_S` old."""
+    with contextlib.suppress(OSError):  # a child, or a folder of somebody else's
+        if time.time() - file.stat().st_mtime > 0.5 * _IN_USE_S:
+            os.utime(file)
+
+
+def _tidy_up() -> None:
+    """Remove libraries that other versions have left, and what a builder that was ended has begun."""
+    for package in PACKAGES:
+        files = [(_unused_s(file), file) for file in folder().glob(f"{package}-*.library*")]
+        for rank, (unused_s, file) in enumerate(sorted(files)):
+            if unused_s > _KEPT_S or (rank >= _KEPT and unused_s > _IN_USE_S):
+                with contextlib.suppress(OSError):
+                    file.unlink()
+
+
+def _unused_s(file: Path) -> float:
+    try:
+        return time.time() - file.stat().st_mtime
+    except OSError:  # another process tidies up
+        return 0.0
 
 
 class _Builder:

@@ -5,6 +5,7 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +87,40 @@ def test_a_library_is_built_once_anew_where_damaged_and_serves_a_moved_installat
     assert len(list(folder.glob("*.library"))) == 2
 
 
+def test_libraries_that_nobody_uses_any_more_are_removed(tmp_path: Path, monkeypatch: Any) -> None:
+    """Of twelve versions eight stay, and any of the last day; of two the one of last month goes."""
+    monkeypatch.setenv(library_files.FOLDER, str(tmp_path))
+    day_s, now_s = 86400.0, time.time()
+    ages = {
+        "mech": [0.5, 0.9, *range(2, 12)],
+        "cosim.loop": [29, 31],
+        "cosim.loop.spice": [0.1 * k for k in range(9)],
+    }
+    for package, days in ages.items():
+        for k, age in enumerate(days):
+            file = tmp_path / f"{package}-{k:016x}.library"
+            file.touch()
+            os.utime(file, (now_s - age * day_s,) * 2)
+    (tmp_path / "cosim.loop.spice.lock").touch()
+    library_files._tidy_up()
+    left = {package: len(list(tmp_path.glob(f"{package}-*"))) for package in ages}
+    assert left == {"mech": 8, "cosim.loop": 1, "cosim.loop.spice": 9}
+    assert (tmp_path / f"mech-{7:016x}.library").exists()
+    assert (tmp_path / "cosim.loop.spice.lock").exists()
+
+
+def test_a_library_in_use_is_not_old(tmp_path: Path, monkeypatch: Any) -> None:
+    """A version that runs each day is not removed by another that is built each day."""
+    monkeypatch.setenv(library_files.FOLDER, str(tmp_path))
+    files, old_s = [library_files.file_of(package) for package in library_files.PACKAGES], time.time() - 4e6
+    for file in files:
+        file.write_bytes(library_files.pack(b"code"))
+        os.utime(file, (old_s, old_s))
+    library_files.ready()
+    library_files._tidy_up()
+    assert all(file.exists() for file in files)
+
+
 def test_a_process_that_builds_none_says_what_is_missing(mechanics: Path) -> None:
     done = call(mechanics, mechanics.parent / "libraries", COSIM_BUILDS_NONE="1")
     assert done.returncode != 0
@@ -111,7 +146,7 @@ def test_where_nothing_can_be_written_a_process_keeps_its_own(mechanics: Path) -
 
 def test_the_table_of_packages_is_what_the_sources_say() -> None:
     offers = {
-        ".".join(path.relative_to(ROOT).parent.parts)
+        library_files.library_of(".".join(path.relative_to(ROOT).with_suffix("").parts))
         for folder in ("mech", "cosim")
         for path in (ROOT / folder).rglob("*.py")
         if library_files._OFFERS.search(path.read_text(encoding="utf-8"))

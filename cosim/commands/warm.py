@@ -12,6 +12,7 @@ _HOLDS = {
     "mech": "mechanics",
     "cosim.loop": "computer and ledger",
     "cosim.loop.linear": "linear stepper",
+    "cosim.loop.linear.exact_steps": "exact steps of a slider",
     "cosim.loop.spice": "simulation in step with ngspice",
 }
 
