@@ -59,7 +59,7 @@ def write_accuracy(study: Accuracy, folder: Path) -> Path:
         shown = picture("accuracy", "Error over time", draw(study))
     section = Section(
         "accuracy", f"{study.scene.title}: what accuracy costs", [], tuple(words(study)), [shown],
-        [_front(study), _reltol(study), _failures(study)], "",
+        [_front(study), _reltol(study), *_weak(study), _failures(study)], "",
     )  # fmt: skip
     html = render(
         "study.html.j2", title=f"What accuracy costs: {study.scene.title}", command="", summary=[],
@@ -110,7 +110,7 @@ def words(study: Accuracy) -> list[str]:
     if effects.pot_noise is not PotNoise.NONE or effects.component_noise:
         sentences.append(
             f"All runs see one path of the noise (seed {study.scene.seed}): these are errors on that path. "
-            "From path to path a measure scatters by itself, and digits below its scatter are the path's."
+            "From path to path a quantity scatters by itself, the blue band: digits below it are the path's."
         )
     large = [f"{name} {size:.1e}" for name, size in study.neglected.items() if size > study.tolerance]
     if large:
@@ -189,10 +189,21 @@ def _panel(axes: Axes, study: Accuracy, name: str, clock: str) -> None:
         axes.axhline(gone[1], color=LIMIT, linestyle=":", linewidth=1.0, zorder=1)
         high = max(high, 2.0 * gone[1])
     axes.axhline(study.tolerance, color=FAINT, linewidth=0.7, zorder=1)
-    axes.set_ylim(low, high)
+    axes.set_ylim(low, max(high, 2.0 * _scatter(axes, study, name)))
     if study.cheapest is not None and name in study.cheapest.errors:
         at = statistics.median(getattr(study.cheapest, clock)), max(study.cheapest.errors[name], _ROUNDING)
         axes.plot(*at, "o", markersize=11, markerfacecolor="none", color=LIMIT, zorder=6, label="_cheapest")
+
+
+def _scatter(axes: Axes, study: Accuracy, name: str) -> float:
+    """Draw by how much another path changes a quantity, with its 95 % interval; return its upper end."""
+    if study.noise is None or name not in study.noise.scatter:
+        return 0.0
+    rms, low, high = study.noise.scatter[name]
+    if rms > _ROUNDING:
+        axes.axhspan(low, high, color=JOINTS[0], alpha=0.18, linewidth=0, zorder=0, label="_scatter")
+        axes.axhline(rms, color=JOINTS[0], linewidth=0.8, zorder=1)
+    return high
 
 
 def _drawn_neglect(study: Accuracy) -> tuple[str, float] | None:
@@ -229,6 +240,8 @@ def _key(study: Accuracy) -> list[object]:
     if any(not resolved(row, name, study.floor) for row in study.rows for name in row.errors):
         handles.append(Line2D([], [], color=INK, marker="o", linestyle="", markerfacecolor="none",
                               label="bounded only: within 10x the floor"))  # fmt: skip
+    if study.noise is not None:
+        handles.append(Patch(color=JOINTS[0], alpha=0.18, label="another path of the noise, 95 %"))
     handles.append(Patch(color="#E6E6E6", label="below the references' floor"))
     return handles
 
@@ -246,6 +259,25 @@ def _front(study: Accuracy) -> TextTable:
     ]  # fmt: skip
     numbers = set(range(1, len(head)))
     return TextTable("The Pareto front", head, cells, numbers, "All settings are in the file.", FILES[1])
+
+
+def _weak(study: Accuracy) -> list[TextTable]:
+    """Return the errors of means over all paths, with their intervals; nothing is claimed inside one."""
+    if study.noise is None:
+        return []
+    cells = []
+    for label, row in study.noise.weak.items():
+        for name in study.quantities:
+            if name in row:
+                mean, half = row[name]
+                claim = f"{mean:+.1e}" if abs(mean) > half else f"none seen, below {abs(mean) + half:.1e}"
+                cells.append([label, name, f"{mean:+.1e} ± {half:.1e}", claim])
+    note = (
+        f"Mean difference from {study.references[0]} on {study.noise.count} paths that both see, with its "
+        "95 % interval (Student's t); an interval that holds zero shows no error."
+    )
+    head = ["setting", "measure", "mean difference, share", "weak error"]
+    return [TextTable("Weak errors", head, cells, {2, 3}, note, FILES[2])]
 
 
 def _reltol(study: Accuracy) -> TextTable:

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 import tomllib
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 from support import SCENES, ExactSlider, merge, quick, scene_of, shared_child, slider
 
 from cosim.accuracy import work_precision as module
+from cosim.accuracy.noise_paths import noise_paths
 from cosim.accuracy.pareto import Row, clipped
 from cosim.accuracy.solver_settings import Setting, carries, grid, reference, second_reference
 from cosim.accuracy.work_precision import POINTS, Accuracy, accuracy
@@ -186,3 +188,48 @@ def test_all_settings_see_one_path_of_the_noise(tmp_path):
     # a trial angle is predicted: some 1e-7 rad off the one that is kept
     assert np.abs(samples[1] - samples[0]).max() < 1e-6
     assert np.abs(samples[2] - samples[0]).max() < 1e-6
+
+
+def test_other_paths_of_the_noise_bound_what_digits_say(tmp_path, monkeypatch):
+    """On known numbers: rms and chi-square of what paths change, mean and Student's t of what settings do."""
+    scatter = {1: 0.03, 2: -0.01, 3: 0.02, 4: -0.04}
+    off = {1: 0.001, 2: 0.003, 3: 0.002, 4: 0.002}
+    one, other = (Setting(m, "as the scene states it", m, ()) for m in ("linear", "spice"))
+
+    def point(setting, repetition):
+        seed = int(setting.overrides[-1].removeprefix("seed="))
+        moved = scatter[seed] + (off[seed] if setting.model == "spice" else 0.0)
+        return {"measures": {"heat": 2.0 * (1.0 + moved)}}
+
+    def judged(run):
+        return {"heat": abs(run["measures"]["heat"] / 2.0 - 1.0)}
+
+    made = noise_paths(tuple(scatter), point, one, [other], judged, {"heat": 2.0})
+    rms = math.sqrt((9 + 1 + 4 + 16) / 4) * 0.01
+    # chi-square of 4: 2.5 % below 0.4844, above 11.143; Student's t of 3: 3.1824
+    assert made.scatter["heat"] == pytest.approx(
+        (rms, rms * math.sqrt(4 / 11.1433), rms * math.sqrt(4 / 0.48442)), rel=1e-4
+    )
+    half = 3.18245 * math.sqrt(2e-6 / 3) / 2.0
+    assert made.weak["spice"]["heat"] == pytest.approx((0.002, half), rel=1e-4)
+
+
+def test_a_study_with_noise_shows_its_band_and_weak_errors(tmp_path, monkeypatch):
+    """What a path adds to a held position is far above what the integrators do."""
+    scene_of(tmp_path, merge(THROWN, {"effects": {"pot_noise": "white"}, "duration_s": 0.15}))
+    monkeypatch.setattr(module, "grid", few)
+    monkeypatch.setattr(module, "PATHS", 4)
+    study = accuracy(tmp_path / "scene.toml", tmp_path / "out", models=("linear", "spice"), repeats=1,
+                     peer=False, child=shared_child())  # fmt: skip
+    assert study.noise.count == 4
+    _, low, high = study.noise.scatter["force"]
+    assert low > 10.0 * study.floor["force"]
+    axes = draw(study).figure.axes[2]  # position, then force
+    (band,) = (each for each in axes.patches if each.get_label() == "_scatter")
+    assert (band.get_y(), band.get_y() + band.get_height()) == pytest.approx((low, high))
+    assert set(study.noise.weak) == {"linear as stated", "spice as stated"}
+    mean, half = study.noise.weak["linear as stated"]["peak_force"]
+    assert abs(mean) + half < 1e-5  # the reference is the same loop
+    page = write_accuracy(study, tmp_path / "out").read_text()
+    assert "Weak errors" in page
+    assert "none seen" in page

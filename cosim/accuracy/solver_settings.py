@@ -12,6 +12,8 @@ __all__ = ["MODELS", "SHORTEST_S", "Setting", "carries", "grid", "reference", "s
 
 MODELS = ("ideal", "linear", "spice")
 
+#: Series of a model's settings as the scene states them.
+AS_STATED = "as the scene states it"
 #: ngspice's relative tolerance, and the longest step over the scene's own.
 _RTOL = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 _STEP = (4.0, 2.0, 0.5, 0.25, 0.125)
@@ -93,7 +95,7 @@ def _of_model(scene: Scene, model: str) -> list[Setting]:
     def step(share: float) -> float:
         return float(f"{min(max(share * solver.max_step_s, SHORTEST_S), _LONGEST_S):.6g}")
 
-    settings = [made("as the scene states it")]
+    settings = [made(AS_STATED)]
     if model == "spice":
         settings += [made("relative tolerance", rtol=value) for value in _RTOL]
         settings += [made("charge tolerance", charge_tolerance_c=value) for value in _CHARGE]

@@ -16,9 +16,11 @@ from typing import Any
 import numpy as np
 
 import cosim
+from cosim.accuracy.noise_paths import PATHS, NoisePaths, noise_paths, noisy
 from cosim.accuracy.pareto import Row, cheapest, clipped, finest, marked
 from cosim.accuracy.run_outcome import Failed, First, Second, Summary, instants, peers, summary, trace_errors
 from cosim.accuracy.solver_settings import (
+    AS_STATED,
     MODELS,
     SHORTEST_S,
     Setting,
@@ -72,6 +74,7 @@ class Accuracy:
     neglected : effect that the scene leaves out -> a-priori share of the peak force, the largest first
     tolerance : what the recommendation has to meet
     cheapest : the recommendation; None where no setting meets the tolerance
+    noise : what other paths of the noise say; None where there is none
     """
 
     scene: Scene
@@ -85,6 +88,7 @@ class Accuracy:
     neglected: Mapping[str, float]
     tolerance: float
     cheapest: Row | None
+    noise: NoisePaths | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return the study JSON-ready."""
@@ -100,6 +104,7 @@ class Accuracy:
             "tolerance": self.tolerance,
             "recommended": self.cheapest.setting.lines() if self.cheapest else None,
             "rows": [row.as_dict() for row in self.rows],
+            "noise": self.noise.as_dict() if self.noise else None,
         }
 
 
@@ -151,6 +156,8 @@ def accuracy(
         plan = resolve(scene, trust=trust)
     text = f"{_FORM} {cosim.__version__} {scene.digest()} {scene.code_digest()} {plan.board.digest}"
     settings = grid(scene, models)
+    stated = [setting for setting in settings if setting.series == AS_STATED]
+    seeds = range(scene.seed + 1, scene.seed + 1 + PATHS) if noisy(scene) else ()
     with disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     file = folder / POINTS
@@ -158,17 +165,20 @@ def accuracy(
         Points(file, hashlib.sha256(text.encode()).hexdigest(), on_progress) as points,
         used(str(file), points.restored > 0),
     ):
-        points.expect(2 + len(settings) * repeats)
+        points.expect(2 + len(settings) * repeats + len(seeds) * (1 + len(stated)))
         runner = _Runner(path, overrides, trust, child, points)
         try:
             first = runner.reference(reference(scene))
             second = runner.with_peers(second_reference(scene), repeats if peer else 0)
             rounds = [[runner.point(setting, k) for setting in settings] for k in range(repeats)]
+            kept = {name: value for name, value in first["measures"].items() if name not in _NO_ERROR}
+            judged = partial(_errors, first, tuple(kept))
+            noise = (
+                noise_paths(seeds, runner.point, reference(scene), stated, judged, kept) if seeds else None
+            )
         finally:
             runner.close()
         quantities = _quantities(first, measures, scene)
-        kept = {name: value for name, value in first["measures"].items() if name not in _NO_ERROR}
-        judged = partial(_errors, first, tuple(kept))
         floor = judged(second)
         for name, share in judged(second["decks"].get(_TIGHT_PEER, {})).items():
             floor[name] = max(floor.get(name, 0.0), share)
@@ -191,6 +201,7 @@ def accuracy(
             neglected=_neglected(plan, first),
             tolerance=tolerance,
             cheapest=cheapest(rows, quantities, tolerance),
+            noise=noise,
         )
 
 
