@@ -19,6 +19,8 @@ TARGETS: dict[str, tuple[float, str, str]] = {
     "memory_100s_mb": (500.0, "MB", "peak resident memory of the simulation's process, 100 s scene"),
     "help_vs_numpy": (3.0, "", "wall: cosim --help / python -c 'import numpy'"),
     "warm_run_outside_s": (1.0, "s", "wall of a warm `cosim run` outside the simulation"),
+    "warm_linear_outside_s": (0.5, "s", "the same on `linear`"),
+    "stability_s": (1.0, "s", "wall of a warm `cosim stability`"),
     "linear_vs_monolithic_slope": (1 / 50, "", "wall: our loop on `linear` / linkage as B-sources, slope"),
     "ideal_vs_monolithic_slope": (1 / 150, "", "wall: our loop on `ideal` / the same, ideal parts, slope"),
     "linear_vs_monolithic_drop": (1 / 1000, "", "wall: our loop on `linear` / linkage as elements, drop"),

@@ -201,11 +201,11 @@ def help_time(repetitions: int) -> list[Figure]:
     return [figure("help_vs_numpy", _ratios(ours, peer), details=details)]
 
 
-def warm(repetitions: int) -> list[Figure]:
+def warm(repetitions: int, name: str = "warm_run_outside_s", *model: str) -> list[Figure]:
     """Wall time of a whole `cosim run`, less its simulation."""
     outside, inside = [], []
-    with tempfile.TemporaryDirectory(prefix="cosim-bench-") as name:
-        command = [*_cosim(), "run", str(SLOPE), "--out", f"{name}/run", "--json"]
+    with tempfile.TemporaryDirectory(prefix="cosim-bench-") as folder:
+        command = [*_cosim(), "run", str(SLOPE), *model, "--out", f"{folder}/run", "--json"]
         for repetition in range(repetitions + 1):
             begun = time.perf_counter()
             done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT)
@@ -215,7 +215,19 @@ def warm(repetitions: int) -> list[Figure]:
                 outside.append(wall - simulated)
                 inside.append(simulated)
     details = {"simulation_ms": _ms(inside)}
-    return [figure("warm_run_outside_s", outside, details=details)]
+    return [figure(name, outside, details=details)]
+
+
+def warm_linear(repetitions: int) -> list[Figure]:
+    """Measure the same on `linear`, whose simulation takes ten milliseconds."""
+    return warm(repetitions, "warm_linear_outside_s", "--model", "linear")
+
+
+def limits(repetitions: int) -> list[Figure]:
+    """Wall time of a whole `cosim stability` of a scene whose circuit is known."""
+    command = [*_cosim(), "stability", str(SLOPE.with_name("press.toml"))]
+    _seconds(command)
+    return [figure("stability_s", [_seconds(command) for _ in range(repetitions)])]
 
 
 #: Figures of each measurement, and the measurement.
@@ -228,6 +240,8 @@ SUITE: dict[tuple[str, ...], Callable[[int], list[Figure]]] = {
     ("memory_100s_mb",): memory,
     ("help_vs_numpy",): help_time,
     ("warm_run_outside_s",): warm,
+    ("warm_linear_outside_s",): warm_linear,
+    ("stability_s",): limits,
     ("linear_vs_monolithic_slope",): models.linear_slope,
     ("ideal_vs_monolithic_slope",): models.ideal_slope,
     ("linear_vs_monolithic_drop",): models.linear_drop,
