@@ -214,6 +214,7 @@ def test_other_paths_of_the_noise_bound_what_digits_say(tmp_path, monkeypatch):
     assert made.weak["spice"]["heat"] == pytest.approx((0.002, half), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_study_with_noise_shows_its_band_and_weak_errors(tmp_path, monkeypatch):
     """What a path adds to a held position is far above what the integrators do."""
     scene_of(tmp_path, merge(THROWN, {"effects": {"pot_noise": "white"}, "duration_s": 0.15}))
