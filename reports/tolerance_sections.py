@@ -83,7 +83,8 @@ def two_models(levels: "Levels") -> Section:
         by = " and ".join(dict.fromkeys(each.by for each in levels.yields.values()))
         note = (
             f"Strata by what {by} says: their weight, and how many of their samples on "
-            f"{levels.dear} failed. The interval holds each stratum's exact bound and the weights' error."
+            f"{levels.dear} failed. The interval holds an exact bound of all strata and the weights' error; "
+            "its ends share the error so that it is expected to be shortest."
         )
         tables.append(Table("Yield by strata", head, rows, note))
     words = tuple(f"{name}: {each.word}." for name, each in levels.moments.items() if each.word)
@@ -117,7 +118,7 @@ def rare_failures(rare: "Rare") -> Section:
 
 def value(of: "Estimate", unit: str) -> str:
     """Return an estimate of a measure with its interval."""
-    low, high = (quantity(end, unit, 4) if math.isfinite(end) else "?" for end in (of.low, of.high))
+    low, high = (quantity(end, unit, 4) if math.isfinite(end) else "not known" for end in (of.low, of.high))
     return f"{quantity(of.value, unit, 5)} ({low} to {high})"
 
 
