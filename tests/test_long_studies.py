@@ -104,7 +104,7 @@ def test_what_a_killed_process_left_among_the_parts_is_taken_away(tmp_path: Path
 
 
 def test_no_circuit_of_an_earlier_sample_stays(monkeypatch) -> None:
-    """A process collects garbage by itself as good as never: 0.65 MB of a sample stayed, 2.1 GB of 3,000.
+    """A process collects garbage by itself as good as never: 0.35 MB of a sample stayed, 2.1 GB of 3,000.
 
     Seen to fail without the collection in `measured`.
     """

@@ -520,3 +520,17 @@ def test_every_node_that_ngspice_names_can_be_read() -> None:
     assert any(name.startswith("x1.e_gain_int") for name in names)
     assert all(np.isfinite(simulator.vector(name)).all() for name in names)
     assert float(np.real(simulator.vector("b")[0])) == pytest.approx(2.0, rel=1e-9)
+
+
+def test_a_library_that_did_not_open_says_why_ever_after(monkeypatch):
+    """Not what the second try stumbles over: PySpice's declarations, which can be made once."""
+
+    def no_memory():
+        raise MemoryError("no room for a callback")
+
+    for name, value in (("_library", None), ("_refused", None), ("Library", no_memory)):
+        monkeypatch.setattr(library, name, value)
+    with pytest.raises(MemoryError):
+        library.opened()
+    with pytest.raises(RuntimeError, match="MemoryError: no room for a callback"):
+        library.opened()

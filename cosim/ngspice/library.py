@@ -279,7 +279,7 @@ class Library:
 
 
 _library: Library | None = None
-_refused: InputError | None = None  # why it is missing: a process looks for it once
+_refused: Exception | None = None  # why it is missing: a process looks for it once
 
 
 def opened() -> Library:
@@ -288,15 +288,20 @@ def opened() -> Library:
     Raises
     ------
     InputError
-        If it is missing or older than `OLDEST_VERSION`; every later call says so too.
+        If it is missing or older than `OLDEST_VERSION`; every later call says so too, as of any other error:
+        PySpice declares its functions once, and a second try would fail for that reason alone.
     """
     global _library, _refused
-    if _refused is not None:
+    if isinstance(_refused, InputError):
         raise InputError(_refused.problems)
+    if _refused is not None:
+        raise RuntimeError(
+            f"ngspice could not be opened: {type(_refused).__name__}: {_refused}"
+        ) from _refused
     if _library is None:
         try:
             _library = Library()
-        except InputError as error:
+        except Exception as error:
             _refused = error
             raise
     return _library

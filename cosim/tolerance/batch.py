@@ -227,7 +227,7 @@ class _Known:
 
 
 _known: list[_Known] = []
-#: Samples after which their garbage is taken away: circuits refer to themselves, 0.65 MB each, and a process
+#: Samples after which their garbage is taken away: circuits refer to themselves, 0.35 MB each, and a process
 #: that looks for garbage as seldom as ours (`collect_seldom`) filled the memory in a study of thousands.
 _COLLECTED = 8
 
