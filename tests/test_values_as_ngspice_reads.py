@@ -21,7 +21,7 @@ MEANT = {
     "1e3Ohm": 1e3, "10kOhms": 1e4, "1V": 1.0, "1eV": 1.0, "1Hz": 1.0, "1kHz": 1e3, "1mV": 1e-3, "10u": 1e-5,
     "10uF": 1e-5, "10µ": 1e-5, "10μ": 1e-5, "10µF": 1e-5, "10μF": 1e-5, "1nF": 1e-9, "1pF": 1e-12,
     "1fF": 1e-15, "1mm": 1e-3, "1um": 1e-6, "1mA": 1e-3, "1mil": 25.4e-6, "2mils": 50.8e-6, "1A": 1.0,
-    "1a": 1.0, "2.5A": 2.5, "1Amp": 1.0, "1uA": 1e-6, "1.5E-3u": 1.5e-9,
+    "1a": 1.0, "2.5A": 2.5, "1Amp": 1.0, "1uA": 1e-6, "1.5E-3u": 1.5e-9, "1.11eV": 1.11, "1e3eV": 1e3,
 }  # fmt: skip
 
 REFUSED = {  # written -> what ngspice 39 reads of it as an element's value, in silence
@@ -41,7 +41,10 @@ def read_by_ngspice(tmp_path: Path, rows: list[str], names: list[str]) -> list[f
 
 
 def test_what_is_handed_on_is_what_was_meant(tmp_path: Path) -> None:
-    """Broken once: `1A` and `1mil` handed on as they stand, each fails here (the ampere on ngspice 44)."""
+    """Broken once: `1A` and `1mil` handed on as they stand, each fails here (the ampere on ngspice 44).
+
+    On 47 also `1eV` to a parameter.
+    """
     rows, names = [], []
     for i, text in enumerate(MEANT):
         value, parameter = (

@@ -25,9 +25,10 @@ MOST_DRAWN = 100
 """Calls of distribution functions in one statement."""
 _CALL = re.compile(rf"(?<![\w.])({'|'.join(_DISTRIBUTIONS)})\s*\(", re.IGNORECASE)
 _MICRO = re.compile(r"(?<![\w.])(\d+\.?\d*|\.\d+)(e[-+]?\d+)?[µμ]", re.IGNORECASE)
-#: An ampere: ngspice 39 drops the letter, 44 takes it for atto.
-_AMPERE_INSIDE = re.compile(
-    r"(?<![\w.$#:@])((?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[-+]?[0-9]+)?)a[a-z]*(?![\w.])", re.IGNORECASE
+#: An ampere: ngspice 39 drops the letter, 44 takes it for atto. An electronvolt: 47 misses digits behind e.
+_UNIT_INSIDE = re.compile(
+    r"(?<![\w.$#:@])((?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[-+]?[0-9]+)?)(?:a[a-z]*|e[a-z]+)(?![\w.])",
+    re.IGNORECASE,
 )
 #: A thousandth of an inch: 25.4u to an element of ngspice, but 1m to a parameter.
 _MIL_INSIDE = re.compile(
@@ -44,7 +45,7 @@ _DECIMAL_COMMA = re.compile(r"=\s*([-+]?[0-9]+,[0-9]\w*)")
 _POLY = re.compile(r"poly\s*\(\s*(\d+)\s*\)", re.IGNORECASE)
 _SUSPECT = re.compile(
     r"(?![0-9])\d|\d[^\x00-\x7f]|\d[a-z]_|\d[^\W\d_]+[\d.]|\d[^\s\w.=(){}*/+\-\"^]|\d_|[µμ]|\d\s+[\d.]|\d\.\d*\."
-    r"|\d\.?(?:[ed](?![-+\w]|\s*=)|e[-+](?!\d)|([kunpgt])\1|[a-z]+meg|mil|a|mhz|mohm|mΩ)|[ =]\.(?!\w)",
+    r"|\d\.?(?:[ed](?![-+\w]|\s*=)|e[-+](?!\d)|([kunpgt])\1|[a-z]+meg|mil|a|e[a-z]|mhz|mohm|mΩ)|[ =]\.(?!\w)",
     re.IGNORECASE,
 )
 #: Statements of which the words can hold values.
@@ -82,7 +83,7 @@ def as_meant(line: Line, dialect: Dialect, functions: Collection[str] = ()) -> L
     text = _MICRO.sub(r"\1\2u", text)
     if dialect.reads_rkm:
         text = _translated(text, _RKM_INSIDE, _with_point)
-    text = _translated(text, _AMPERE_INSIDE, lambda match: match[1])
+    text = _translated(text, _UNIT_INSIDE, lambda match: match[1])
     text = _translated(text, _MIL_INSIDE, lambda match: f"{float(match[1]) * 25.4:.12g}u")
     line = line.rewritten(text)
     for value in _values(line):
