@@ -286,14 +286,16 @@ def test_jitter_and_laws_are_priced_in_seconds(
 
 
 def test_elements_of_every_level_are_priced() -> None:
-    """From measured runs: full takes 2.4 times the time of a point at gbw, slew and saturation 1.7 times."""
+    """By runs of three scenes: full takes 2.5 times the time of a point at gbw (2.1 to 2.8), slew and
+    saturation 2.2 times (1.5 to 2.8).
+    """
 
     def micro(*more: str) -> float:
         cost = shipped("press", "solver.model=spice", *more).cost()
         return cost["seconds"] / cost["points"]
 
-    assert micro(*FULL) / micro() == pytest.approx(2.4, rel=0.35)
-    assert micro(*PRICED["slew"]) / micro() == pytest.approx(1.7, rel=0.35)
+    assert micro(*FULL) / micro() == pytest.approx(2.5, rel=0.35)
+    assert micro(*PRICED["slew"]) / micro() == pytest.approx(2.2, rel=0.35)
     plain = shipped("press").cost()
     assert plain["start_seconds"] > 10 * plain["seconds"]  # a short run is mostly its start
 

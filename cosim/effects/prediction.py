@@ -34,7 +34,7 @@ POINT_US = {
     "ideal": (0.45, 0.25, 0.0, 0.0),
 }
 #: A slew limit at level gbw stands inside the loop of its pole: it takes this many times the Newton steps.
-SLEW_STEPS = 1.5
+SLEW_STEPS = 1.9
 #: Seconds for the matrices of a slider that is solved exactly, and for the maps of an interval of new length.
 EXACT_S = {"spice": 0.0, "linear": 0.0075, "ideal": 0.0045}
 INTERVAL_S = {"spice": 0.0, "linear": 1.4e-4, "ideal": 1.1e-5}
