@@ -18,14 +18,19 @@ from cosim.plausibility import of_circuit, of_response
 RATED = 0.5
 
 
-def bent_board(folder, cubic):
-    """Board of one joint with i = s + cubic s^3 of the sum s of what its multipliers give."""
+def board_with(folder, current):
+    """Board of one joint with a current of the sum s of what its multipliers give."""
     total = "(v(ws)+v(wd)+v(cmd1)-0.01*v(vel1))"
     return board(
         folder,
         top=f".param i_rated={RATED}\n.csparam i_rated={{i_rated}}",
-        output=f"Bs s 0 V={total}\nBi imot1 0 V=v(s)+{cubic!r}*v(s)*v(s)*v(s)",
+        output=f"Bs s 0 V={total}\nBi imot1 0 V={current}",
     )
+
+
+def bent_board(folder, cubic):
+    """Board with i = s + cubic s^3."""
+    return board_with(folder, f"v(s)+{cubic!r}*v(s)*v(s)*v(s)")
 
 
 def error_of(session):
@@ -105,13 +110,8 @@ def test_the_shipped_boards_bend_as_little_as_their_multipliers(joints, driver):
 
 
 def clamped_board(folder, limit):
-    """The bent board's plan with a current that stops at a limit."""
-    total = "(v(ws)+v(wd)+v(cmd1)-0.01*v(vel1))"
-    return board(
-        folder,
-        top=f".param i_rated={RATED}\n.csparam i_rated={{i_rated}}",
-        output=f"Bs s 0 V={total}\nBi imot1 0 V=min(max(v(s),{-limit!r}),{limit!r})",
-    )
+    """Board with a current that stops at a limit."""
+    return board_with(folder, f"min(max(v(s),{-limit!r}),{limit!r})")
 
 
 @pytest.mark.parametrize("share", [0.2, 0.7, 1.5])
