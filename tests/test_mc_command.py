@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import stats
-from support import SCENES
+from support import ROOT, SCENES
 
 from cosim import cli
 from cosim.tolerance.distribution_functions import extracted_calls
@@ -79,6 +79,16 @@ def test_a_study_its_files_and_one_of_its_devices_again(
         (["--set", "tolerance.mass=150%"], "more tolerance than value"),
         (["--set", "tolerance.components.rsp99=1%"], "nearest is rsp"),
         (["--set", "tolerance.trim.rsp11=curl of 3"], "is not a trim"),
+        (
+            [
+                "--set",
+                "tolerance.components.rsp11=tol=1% match=board:bag",
+                "--set",
+                "tolerance.components.rsp12=tol=1% match=board:bagg",
+            ],
+            "rsp11 is alone in the network board:bag; nearest is board:bagg",
+        ),
+        (["--set", "tolerance.components.rsp11=lott=1%"], "'lott=1%' is no part of a tolerance"),
         (["--set", "tolerance.mass=lot=-1%"], "negative"),
         (["--sampling", "sobol", "--sample", "100000"], "not a sample of the study"),
     ],
@@ -103,6 +113,31 @@ def test_ngspices_own_loop_draws_the_same(tmp_path: Path) -> None:
     nominal, shape = extracted_calls(value)[1]["drawn__1"]
     r = nominal + shape.inverse(np.random.default_rng(3).random((10_000, 2)))
     assert stats.ks_2samp(theirs, r[:, 1] / r.sum(axis=1)).pvalue > 1e-3
+
+
+def test_a_tolerance_that_was_edited_makes_another_study(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In a netlist it is a comment, a scene names a histogram's file only: old samples came out as new."""
+    shutil.copytree(ROOT / "netlists", tmp_path / "netlists")
+    scene, out = tmp_path / "scenes" / "press.toml", tmp_path / "mc"
+    lot = scene.parent / "lot.csv"
+    scene.parent.mkdir()
+    scene.write_text(f'{Path(PRESS).read_text()}\n[tolerance.components]\nrsp11 = "histogram=lot.csv"\n')
+    lot.write_text("percent\n-1\n0\n1\n")
+    words = ["mc", str(scene), "--model", "linear", "--measure", "curl", "-n", "2", "-o", str(out)]
+    call(capsys, *words)
+    before = (out / "samples.parquet").read_bytes()
+    call(capsys, *words)
+    summer = tmp_path / "netlists" / "blocks" / "summer.cir"
+    for file, old, new in ((summer, "24.3k $ tol=1%", "24.3k $ tol=2%"), (lot, "-1", "-5")):
+        text = file.read_text()
+        assert old in text
+        file.write_text(text.replace(old, new))
+        assert "holds another study" in call(capsys, *words, code=2), file
+        file.write_text(text)
+    call(capsys, *words)
+    assert (out / "samples.parquet").read_bytes() == before
 
 
 @pytest.mark.parametrize(

@@ -110,9 +110,12 @@ class Prepared:
     def digest(self) -> str:
         """SHA-256 of all that the samples depend on."""
         scene, asked = self.plan.scene, self.asked
+        # to the board's digest a tolerance is a comment, and a scene names the file of a histogram only
+        drawn = [f"{each.key} {each.recipe!r}" for each in self.tolerances.components]
         parts = (
             cosim.__version__, scene.digest(), scene.code_digest(), self.plan.board.digest, self.plan.model,
             *self.names, asked.method, str(asked.n), asked.until, str(self.seed),
+            *self.tolerances.variables, *drawn,
         )  # fmt: skip
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
