@@ -28,6 +28,7 @@ from cosim.circuits.extraction.block_delays import spring_delays
 from cosim.cli import main
 from cosim.comparisons import measure_values
 from cosim.comparisons.board_measures import board_measures
+from cosim.errors import InputError
 from cosim.plan import resolve
 from cosim.results import Run
 from cosim.scene import load_scene
@@ -57,12 +58,13 @@ def of_slider(folder: Path, *names: str, motor: str = "emf", **computer: Any) ->
 
 def test_limits_of_a_sampled_wall_on_a_mass(tmp_path: Path) -> None:
     """k* = b (1-E)/(tau (1-E) - T E), E = exp(-T/tau), tau = m/b; passive up to 2b/T."""
-    slider = of_slider(tmp_path, "k_max", "passive_stiffness", **DISCRETE)
+    slider = of_slider(tmp_path, "k_max", "k_margin", "passive_stiffness", **DISCRETE)
     rendered = COMMAND_TRUE * V_NM
     tau = MASS / VISCOSITY
     e = math.exp(-PERIOD / tau)
     exact = VISCOSITY * (1 - e) / (tau * (1 - e) - PERIOD * e)
     assert slider["k_max"] * rendered == pytest.approx(exact, rel=CLOSE)
+    assert slider["k_margin"] == slider["k_max"] / 10.0
     assert slider["passive_stiffness"] * rendered == pytest.approx(2 * VISCOSITY / PERIOD, rel=CLOSE)
 
 
@@ -87,6 +89,38 @@ def test_limits_of_an_analog_spring_behind_the_windings_lag(tmp_path: Path) -> N
         assert slider[name] * SPRING_TRUE / K_FS == pytest.approx(limit, rel=1e-5), name
     # the delay is read at a phase of 1e-3: its cube is 1e-6 of it
     assert slider["eta"] == pytest.approx(100.0 / limit, rel=1e-5)
+
+
+def test_what_is_rendered_of_what_is_commanded(tmp_path: Path) -> None:
+    """Of ideal parts the gains of the netlist over the constants that it states, spring and damper."""
+    shares = of_slider(tmp_path, "stiffness_share", "damping_share", analog_damping_n_s_per_m=2.0)
+    assert shares["stiffness_share"] == pytest.approx(SPRING_TRUE / K_FS, rel=CLOSE)
+    # r_der_fb c_der_in = 0.1 s in the place of 16.9, 6.19 kOhm in the place of 24.3 kOhm
+    damper = SPRING_TRUE * 0.1 / 16.9 * (24.3e3 + 0.1) / (6.19e3 + 0.1)
+    assert shares["damping_share"] == pytest.approx(damper / 0.06969, rel=1e-5)
+    plan = resolve(scene_of(tmp_path, slider(computer=DISCRETE, solver={"model": "auto"})))
+    names = ("stiffness_share", "damping_share", "leakage")
+    rows, lacking = board_measures(plan, names, child=shared_child())
+    assert not rows
+    assert all("commands no analog" in why for why in lacking.values())
+
+
+def test_an_offset_of_the_potentiometer_is_a_force_of_two_springs_in_series(tmp_path: Path) -> None:
+    """A hand of stiffness K holds the spring k, which an angle off by e stretches by r e: r e k K/(k + K)."""
+    noise, hand = 0.003, 135.0
+    tables = slider(
+        device={"potentiometer": {"noise_rad": noise}, "start": {"q_rad": [-0.05]}},
+        effects={"motor": "emf", "pot_noise": "static", "operator_dynamics": True},
+        operator={"type": "hand", "mass_kg": 0.3, "damping_n_s_per_m": 6.0, "stiffness_n_per_m": hand,
+                  "waypoints_s_m": [[0.0, 0.0, -0.02]]},
+        solver={"model": "auto"},
+    )  # fmt: skip
+    result = measured(resolve(scene_of(tmp_path, tables)), "force_noise")["force_noise"]
+    spring = 100.0 * SPRING_TRUE / K_FS
+    assert result == pytest.approx(RADIUS * noise * spring * hand / (spring + hand), rel=1e-5)
+    plan = resolve(scene_of(tmp_path, slider(solver={"model": "auto"})))
+    with pytest.raises(InputError, match=r"effects\.pot_noise"):
+        board_measures(plan, ("force_noise",), child=shared_child())
 
 
 def test_eta_is_of_the_slowest_path() -> None:
@@ -138,7 +172,13 @@ def test_one_multiplier_off_makes_curl_and_feeds_energy(pair: str) -> None:
     path = np.array([arm.inverse(point + 0.01 * np.array([math.cos(a), math.sin(a)])) for a in turns])
     after = np.roll(path, -1, axis=0)
     area = 0.5 * float(np.sum(path[:, 0] * after[:, 1] - path[:, 1] * after[:, 0]))
-    result = measured(plan, "curl", "circle_energy", "least_stiffness")
+    result = measured(plan, "curl", "circle_energy", "least_stiffness", "leakage", "stiffness_share")
+    tangent = np.array([-normal[1], normal[0]])
+    leak = float(tangent @ tip @ normal) / float(normal @ tip @ normal)
+    assert result["leakage"] == pytest.approx(leak, rel=1e-4)
+    assert abs(leak) > 1e-4
+    share = float(normal @ tip @ normal) / scene.computer.analog_stiffness_n_per_m
+    assert result["stiffness_share"] == pytest.approx(share, rel=CLOSE)
     # gains of the model are good to 1e-7 of the largest, the difference of two of them to 1e-5
     assert result["curl"] == pytest.approx(tip[0, 1] - tip[1, 0], rel=1e-4)
     assert result["circle_energy"] == pytest.approx(abs((ksp[0, 1] - ksp[1, 0]) * area), rel=1e-4)
@@ -161,7 +201,7 @@ def test_margins_and_rest_are_those_of_the_check(capsys: pytest.CaptureFixture[s
 
 def test_every_measure_says_what_it_is() -> None:
     assert set(OF_A_RUN) | set(needing_no_run(NAMES)) == set(NAMES)
-    assert len(needing_no_run(NAMES)) == 9
+    assert len(needing_no_run(NAMES)) == 14
     assert all(measure.text and measure.name == name for name, measure in MEASURES.items())
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from cosim.analysis.control_law import law_point
 from cosim.analysis.extracted import circuit_of
+from cosim.analysis.noise_covariance import noise_covariance
 from cosim.analysis.stability import border, held
 from cosim.analysis.stiffness_limits import RANGE, largest_passive, varied
 from cosim.analysis.stiffness_map import pencil
@@ -29,7 +30,7 @@ from cosim.ngspice.child import Child
 from cosim.plan import Plan
 from cosim.scene import Method
 from cosim.scene.mechanism import mechanism
-from cosim.types import Array
+from cosim.types import Array, Complex
 from mech import Chain
 
 __all__ = ["BoardMeasures", "Lacking", "board_measures"]
@@ -40,6 +41,8 @@ Row = dict[str, Any]
 _ROUNDING = 1e-12
 #: Radius of the circle of `circle_energy` [m].
 _CIRCLE_M = 0.01
+#: Where the damper is looked at [Hz]: far below the corner of any differentiator.
+_SLOW_HZ = 1.0
 
 
 class Lacking(Exception):
@@ -87,12 +90,28 @@ class BoardMeasures:
     @cached_property
     def _ksp(self) -> Array:
         """Stiffness that the board renders at the joints for the gains that the law writes [N m/rad]."""
+        return self._rendered(self._gains, 0.0).real
+
+    @cached_property
+    def _gains(self) -> Array:
+        """Volts that the law writes at the gain pins: of the springs, then of the dampers."""
         tip, n = self._tip, self._scene.joints
         law = law_point(self._scene, tip.constants, tip.linkage, tip.q)
-        control = law.volts[n : n + len(tip.circuit.gain)]
-        still = tip.circuit.response(0.0, control)[0].real
-        stiffness: Array = -tip.constants.torques_per_amp(n)[:, None] * still[:, :n]
-        return stiffness
+        return law.volts[n : n + len(tip.circuit.gain)]
+
+    def _rendered(self, gains: Array, hz: float) -> Complex:
+        """Return torques against angles that the board renders at a frequency [n, n] N m/rad."""
+        tip, n = self._tip, self._scene.joints
+        current = tip.circuit.response(2j * np.pi * hz, gains)[0][:, :n]
+        rendered: Complex = -tip.constants.torques_per_amp(n)[:, None] * current
+        return rendered
+
+    def _commanded(self, key: str) -> float:
+        value: float = getattr(self._scene.computer, key)
+        analog = key.startswith("analog")
+        if not value > 0.0 or (analog and self._scene.computer.method is Method.DISCRETE):
+            raise Lacking(f"the scene commands no {key}")
+        return value
 
     def _arm(self) -> Chain:
         chain = mechanism(self._scene, 1.0)
@@ -110,6 +129,35 @@ class BoardMeasures:
         if not math.isfinite(most):
             raise Lacking(f"stable up to {RANGE[1]:g} N/m")
         return most
+
+    def k_margin(self) -> float:
+        """How many times as much as commanded is stable."""
+        return self.k_max() / self._commanded(varied(self._scene))
+
+    def stiffness_share(self) -> float:
+        """At rest, the tip led along the normal and nowhere else."""
+        along = self._tip.motion
+        return float(along @ self._ksp @ along) / self._commanded("analog_stiffness_n_per_m")
+
+    def damping_share(self) -> float:
+        """Of the dampers' gains alone: what the spring's delay takes from them is `eta`."""
+        gains, along = self._gains.copy(), self._tip.motion
+        gains[: self._scene.joints**2] = 0.0
+        rendered = complex(along @ self._rendered(gains, _SLOW_HZ) @ along)
+        return rendered.imag / (2.0 * np.pi * _SLOW_HZ) / self._commanded("analog_damping_n_s_per_m")
+
+    def leakage(self) -> float:
+        """Its sign kept: positive where the tip is pushed to the left of the normal."""
+        self._commanded("analog_stiffness_n_per_m")
+        inverse = np.linalg.inv(self._arm().jacobian(self._tip.q))
+        normal = self._tip.normal
+        force = inverse.T @ self._ksp @ inverse @ normal
+        along_wall = normal[0] * force[1] - normal[1] * force[0]
+        return _beyond_rounding(along_wall, force) / float(normal @ force)
+
+    def force_noise(self) -> float:
+        """Exact second moments about the pose of rest [N]."""
+        return noise_covariance(self._tip).rms("motor_normal")
 
     def passive_stiffness(self) -> float:
         """Largest passive stiffness of the same part; 0 where nothing is passive [N/m]."""
