@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 PARTS = ("distribution", "estimate", "blame", "leading")
 #: What is written besides the figures.
 FILES, MANIFEST = (PAGE_NAME, "samples.csv", "components.csv", "bill.csv", RECORD, SLIDERS), manifest_of("mc")
-#: Bars of the tornado, points of a scatter, rows of tables.
-_BARS, _POINTS, _ROWS, _WORST = 15, 4000, 40, 5
+#: Bars of the tornado, points of a probability plot, of a scatter and (twice) of a curve, rows of tables.
+_BARS, _POINTS, _SCATTERED, _CURVE, _ROWS, _WORST = 15, 4000, 300, 150, 40, 5
 
 
 def write_monte_carlo(
@@ -71,7 +71,8 @@ def write_monte_carlo(
         sections = [_overview(findings), *(_measure(findings, name, replay) for name in findings.study.names)]
         sections += [_bill(findings)] if findings.bill else []
         sections += [two_models(findings.levels)] if findings.levels is not None else []
-        sections += [rare_failures(findings.rare)] if findings.rare is not None else []
+        if findings.rare is not None:
+            sections.append(rare_failures(findings.rare, findings.study.tolerances.components))
     html = render(
         "study.html.j2", title="Tolerances: what the built devices do",
         command=replay.removesuffix(" --sample"),
@@ -163,7 +164,8 @@ def _measure(findings: "Findings", name: str, replay: str) -> Section:
         pictures.append(picture(f"{name}_scatter", "Leading components", _scatter(findings, name)))
     rows = [[str(k), quantity(value, unit, 5), f"{replay} {k}"] for k, value in worst(study, name, _WORST)]
     note = "Farthest from the nominal device; the command measures the same device again, alone."
-    table = Table("Worst samples", ["sample", name, "replay"], rows, note, "samples.csv")
+    head = ["sample", name, "replay"]
+    table = Table("Worst samples", head, rows, note, "samples.csv", codes=frozenset({2}), stacked=True)
     return Section(name, title, (), pictures, [table])
 
 
@@ -225,8 +227,12 @@ def _estimates(findings: "Findings", name: str, column: Array) -> Drawn:
     mean = np.cumsum(column) / n
     square = np.cumsum((column - column[0]) ** 2) / n - (mean - column[0]) ** 2
     half = 1.96 * np.sqrt(np.maximum(square, 0.0) / n)
-    shown = _some(len(column))
-    shown = shown[n[shown] >= min(10, len(column))]
+    first = min(10, len(column))
+    # what a wide figure can show: evenly spread, and closer where the band narrows fastest
+    places = np.concatenate(
+        [np.geomspace(first, len(column), _CURVE), np.linspace(first, len(column), _CURVE)]
+    )
+    shown = np.unique(places.astype(np.int64)) - 1
     axes.plot(n[shown], mean[shown], color=FORCE, label="running mean")
     axes.fill_between(
         n[shown], (mean - half)[shown], (mean + half)[shown], color=FORCE, alpha=0.2, linewidth=0
@@ -264,7 +270,7 @@ def _tornado(findings: "Findings", name: str) -> Drawn:
 
 
 def _scatter(findings: "Findings", name: str) -> Drawn:
-    study, surface = findings.study.thinned(_POINTS), findings.surfaces[name]
+    study, surface = findings.study.thinned(_SCATTERED), findings.surfaces[name]
     z = deviations(study.tolerances, study.uniforms())
     order = np.argsort(-np.abs(surface.linear))[:3]
     drawing, grid = figure(2.9, columns=len(order), sharey=True)

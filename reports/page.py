@@ -1,6 +1,5 @@
 """From a run to one self-contained HTML page, with its figures and their data beside it."""
 
-import base64
 import csv
 import io
 import re
@@ -15,6 +14,7 @@ from cosim.caution import Caution, grouped
 from cosim.storage.checksums import MANIFEST
 from cosim.storage.owned_files import write_files
 from cosim.units import pretty
+from reports.compact_svg import data_uri
 from reports.summary import summary, tiles
 from reports.tables import Table, Trial, all_tables, command_line, compare_table
 from reports.view import RunLike, View
@@ -57,7 +57,7 @@ class Picture:
     @property
     def source(self) -> str:
         """The SVG as a data URI: kept apart from the page, so that ids of two figures cannot clash."""
-        return "data:image/svg+xml;base64," + base64.b64encode(self.svg).decode("ascii")
+        return data_uri(self.svg)
 
 
 def write_report(

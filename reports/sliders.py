@@ -14,6 +14,7 @@ from scipy import stats
 from cosim.catalogue import UNITS
 from cosim.tolerance.intervals import clopper_pearson
 from cosim.tolerance.sensitivity import deviations
+from cosim.units import pretty
 from reports.page import render
 
 if TYPE_CHECKING:
@@ -45,13 +46,18 @@ def _data(findings: "Findings") -> dict[str, Any]:
     leading = [int(j) for j in np.argsort(-weight, kind="stable")[:_SLIDERS]]
     place = {j: k for k, j in enumerate(leading)}
     z = deviations(study.tolerances, study.uniforms()[known])[:, leading]
-    sliders = []
+    sliders, components = [], {each.key: each for each in study.tolerances.components}
     for j in leading:
         shape = study.tolerances.shape(j)
         size = max(shape.high, -shape.low)
+        # a lot moves many components, an offset has no design to be moved: neither has a value of its own
+        own = components.get(study.tolerances.variables[j])
+        own = own if own is not None and own.recipe.centre is None else None
         sliders.append(
             {
                 "name": study.tolerances.variables[j], "tolerance": shape.text(), "relative": shape.relative,
+                "nominal": own.nominal if own is not None else None,
+                "unit": pretty(own.unit) if own is not None else "",
                 "reach": _REACH * size, "deviation": shape.moments()[1],
             }
         )  # fmt: skip

@@ -1,6 +1,7 @@
 """Tables and sections of the page of a Monte Carlo study, those of further models included."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from reports.page import Picture
 
 if TYPE_CHECKING:
     from cosim.tolerance.model_levels import Levels
+    from cosim.tolerance.random_variables import Component
     from cosim.tolerance.rare_study import Rare
 
 __all__ = ["Section", "Table", "percent", "rare_failures", "two_models", "value"]
@@ -19,7 +21,15 @@ __all__ = ["Section", "Table", "percent", "rare_failures", "two_models", "value"
 
 @dataclass(frozen=True)
 class Table:
-    """A table of the page; `numbers` are columns aligned to the right."""
+    """A table of the page.
+
+    Attributes
+    ----------
+    numbers, codes
+        Columns aligned to the right, and those of commands, which are shown as they are typed.
+    stacked
+        On a narrow screen its cells stand below one another: nobody scrolls along a command.
+    """
 
     title: str
     head: list[str]
@@ -27,6 +37,8 @@ class Table:
     note: str = ""
     file: str = ""
     numbers: set[int] = field(default_factory=set)
+    codes: frozenset[int] = frozenset()
+    stacked: bool = False
 
 
 @dataclass(frozen=True)
@@ -92,8 +104,8 @@ def two_models(levels: "Levels") -> Section:
     return Section("levels", "Two models", words, [], tables)
 
 
-def rare_failures(rare: "Rare") -> Section:
-    """Return how rare failures are, and which device fails first."""
+def rare_failures(rare: "Rare", components: Sequence["Component"]) -> Section:
+    """Return how rare failures are, and which device fails first; `components` tell units and design."""
     rate = f"{rare.rate.value:.3g} ({rare.rate.low:.3g} to {rare.rate.high:.3g})"
     distance = f"{rare.distance:.3g}" if math.isfinite(rare.distance) else "none found"
     rows = [
@@ -110,10 +122,20 @@ def rare_failures(rare: "Rare") -> Section:
     )
     tables = [Table("How often a device fails", head, rows, note)]
     if rare.device:
-        table = [[key, f"{value:.6g}"] for key, value in rare.device.items()]
-        tables.append(Table("The most probable failing device", ["component", "value"], table,
-                             "Its largest deviations first, in units of the SI."))  # fmt: skip
+        of = {each.key: each for each in components}
+        table = [
+            [key, quantity(number, of[key].unit, 6), quantity(of[key].nominal, of[key].unit, 6),
+             _change(number, of[key].nominal)]
+            for key, number in rare.device.items()
+        ]  # fmt: skip
+        head = ["component", "value", "as designed", "change"]
+        note = "What deviates most, by its own distribution, comes first; all else is near its design."
+        tables.append(Table("The most probable failing device", head, table, note))
     return Section("rare", "Rare failures", (f"{rare.word}.",) if rare.word else (), [], tables)
+
+
+def _change(number: float, nominal: float) -> str:
+    return f"{100.0 * (number / nominal - 1.0):+.3g} %" if nominal else "-"
 
 
 def value(of: "Estimate", unit: str) -> str:

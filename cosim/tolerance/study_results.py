@@ -25,7 +25,7 @@ from cosim.tolerance.random_variables import Tolerances
 from cosim.tolerance.rare_study import Rare
 from cosim.tolerance.sensitivity import GOOD, Surface, fit_surface
 from cosim.tolerance.spec import Spec
-from cosim.units import heading
+from cosim.units import heading, quantity
 
 __all__ = ["MOST_LOOKED_AT", "Findings", "components_csv", "estimate_dict", "find", "summary_dict"]
 
@@ -194,7 +194,8 @@ def find(
         summaries = {name: _corrected(each, levels) for name, each in summaries.items()}
         shares |= {text: each.passing for text, each in levels.yields.items()}
         notes_of += _of_levels(levels)
-    notes_of += _of_rare(rare) if rare is not None else []
+    units = {each.key: each.unit for each in study.tolerances.components}
+    notes_of += _of_rare(rare, units) if rare is not None else []
     return Findings(
         study, tuple(specs), summaries, shares, surfaces,
         tuple(bill(few, surfaces, specs, wanted)), wanted, dict(corners or {}), tuple(notes_of), levels,
@@ -254,11 +255,12 @@ def _of_levels(levels: Levels) -> list[str]:
     return lines
 
 
-def _of_rare(rare: Rare) -> list[str]:
+def _of_rare(rare: Rare, units: Mapping[str, str]) -> list[str]:
     """Say how rare failures are, and which device fails first."""
     if not rare.places:
         return [f"rare failures: {rare.word}"]
-    nearest = ", ".join(f"{key} = {value:.5g}" for key, value in list(rare.device.items())[:3])
+    leading = list(rare.device.items())[:3]
+    nearest = ", ".join(f"{key} = {quantity(value, units[key], 5)}" for key, value in leading)
     lines = [
         f"rare failures: {rare.rate.value:.3g} ({rare.rate.low:.3g} to {rare.rate.high:.3g}) of the devices, "
         f"by {rare.samples} samples on {rare.model}, {rare.effective:.1f} effective; first order on "
