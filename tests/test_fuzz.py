@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 import pytest
-from fuzz import commands, targets
+from fuzz import commands, mc_kills, targets
 
 from cosim.plan import resolve
 from cosim.runner import run
@@ -42,6 +42,14 @@ def test_whole_commands_end_with_words(result: Path, tmp_path: Path, monkeypatch
 def test_what_is_killed_goes_on_bit_for_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(targets.ROOT), os.environ.get("PYTHONPATH", "")]))
     commands.kill_and_resume(targets.Project(tmp_path / "project"), tmp_path, SEED, 1)
+
+
+@pytest.mark.slow
+def test_studies_that_are_killed_go_on_bit_for_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every victim twice, once with what was finished marked; `python -m tests.fuzz` kills fifty times."""
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(targets.ROOT), os.environ.get("PYTHONPATH", "")]))
+    counts = mc_kills.kill_studies(targets.Project(tmp_path / "project"), tmp_path, SEED, 6)
+    assert counts["samples kept"] > 0
 
 
 @pytest.mark.slow

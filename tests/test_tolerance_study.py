@@ -360,6 +360,21 @@ def test_a_lot_that_pulls_both_ways() -> None:
     assert answer.low <= np.min(result.column(NAME))
 
 
+def test_a_corner_that_the_cheap_model_finds_is_measured_on_the_study_s_own() -> None:
+    """The study's own model has a tenth more, and only ever sees the two corners."""
+    tolerances = parts([1e3, 1e3], UNIFORM)
+    seen: list[int] = []
+
+    def more(values: Array) -> Array:
+        seen.append(len(values))
+        return 1.1 * divider(values)
+
+    result = study(tolerances, lambda values: 1.1 * divider(values), 50)
+    answer = corner(result, NAME, Formula(divider), Formula(more))
+    assert seen == [2]
+    assert (answer.low, answer.high) == pytest.approx((1.1 * 0.99 / 2.0, 1.1 * 1.01 / 2.0), rel=1e-9)
+
+
 @pytest.mark.parametrize("kind", ["uniform", "gauss"])
 @pytest.mark.parametrize("seed", range(8))
 def test_no_sample_inside_the_box_is_beyond_the_corner(kind: str, seed: int) -> None:

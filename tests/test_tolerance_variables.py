@@ -188,6 +188,37 @@ def test_what_the_scene_gives_is_drawn_by_every_joint_link_and_mass() -> None:
     assert drawn.std(axis=1) == pytest.approx(0.98659 * 0.1 / 3, rel=0.05)
 
 
+def test_scale_errors_offsets_and_linearity_in_units_of_their_numbers() -> None:
+    """A multiplier's number counts in per cent of its gain; it and an offset deviate about zero."""
+    scene = load_scene(
+        PRESS,
+        ["effects.vca_gain_error=true", "effects.opamp_offset=true", "effects.pot_linearity=true",
+         "device.potentiometer.linearity_rad=0.01", "tolerance.vca_gain=2%", "tolerance.offset=100%",
+         "tolerance.pot_linearity=10%"],
+    )  # fmt: skip
+    result = tolerances(scene)
+    assert result.idle == ()
+    drawn, of_one = values(result), 0.98659 / 3
+    for key, middle, size in (
+        ("xksp12.xmul:ad633_scale", 0.0, 2.0),  # %
+        ("xdiff1.xop:tl072_vos", 0.0, 3e-3),  # V
+        ("scene:device.potentiometer.linearity_rad", 0.01, 1e-3),
+    ):
+        sigma = of_one * size
+        assert drawn[key].mean() == pytest.approx(middle, abs=5 * sigma / np.sqrt(4000)), key
+        assert drawn[key].std() == pytest.approx(sigma, rel=0.05), key
+    assert not np.array_equal(drawn["xksp12.xmul:ad633_scale"], drawn["xksp11.xmul:ad633_scale"])
+
+
+def test_capacitors_without_a_tolerance_take_that_of_their_class(tmp_path: Path) -> None:
+    bare = ("blocks/differentiator.cir", "c_der_in=1u $ tol=5% ;", "c_der_in=1u $")
+    result = read(tmp_path, bare, overrides=("tolerance.capacitors=20%",))
+    a, b, known = (deviation(result, key) for key in ("xder1.c21", "xder2.c21", "xder1.c22"))
+    assert a.std() == pytest.approx(0.98659 * 0.2 / 3, rel=0.05)
+    assert known.std() == pytest.approx(0.98659 * 0.05 / 3, rel=0.05)
+    assert abs(np.corrcoef(a, b)[0, 1]) < 5 / np.sqrt(4000)
+
+
 def test_a_network_without_a_size_takes_that_of_its_class(tmp_path: Path) -> None:
     """`match=net1 dev=0.1%` and `resistors = "2%"`: 2 % in common, 0.1 % each."""
     net = (DIFFAMP, "r_diff_in=10.0k $ tol=1%", "r_diff_in=10.0k $ match=net1 dev=0.1%")
@@ -263,6 +294,12 @@ def test_list_prints_every_variable(capsys: pytest.CaptureFixture[str]) -> None:
     text = capsys.readouterr().out
     assert "rsp12" in text
     assert "summer.cir:3" in text
+    assert (
+        cli.main(["mc", str(PRESS), "--set", "tolerance.components.r_sum_spring=lot=5% dev=1%", "--list"])
+        == 0
+    )
+    (line,) = (row for row in capsys.readouterr().out.splitlines() if row.startswith("rsp11 "))
+    assert "lot:r_sum_spring" in line
 
 
 def test_check_prints_them_and_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
