@@ -24,7 +24,7 @@ Signals = Mapping[str, NDArray[np.float64]]
 #: How far short of its stated limit an amplifier stops that saturates softly.
 AT_LIMIT = 0.995
 #: The share of a run, at its end, over which steady figures are averaged.
-_STEADY = 0.2
+STEADY = 0.2
 
 
 def wall_frame(scene: Scene, signals: Signals) -> dict[str, NDArray[np.float64]]:
@@ -88,7 +88,7 @@ def standard(
         if contact.length > 0.0:
             add("peak_normal_force", normal.peak(contact))
             add("mean_normal_force", normal.mean_over(contact))
-        late = float(t[-1] - _STEADY * span), float(t[-1])
+        late = float(t[-1] - STEADY * span), float(t[-1])
         if len(contact.end) and contact.begin[-1] <= late[0] and contact.end[-1] >= late[1]:
             sink, push = pen.cut(*late).mean(), normal.cut(*late).mean()
             drag = trace(frame["tangent"]).cut(*late).mean()

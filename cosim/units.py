@@ -2,9 +2,11 @@
 
 import math
 import re
+from collections.abc import Mapping
+from typing import Any
 
-__all__ = ["figures", "heading", "measured", "name_of", "pretty", "quantity", "sample_unit", "scale",
-           "signal_unit", "signed", "unit_in"]  # fmt: skip
+__all__ = ["figures", "heading", "measured", "name_of", "of_measure", "pretty", "quantity", "sample_unit",
+           "scale", "signal_unit", "signed", "unit_in"]  # fmt: skip
 
 _SIGNALS = {
     "time": "s", "x": "m", "y": "m", "fx": "N", "fy": "N", "fmx": "N", "fmy": "N",
@@ -166,6 +168,20 @@ def measured(value: float, error: float, unit: str = "") -> str:
         place, up = place + 1, 1
     decimals = max(-place, 0)
     return f"{value:.{decimals}f} ± {up * 10.0**place:.{decimals}f} {_PREFIXES[power]}{pretty(unit)}".rstrip()
+
+
+def of_measure(row: Mapping[str, Any]) -> str:
+    """Return a measure as text: its value, with the bound of its error and what noise does, where known.
+
+    Examples
+    --------
+    >>> of_measure({'value': 104.4738, 'unit': 'N/m', 'error': 0.0123, 'noise': 0.31})
+    '104.47 ± 0.02 N/m, noise ± 0.31 N/m'
+    """
+    value, unit = float(row["value"]), str(row.get("unit") or "")
+    error, noise = row.get("error"), row.get("noise")
+    text = measured(value, float(error), unit) if error else quantity(value, unit, 4)
+    return f"{text}, noise ± {quantity(float(noise), unit, 2)}" if noise else text
 
 
 def signed(value: float, unit: str = "", digits: int = 3) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cosim.units import measured, quantity
+from cosim.units import of_measure, quantity
 from reports.formatting import cell, plain_name
 from reports.view import RunLike, View, plain
 
@@ -64,7 +64,20 @@ def _measures(view: View) -> Table:
             "step; it is no error of a result, and may be far smaller or larger than one."
         )
     numbers = frozenset({1, 2} if fooled else {1})
-    return Table("measures", "Measures", head, tuple(rows), note if estimated else "", numbers)
+    notes = [note] if estimated else []
+    return Table("measures", "Measures", head, tuple(rows), " ".join([*notes, *_of_noise(view)]), numbers)
+
+
+def _of_noise(view: View) -> list[str]:
+    """Return what the intervals of the noise are, and which measures have none."""
+    rows = view.run.measures
+    notes = []
+    if any(row.get("noise") for row in rows.values()):
+        notes.append("Noise: 95 % of all paths lie so close to their mean, by the linear model.")
+    for why in dict.fromkeys(str(row["no_noise"]) for row in rows.values() if "no_noise" in row):
+        names = [plain_name(name) for name, row in rows.items() if row.get("no_noise") == why]
+        notes.append(f"No interval of the noise for {', '.join(names)}: {why}.")
+    return notes
 
 
 def _believed(row: Mapping[str, Any], reltol: float) -> str:
@@ -76,9 +89,9 @@ def _believed(row: Mapping[str, Any], reltol: float) -> str:
 
 def with_bound(row: Mapping[str, Any]) -> str:
     """Return a measure as text: value and unit, with the bound of its error where one is known."""
-    value, unit, error = row.get("value"), str(row.get("unit") or ""), row.get("error")
+    value = row.get("value")
     if isinstance(value, float | int) and not isinstance(value, bool):
-        return measured(float(value), float(error), unit) if error else quantity(float(value), unit, 4)
+        return of_measure(row)
     return cell(value)
 
 

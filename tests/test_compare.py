@@ -14,7 +14,7 @@ from cosim.circuits.design_constants import Stated
 from cosim.cli import main
 from cosim.comparisons import effects_ledger
 from cosim.comparisons.board_figures import Figure
-from cosim.comparisons.compare_boards import changes, sides_of
+from cosim.comparisons.compare_boards import _untold, changes, sides_of
 from cosim.comparisons.dissipation import dissipation
 from cosim.effects import EFFECTS
 from cosim.effects.circuit import CIRCUIT
@@ -23,6 +23,7 @@ from cosim.ngspice import deck_file
 from cosim.ngspice.deck import load_deck
 from cosim.ngspice.lines import Line
 from cosim.plan import resolve
+from cosim.plausibility import constant_missed
 from cosim.scene import load_scene
 from cosim.scene.tolerance_table import Tolerance
 from cosim.variants import Variant
@@ -87,6 +88,15 @@ def test_compare_with_a_value_and_with_the_last_run(tmp_path, edited, capsys):
     _, by_value = compared(capsys, BOARD, DROP, "--set", "r_sum_spring=27k", "--out", tmp_path / "c")
     place = ("spring at full-scale gain", "motor 1 from joint 1")
     assert by_edit[place]["values"] == by_value[place]["values"]
+
+
+def test_a_constant_that_run_and_check_miss_is_told_once():
+    """They measure it in two ways, and differ in its last digits and in the worst of equal places."""
+    run = [constant_missed("k_fs", 3.0003, 5.999, "ksp1")]
+    checked = [constant_missed("k_fs", 3.0003, 5.998, "ksp12"), constant_missed("v_nm", 15.62, 7.81, "cmd1")]
+    assert _untold(checked, run) == checked[1:]
+    assert _untold(checked, []) == checked
+    assert _untold(checked, [constant_missed("k_fs", 4.0, 5.999, "ksp1")]) == checked  # another board's
 
 
 def side(figures, tolerance=None):

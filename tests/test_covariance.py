@@ -23,7 +23,8 @@ from cosim.analysis.covariance_steps import (
 from cosim.analysis.extracted import circuit_of
 from cosim.analysis.held_contact import HeldContact, touching
 from cosim.analysis.linearise import linearise
-from cosim.analysis.noise_covariance import NoiseCovariance, noise_covariance, noise_grid
+from cosim.analysis.noise_covariance import NoiseCovariance, noise_covariance
+from cosim.analysis.noise_period import noise_grid
 from cosim.analysis.period_map import lift
 from cosim.errors import InputError
 from cosim.loop.computer import COMPUTER, SAMPLE, law, to_volts

@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from cosim.accuracy.noise_interval import noise_of
 from cosim.accuracy.solver_settings import carries
 from cosim.caution import Caution, collected, warn
 from cosim.circuits.linear_circuit import LinearCircuit
@@ -93,9 +94,10 @@ def twin_of(plan: Plan, *, own: bool = False) -> Twin:
 def estimator(plan: Plan, child: Child | None) -> Errors:
     """Return what `cosim.runner.run` calls for the errors of its measures.
 
-    Every row gets 'error', a bound in the measure's unit, or None with 'no_error' saying why. Where run and
-    twin make contact at different samples the bounds span both sequences, and a caution says so: neither is
-    close to the other, and tighter tolerances may give a third.
+    Every row gets 'error', a bound in the measure's unit, or None with 'no_error' saying why. In a scene with
+    noise it gets what `noise_of` returns, too: the twin is on the run's path and knows nothing of others.
+    Where run and twin make contact at different samples the bounds span both sequences, and a caution says
+    so: neither is close to the other, and tighter tolerances may give a third.
     """
 
     def errors(
@@ -115,8 +117,12 @@ def estimator(plan: Plan, child: Child | None) -> Errors:
         if contacts != others:
             warn(_other_sequence(contacts, others))
         share = doubt(circuit)
+        noise = noise_of(measures, twin.plan, circuit, contacts, child)
         return {
-            name: _with_error(name, row, nominal.get(name), twin, share) for name, row in measures.items()
+            name: {**_with_error(name, row, nominal.get(name), twin, share), **noise.get(name, {})}
+            if name not in _WITHOUT
+            else dict(row)
+            for name, row in measures.items()
         }
 
     return errors
@@ -149,8 +155,6 @@ def doubt(circuit: LinearCircuit | None) -> float:
 def _with_error(
     name: str, row: Mapping[str, Any], other: Mapping[str, Any] | None, twin: Twin, share: float
 ) -> dict[str, Any]:
-    if name in _WITHOUT:
-        return dict(row)
     if other is None:
         return {**row, "error": None, "no_error": f"{twin.words} has no such measure"}
     value = float(row["value"])

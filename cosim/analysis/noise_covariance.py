@@ -9,9 +9,7 @@ happens between two events integrated exactly; rms values are those over time.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from fractions import Fraction
 
 import numpy as np
 
@@ -19,100 +17,26 @@ from cosim.analysis.control_law import law_point, resting_pose
 from cosim.analysis.covariance_steps import integral, repeated, stationary, summed
 from cosim.analysis.held_contact import HeldContact
 from cosim.analysis.linearise import linearise
-from cosim.analysis.period_map import Lifted, Stretch, lift
+from cosim.analysis.noise_period import Grid, common_period, noise_grid
+from cosim.analysis.period_map import Lifted, lift
 from cosim.errors import InputError, Problem, fail
 from cosim.scene import PotNoise, Scene
 from cosim.types import Array
 
-__all__ = ["Grid", "NoiseCovariance", "covariance", "noise_covariance", "noise_grid"]
+__all__ = [
+    "NoiseCovariance",
+    "beyond_linear",
+    "covariance",
+    "noise_covariance",
+    "require_linear",
+    "static_covariance",
+]
 
 
-#: Samples and ticks must coincide again within this many of the longer of both.
-_MOST_TURNS = 64
 #: A bandwidth that is shifted by more than this share to make them meet is reported.
 _SHIFTED = 1e-9
 #: Standard deviations that the contact and the driver's limit must leave room for.
 _ROOM = 4.0
-
-
-@dataclass(frozen=True)
-class Grid:
-    """Independent values on a grid, linear between them.
-
-    Attributes
-    ----------
-    variance
-        [rad^2] of the values at the ticks.
-    periods, ticks
-        So many sampling periods are so many spacings of the grid.
-    shift
-        Relative change of the spacing that this takes; 0 where they meet exactly.
-    """
-
-    variance: float
-    periods: int
-    ticks: int
-    shift: float
-
-
-def noise_grid(scene: Scene) -> Grid:
-    """Return the grid of the scene's potentiometer noise, of kind white or peak_to_peak."""
-    pot, period = scene.device.potentiometer, scene.computer.period_s
-    # linear interpolation keeps two thirds of the mean square; `noise_rad` is the rms in between for white
-    white = scene.effects.pot_noise is PotNoise.WHITE
-    variance = pot.noise_rad**2 * (1.5 if white else 1.0 / 12.0)
-    ratio = Fraction(2.0 * pot.noise_bandwidth_hz) * Fraction(period)
-    turns = math.ceil(_MOST_TURNS * max(1.0, 1.0 / float(ratio)))
-    near = ratio.limit_denominator(turns)
-    return Grid(variance, near.denominator, near.numerator, abs(float(near / ratio) - 1.0))
-
-
-@dataclass(frozen=True)
-class _Piece:
-    """An event, then a stretch of time, `count` times; `fresh` where the noise gets a new value."""
-
-    event: Array
-    fresh: bool
-    stretch: Stretch
-    count: int
-
-
-def _pieces(lifted: Lifted, grid: Grid) -> Iterator[_Piece]:
-    """Walk through the common period, from the first sample to just before the sample behind it."""
-    assert lifted.noise is not None
-    period = lifted.system.period_s
-    spacing = grid.periods * period / grid.ticks
-    last, following = lifted.noise
-    tick = np.eye(lifted.size)
-    tick[last] = np.eye(lifted.size)[following]
-    tick[following] = 0.0
-    instants = lifted.instants()
-    close = 1e-9 * min(period, spacing)
-    for number in range(grid.periods):
-        for start, end in zip(instants, [*instants[1:], period], strict=True):
-            base = number * period
-            index = math.floor((base + start + close) / spacing)  # of the last tick
-            event = lifted.at(start)
-            fresh = abs(index * spacing - base - start) <= close
-            if fresh:
-                event = event @ tick
-            now = start
-            while True:
-                following_tick = (index + 1) * spacing - base
-                to = following_tick if following_tick < end - close else end
-                place = (base + now) / spacing - index, (base + to) / spacing - index
-                noise = max(place[0], 0.0), min(place[1], 1.0)
-                count = 1
-                if event is tick and not lifted.ramping(now):
-                    count = max(1, math.floor((end - now + close) / spacing))
-                if count > 1:
-                    to, noise = now + spacing, (0.0, 1.0)
-                yield _Piece(event, fresh, lifted.stretch(now, to - now, noise), count)
-                index += count
-                now = index * spacing - base if to != end else end
-                if now >= end - close:
-                    break
-                event, fresh = tick, True
 
 
 @dataclass(frozen=True)
@@ -208,20 +132,8 @@ def covariance(
         When the contact is not stable, or something is free to drift: nothing is stationary then.
     """
     assert lifted.noise is not None
-    size = lifted.size
-    pieces = list(_pieces(lifted, grid))
-    draw = np.zeros((size, size))
-    draw[lifted.noise[1], lifted.noise[1]] = grid.variance * np.eye(lifted.system.joints)
-    steps = []
-    product, added = np.eye(size), np.zeros((size, size))
-    for piece in pieces:
-        leave = piece.stretch.leave
-        step, more = leave @ piece.event, leave @ draw @ leave.T if piece.fresh else np.zeros((size, size))
-        steps.append((step, more))
-        if piece.count > 1:
-            step, more, _ = repeated(step, more, piece.count)
-        added = step @ added @ step.T + more
-        product = step @ product
+    period = common_period(lifted, grid)
+    pieces, product, added, draw = period.pieces, period.step, period.added, period.draw
     try:
         state = stationary(product, added)
     except ValueError:
@@ -237,7 +149,7 @@ def covariance(
     # what happens within: second moments at all starts, gathered by the length of their stretches
     gathered: dict[float, Array] = {}
     p = state
-    for piece, (step, more) in zip(pieces, steps, strict=True):
+    for piece, (step, more) in zip(pieces, period.steps, strict=True):
         starts = summed(step, p, piece.count)
         if piece.count > 1:
             power, cover, sums = repeated(step, more, piece.count)
@@ -264,7 +176,7 @@ def covariance(
     )  # fmt: skip
 
 
-def _static(lifted: Lifted, variance: float) -> NoiseCovariance:
+def static_covariance(lifted: Lifted, variance: float) -> NoiseCovariance:
     """Return the second moments over offsets that stay: they shift the pose of rest, linearly."""
     assert lifted.noise is not None
     system, size, n = lifted.system, lifted.size, lifted.system.joints
@@ -284,17 +196,8 @@ def _static(lifted: Lifted, variance: float) -> NoiseCovariance:
     )
 
 
-def noise_covariance(contact: HeldContact) -> NoiseCovariance:
-    """Return the exact second moments of a scene at rest in contact, under its potentiometers' noise.
-
-    The pose of rest is searched from that of the contact.
-
-    Raises
-    ------
-    InputError
-        Where noise or scene are not linear about the contact, with the reason.
-    """
-    scene = contact.scene
+def require_linear(scene: Scene) -> None:
+    """Raise an `InputError` where noise or scene are not linear about a contact at rest."""
     kind, file = scene.effects.pot_noise, scene.file_name
     reasons = {
         PotNoise.NONE: "the scene has no noise of its potentiometers",
@@ -307,10 +210,25 @@ def noise_covariance(contact: HeldContact) -> NoiseCovariance:
                 "Coulomb friction is not linear about rest: small noise moves nothing",
                 file=file, key="effects.coulomb", value=True, allowed="false",
             )  # fmt: skip
+
+
+def noise_covariance(contact: HeldContact) -> NoiseCovariance:
+    """Return the exact second moments of a scene at rest in contact, under its potentiometers' noise.
+
+    The pose of rest is searched from that of the contact.
+
+    Raises
+    ------
+    InputError
+        Where noise or scene are not linear about the contact, with the reason.
+    """
+    scene = contact.scene
+    kind = scene.effects.pot_noise
+    require_linear(scene)
     at_rest = contact.at(resting_pose(contact))
     lifted = lift(linearise(at_rest), noise=True)
     if kind is PotNoise.STATIC:
-        return _static(lifted, scene.device.potentiometer.noise_rad**2)
+        return static_covariance(lifted, scene.device.potentiometer.noise_rad**2)
     grid = noise_grid(scene)
     notes = (
         ["the components' noise, which is no part of these figures"] if scene.effects.component_noise else []
@@ -324,15 +242,29 @@ def noise_covariance(contact: HeldContact) -> NoiseCovariance:
 
 def _checked(moments: NoiseCovariance, at_rest: HeldContact, lifted: Lifted) -> NoiseCovariance:
     """Add notes where noise of this size reaches the wall's surface or the driver's limit."""
-    notes = list(moments.notes)
+    rms_a = np.sqrt(np.diag(moments.mean["currents"]).clip(0.0))
+    beyond = beyond_linear(at_rest, moments.rms("penetration"), rms_a, lifted.system.current_a)
+    return replace(moments, notes=(*moments.notes, *beyond))
+
+
+def beyond_linear(at_rest: HeldContact, depth_m: float, rms_a: Array, current_a: Array) -> list[str]:
+    """Return notes where noise reaches the wall's surface or the driver's limit.
+
+    Parameters
+    ----------
+    depth_m, rms_a
+        Rms of the depth [m] and of the currents [n] A about rest.
+    current_a
+        [n], currents at rest [A].
+    """
+    notes = []
     depth = law_point(at_rest.scene, at_rest.constants, at_rest.linkage, at_rest.q).penetration_m
-    if depth < _ROOM * moments.rms("penetration"):
+    if depth < _ROOM * depth_m:
         notes.append(
-            f"the contact is only {1e3 * depth:.3g} mm deep, {depth / moments.rms('penetration'):.2g} "
+            f"the contact is only {1e3 * depth:.3g} mm deep, {depth / depth_m:.2g} "
             "standard deviations: the tip leaves the wall now and then"
         )
-    swing = _ROOM * np.sqrt(np.diag(moments.mean["currents"]).clip(0.0))
-    current, limit = lifted.system.current_a, at_rest.circuit.limit
-    if ((current + swing > limit[:, 1]) | (current - swing < limit[:, 0])).any():
+    limit = at_rest.circuit.limit
+    if ((current_a + _ROOM * rms_a > limit[:, 1]) | (current_a - _ROOM * rms_a < limit[:, 0])).any():
         notes.append("the noise reaches the driver's current limit, which a linear system does not know")
-    return replace(moments, notes=tuple(notes))
+    return notes

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.analysis.noise_covariance import noise_grid
+from cosim.analysis.noise_period import noise_grid
 from cosim.analysis.tip import Tip, Wanted, tip_of
 from cosim.circuits.extraction.noise_contributions import ComponentNoise
 from cosim.ngspice.child import Child, call

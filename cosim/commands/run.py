@@ -229,12 +229,29 @@ def _text(finished: "list[tuple[Variant, Path, Run]]") -> str:
 def _estimated(finished: "list[tuple[Variant, Path, Run]]") -> list[str]:
     """State the error bounds, or why there are none."""
     rows = [row for _, _, run in finished for row in run.measures.values()]
+    lines = []
     if any(row.get("error") is not None for row in rows):
-        return [
+        lines.append(
             "±: bound of the solver's error (95 %), from a closer run; what the scene leaves out is not in it"
-        ]
-    why = next((str(row["no_error"]) for row in rows if "no_error" in row), "")
-    return [f"errors are not estimated: {why}"] if why else []
+        )
+    elif why := next((str(row["no_error"]) for row in rows if "no_error" in row), ""):
+        lines.append(f"errors are not estimated: {why}")
+    if any(row.get("noise") for row in rows):
+        lines.append(
+            "noise ±: 95 % of all paths of the noise lie so close to their mean, by the linear model"
+        )
+    lines += [f"no interval of the noise, {name}: {why}" for name, why in _without_noise(finished)]
+    return lines
+
+
+def _without_noise(finished: "list[tuple[Variant, Path, Run]]") -> list[tuple[str, str]]:
+    """Return the measures of noisy runs that have no interval, in words, by reason."""
+    by_reason: dict[str, dict[str, None]] = {}
+    for _, _, run in finished:
+        for name, row in run.measures.items():
+            if "no_noise" in row:
+                by_reason.setdefault(str(row["no_noise"]), {})[name] = None
+    return [(", ".join(names), why) for why, names in by_reason.items()]
 
 
 def _certified(run: "Run") -> list[str]:
@@ -291,10 +308,9 @@ _SAME = 1e-12
 def _cell(row: "Mapping[str, Any] | None", before: "Mapping[str, Any] | None") -> str:
     if row is None:
         return "-"
-    from cosim.units import measured, quantity
+    from cosim.units import of_measure
 
-    value, unit, error = float(row["value"]), str(row["unit"]), row.get("error")
-    text = measured(value, float(error), unit) if error else quantity(value, unit, 4)
+    text = of_measure(row)
     if before is None:
         return text
     if abs(row["value"] - before["value"]) <= _SAME * abs(before["value"]):

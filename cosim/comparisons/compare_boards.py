@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cosim.catalogue import MEASURES, Need
-from cosim.caution import collected, warn
+from cosim.caution import Caution, collected, warn
 from cosim.checking.check import Check, check
 from cosim.checking.check_target import Subject, load_subject
 from cosim.circuits.instability.stability_verdict import Question
@@ -54,6 +54,9 @@ _IMPEDANCE = {
 _AT_THE_HAND = ("measures", "out of contact", "noise")
 #: Magnitudes below which a figure counts as zero, by unit.
 _NOTHING = {"N": 1e-9, "A": 1e-9, "V": 1e-9, "s": 1e-12, "W": 1e-9, "%": 1e-6, "N/m": 1e-9, "N s/m": 1e-9}
+
+#: Code of the doubt that run and check may both tell.
+_MISSED = "constant-missed"
 
 
 @dataclass(frozen=True)
@@ -207,8 +210,24 @@ def compare(
             if result is None:
                 result = run(plan, places[number], formats=(), child=child)
             warn(*result.warnings)
-            sides.append(_side(each.label, plan, subject, result, child))
+            with collected(forward=False) as checked:
+                sides.append(_side(each.label, plan, subject, result, child))
+            warn(*_untold(checked, result.warnings))
     return sides
+
+
+def _untold(checked: Sequence[Caution], told: Sequence[Caution]) -> list[Caution]:
+    """Return what the check doubts, without the constants whose miss the run has told.
+
+    Run and check measure a constant in two ways, and differ in its last digits: the same doubt in other words.
+    """
+    known = {(each.code, _stated(each)) for each in told}
+    return [each for each in checked if each.code != _MISSED or (_MISSED, _stated(each)) not in known]
+
+
+def _stated(caution: Caution) -> str:
+    """Return the constant and its stated value, with which a caution about a missed one begins."""
+    return caution.text.partition(",")[0]
 
 
 def _file_name(label: str) -> str:

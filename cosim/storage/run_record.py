@@ -20,6 +20,7 @@ class _Measure(TypedDict):
     unit: str
     text: str
     error: NotRequired[float | None]
+    noise: NotRequired[float | None]
 
 
 class _Amplifier(TypedDict):

@@ -15,7 +15,8 @@ import numpy as np
 
 from cosim.analysis.device_passivity import device_of, law_of
 from cosim.analysis.linearise import linearise
-from cosim.analysis.noise_covariance import covariance, noise_grid
+from cosim.analysis.noise_covariance import covariance
+from cosim.analysis.noise_period import noise_grid
 from cosim.analysis.passivity import least_damping, share_used
 from cosim.analysis.period_map import lift
 from cosim.analysis.stability import border, held

@@ -13,7 +13,8 @@ from typing import Annotated, Any
 import numpy as np
 
 from cosim.analysis.linearise import Output, linearise
-from cosim.analysis.noise_covariance import covariance, noise_grid
+from cosim.analysis.noise_covariance import covariance
+from cosim.analysis.noise_period import noise_grid
 from cosim.analysis.period_map import lift
 from cosim.analysis.stability import border, held
 from cosim.analysis.tip import Tip, row, tip_of

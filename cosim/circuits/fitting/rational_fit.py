@@ -53,6 +53,8 @@ _RANK = (1e-7, 1e-9, 1e-12)
 #: Error that leaves nothing to be gained.
 _EXCELLENT = 1e-12
 _MOVES = 6
+#: A path that rises by so many decades up to the end of the band is told where no fit is good enough.
+_RISE = 3.0
 
 
 class FitError(Exception):
@@ -145,8 +147,24 @@ def fit(s: Complex, h: Complex, worst: float = WORST) -> Modes:
         raise unstable
     best = min(fits, key=lambda modes: modes.worst)
     if not best.worst <= worst:
-        raise FitError(f"order {len(best.a)} leaves an error of {best.worst:.1e} of the path's maximum")
+        reason = f"order {len(best.a)} leaves an error of {best.worst:.1e} of the path's maximum"
+        raise FitError(reason + _rising(s, h))
     return best
+
+
+def _rising(s: Complex, h: Complex) -> str:
+    """Return words for a path that rises to the end of the band, as leads without a pole do; '' for none."""
+    size = np.abs(h).reshape(len(s), -1)
+    least = np.maximum(size.min(axis=0), np.finfo(float).tiny)
+    decades = np.where(size[-1] >= size.max(axis=0), np.log10(np.maximum(size[-1] / least, 1.0)), 0.0)
+    worst = float(decades.max(initial=0.0))
+    if worst < _RISE:
+        return ""
+    return (
+        f": a path rises by {worst:.2g} decades and still does at {abs(s[-1]) / (2.0 * np.pi):.3g} Hz, as "
+        "ideal leads do, whose zeros have no poles; give it those of the circuit (amplifiers of finite "
+        'bandwidth, effects.opamp = "gbw", or a resistor in series with the capacitor)'
+    )
 
 
 def _fit(s: Complex, h: Complex, reweighted: bool) -> Modes:

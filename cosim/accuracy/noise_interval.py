@@ -1,0 +1,132 @@
+"""The interval of a noisy run's measures: how far 95 % of all paths of the noise lie from their mean.
+
+A run shows one path. Means over the end of a run that rests in contact are linear in the noise, and its
+exact covariance (`cosim.analysis.noise_of_means`) is carried to them by their tangents. A peak, a share of
+time or an rms is not linear in noise; it gets no interval, and the reason instead.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from cosim.accuracy.noise_paths import noisy
+from cosim.analysis.control_law import law_point, resting_pose
+from cosim.analysis.extracted import circuit_of
+from cosim.analysis.held_contact import HeldContact
+from cosim.analysis.noise_of_means import noise_of_means
+from cosim.circuits.linear_circuit import LinearCircuit
+from cosim.effects.sampling import COMPUTER
+from cosim.effects.sensing import SENSING
+from cosim.errors import InputError, fail
+from cosim.measures import STEADY
+from cosim.ngspice.child import Child
+from cosim.plan import Plan
+from cosim.types import Array, Measures
+
+__all__ = ["noise_of"]
+
+#: Of the normal distribution, for 95 % of it about its mean.
+_NORMAL = 1.959963984540054
+#: How far the mean depth of a run that rests may be from that at rest, as a share, and the standard deviations
+#: that the noise may add.
+_AT_REST, _FAR = 0.05, 4.0
+#: What the linear system may leave out: it moves the mean, or is far smaller than what noise does.
+_SMALL = (
+    "Coriolis forces, which are of second order about rest",
+    "the potentiometers' errors over the angle",
+    *(each.not_held for each in (*COMPUTER, *SENSING) if each.name in ("dac", "encoder")),
+)
+#: Outputs whose means are carried: depth, force of the motors along the normal, the operator's force (x, y).
+_OUTPUTS = ("penetration", "motor_normal", "operator_force")
+_NOT_LINEAR = "peaks, shares of time and squares are not linear in noise: other seeds show how far they move"
+
+
+def noise_of(
+    measures: Measures, plan: Plan, circuit: LinearCircuit | None, contacts: tuple[int, ...],
+    child: Child | None,
+) -> dict[str, dict[str, Any]]:  # fmt: skip
+    """Return what noise does to each measure of a run: 'noise', half of its 95 % interval, in its unit.
+
+    Parameters
+    ----------
+    plan
+        Of a model that is linear between events; its circuit is extracted where `circuit` is None.
+    contacts
+        Samples at which contact is made or lost.
+
+    Returns
+    -------
+    dict
+        By measure; 'noise' is None where it cannot be linearised, and 'no_noise' says why. Empty for a scene
+        without noise.
+    """
+    if not noisy(plan.scene):
+        return {}
+    why = _NOT_LINEAR
+    tangents = _tangents(measures, plan)
+    halves: dict[str, float] = {}
+    if tangents:
+        try:
+            covariance = _covariance(measures, plan, circuit, contacts, child)
+        except InputError as error:
+            why = error.in_brief
+        else:
+            halves = {name: _NORMAL * math.sqrt(max(row @ covariance @ row, 0.0))
+                      for name, row in tangents.items()}  # fmt: skip
+    return {
+        name: {"noise": halves[name]}
+        if name in halves
+        else {"noise": None, "no_noise": why if name in tangents else _NOT_LINEAR}
+        for name in measures
+    }
+
+
+def _tangents(measures: Measures, plan: Plan) -> dict[str, Array]:
+    """Return the slopes of measures by the means of `_OUTPUTS`, [4] each; of those that are such means."""
+    if "steady_penetration" not in measures:
+        return {}
+    assert plan.scene.wall is not None
+    nx, ny = plan.scene.wall.normal
+    sink, push = np.eye(4)[:2]
+    normal, tangent = -np.array([0.0, 0.0, nx, ny]), -np.array([0.0, 0.0, ny, -nx])
+    at = {name: float(row["value"]) for name, row in measures.items()}
+    out = {"steady_penetration": sink, "steady_normal_force": normal, "steady_tangential_force": tangent}
+    out["rendered_stiffness"] = (push - at["rendered_stiffness"] * sink) / at["steady_penetration"]
+    if "tangential_ratio" in measures:
+        ratio = at["steady_tangential_force"] / at["steady_normal_force"]
+        out["tangential_ratio"] = (tangent - ratio * normal) / at["steady_normal_force"]
+    return {name: row for name, row in out.items() if name in measures}
+
+
+def _covariance(
+    measures: Measures, plan: Plan, circuit: LinearCircuit | None, contacts: tuple[int, ...],
+    child: Child | None,
+) -> Array:  # fmt: skip
+    """Return the covariance [4, 4] of the means of `_OUTPUTS` over the last part of the run."""
+    scene = plan.scene
+    if scene.effects.component_noise:
+        fail("the components' noise is not carried to measures", key="effects.component_noise")
+    if not len(contacts) % 2:
+        fail("the computer sees no contact at the run's end")
+    if circuit is None:
+        if plan.model == "spice":
+            fail("only `spice` carries this scene, and no linear circuit its noise", key="solver.model")
+        circuit, constants = circuit_of(plan, reduced=True, child=child)
+    else:
+        constants = plan.stated(child).constants()
+    contact = HeldContact.at_wall(scene, constants, circuit)
+    at_rest = contact.at(resting_pose(contact))
+    depth = law_point(scene, constants, at_rest.linkage, at_rest.q).penetration_m
+    span = STEADY * scene.duration_s
+    since = scene.duration_s - span - contacts[-1] * scene.computer.period_s
+    made = noise_of_means(at_rest, _OUTPUTS, max(since, 0.0), span)
+    if left := [note for note in made.notes if note not in _SMALL]:
+        fail("a linear contact leaves out " + "; ".join(left))
+    mean = float(measures["steady_penetration"]["value"])
+    if not abs(mean - depth) <= _AT_REST * depth + _FAR * math.sqrt(made.covariance[0, 0]):
+        deep = f"{1e3 * mean:.3g} mm deep, {1e3 * depth:.3g} mm at rest"
+        fail(f"the run does not rest in its last fifth: {deep}")
+    return made.covariance
