@@ -22,6 +22,7 @@ from benchmarks.rig import Outcome, Signals, bare_run
 from cosim.circuits.decks import SUPPLY_V
 from cosim.circuits.design_constants import DesignConstants
 from cosim.export.mechanics import mechanics
+from cosim.export.waveform import RISE_S, settling_s
 from cosim.loop.dac_channels import channels
 from cosim.ngspice.simulator import Simulator
 from cosim.plan import Plan
@@ -72,9 +73,12 @@ class Steps:
 
 
 def recorded_steps(plan: Plan, run: Outcome) -> Steps:
-    """Read the DAC voltages off the signals of a lockstep run, where each has settled."""
+    """Read the DAC voltages off the signals of a lockstep run, where each has settled.
+
+    DACs without a settling time jump: the row of the instant has the voltage before, and a deck needs a ramp.
+    """
     scene = plan.scene
-    settle = scene.computer.dac.settling_s
+    settle = settling_s(scene) or RISE_S
     period = scene.computer.period_s
     times = run.samples[:, run.sample_columns.index("time")]
     times = times[times < scene.duration_s - period / 2]

@@ -68,7 +68,7 @@ def test_an_offset_that_stays_moves_means_as_statics_say(tmp_path):
 
 
 def held_run(folder, *more):
-    tables = merge(slider(**HELD), {"duration_s": 60.0, "solver": {"model": "ideal"}})
+    tables = merge(slider(**HELD), {"duration_s": 30.0, "solver": {"model": "ideal"}})
     for each in more:
         tables = merge(tables, each)
     plan = resolve(scene_of(folder, tables))
@@ -78,15 +78,15 @@ def held_run(folder, *more):
 
 
 def test_a_noisy_run_says_how_far_other_paths_lie(tmp_path):
-    """The last fifth is 12 s: its ends, and the computer, change the variance by some hundredths."""
+    """The last fifth is 6 s: its ends, of some 0.1 s, change the variance by some hundredths."""
     result = held_run(tmp_path)
     rows = result.measures
-    half = QUANTILE * math.sqrt(variance(12.0))
-    assert rows["steady_penetration"]["noise"] == pytest.approx(half, rel=0.03)
-    assert rows["steady_normal_force"]["noise"] == pytest.approx(HAND * half, rel=0.03)
+    half = QUANTILE * math.sqrt(variance(6.0))
+    assert rows["steady_penetration"]["noise"] == pytest.approx(half, rel=0.05)
+    assert rows["steady_normal_force"]["noise"] == pytest.approx(HAND * half, rel=0.05)
     depth = rows["steady_penetration"]["value"]
     slope = (HAND + rows["rendered_stiffness"]["value"]) / depth  # of force over depth, both moved by noise
-    assert rows["rendered_stiffness"]["noise"] == pytest.approx(slope * half, rel=0.03)
+    assert rows["rendered_stiffness"]["noise"] == pytest.approx(slope * half, rel=0.05)
     assert rows["peak_force"]["noise"] is None
     assert "not linear" in rows["peak_force"]["no_noise"]
     printed = "\n".join(_estimated([(Variant((), (), ""), tmp_path, result)]))
@@ -98,14 +98,14 @@ def test_a_noisy_run_says_how_far_other_paths_lie(tmp_path):
     ("more", "why"),
     [
         ({"effects": {"coulomb": True}, "device": {"slider": {"coulomb_n_m": 1e-3}}}, "Coulomb friction"),
-        ({"operator": {"waypoints_s_m": [[0.0, 0.0, -0.02], [60.0, 0.0, -0.04]]}}, "does not rest"),
+        ({"operator": {"waypoints_s_m": [[0.0, 0.0, -0.02], [14.0, 0.0, -0.06]]}}, "does not rest"),
         ({"operator": {"waypoints_s_m": [[0.0, 0.0, -0.0005]]},
           "device": {"start": {"q_rad": [-0.01]}, "potentiometer": {"noise_rad": 0.004}}}, "leaves the wall"),
     ],
     ids=["friction", "moving", "shallow"],
 )  # fmt: skip
 def test_where_it_is_not_linear_there_is_no_interval(tmp_path, more, why):
-    rows = held_run(tmp_path, more).measures
+    rows = held_run(tmp_path, {"duration_s": 10.0}, more).measures
     steady = [rows[name] for name in STEADY if name in rows]
     assert all(row["noise"] is None and row["no_noise"] for row in steady)
     assert not steady or why in steady[0]["no_noise"]

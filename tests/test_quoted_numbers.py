@@ -59,6 +59,10 @@ CODE = {
         "2758 errors) 99.9 % lay within": ("benchmarks/estimates.py", "--random N"),
         "one resistor moved by up to ±1 %": ("benchmarks/estimates.py", "rng.uniform(0.99, 1.01)"),
         "a 95 % bound": ("tests/test_quoted_numbers.py", "def test_bounds_hold_as_often_as_they_say"),
+        "Of all paths 95 % lie so close": (
+            "tests/test_noise_interval.py",
+            "def test_in_95_of_100_runs_the_interval_holds_the_mean_over_paths",
+        ),
     },
     "docs/explanation/certificates.md": {
         "a difference above 2 % of rated current": (

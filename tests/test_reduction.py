@@ -90,16 +90,17 @@ def test_delay_line_is_not_rational():
 
 def test_a_lead_without_poles_is_told_with_what_to_do():
     """Two zeros at 10 rad/s: with the last point w the path rises by 2 log10(w/10) decades, but for 0.3."""
-    decades = 2.0 * np.log10(np.abs(SWEEP[-1]) / 10.0)
+    few = SWEEP[::12]
+    decades = 2.0 * np.log10(np.abs(few[-1]) / 10.0)
     with pytest.raises(FitError, match="order") as refused:
-        fit(SWEEP, ((1.0 + SWEEP / 10.0) ** 2)[:, None, None])
+        fit(few, ((1.0 + few / 10.0) ** 2)[:, None, None])
     told = re.search(r"rises by (\S+) decades and still does at (\S+) Hz", str(refused.value))
     assert told
     assert float(told[1]) == pytest.approx(decades, abs=0.5)
-    assert float(told[2]) == pytest.approx(np.abs(SWEEP[-1]) / (2.0 * np.pi), rel=1e-2)
+    assert float(told[2]) == pytest.approx(np.abs(few[-1]) / (2.0 * np.pi), rel=1e-2)
     assert 'effects.opamp = "gbw"' in str(refused.value)
     with pytest.raises(FitError) as refused:  # a delay rises nowhere
-        fit(SWEEP, np.exp(-SWEEP * 1e-5)[:, None, None])
+        fit(few, np.exp(-few * 1e-5)[:, None, None])
     assert "rises" not in str(refused.value)
 
 

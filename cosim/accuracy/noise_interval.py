@@ -30,8 +30,7 @@ __all__ = ["noise_of"]
 
 #: Of the normal distribution, for 95 % of it about its mean.
 _NORMAL = 1.959963984540054
-#: How far the mean depth of a run that rests may be from that at rest, as a share, and the standard deviations
-#: that the noise may add.
+#: How far the mean depth of a run that rests may be from that at rest: a share, and standard deviations.
 _AT_REST, _FAR = 0.05, 4.0
 #: What the linear system may leave out: it moves the mean, or is far smaller than what noise does.
 _SMALL = (

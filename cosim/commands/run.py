@@ -245,13 +245,16 @@ def _estimated(finished: "list[tuple[Variant, Path, Run]]") -> list[str]:
 
 
 def _without_noise(finished: "list[tuple[Variant, Path, Run]]") -> list[tuple[str, str]]:
-    """Return the measures of noisy runs that have no interval, in words, by reason."""
+    """Return the measures of noisy runs that have no interval, the first of many, by reason."""
     by_reason: dict[str, dict[str, None]] = {}
     for _, _, run in finished:
         for name, row in run.measures.items():
             if "no_noise" in row:
                 by_reason.setdefault(str(row["no_noise"]), {})[name] = None
-    return [(", ".join(names), why) for why, names in by_reason.items()]
+    return [
+        (", ".join([*names][:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else ""), why)
+        for why, names in by_reason.items()
+    ]
 
 
 def _certified(run: "Run") -> list[str]:

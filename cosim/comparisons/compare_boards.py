@@ -219,15 +219,14 @@ def compare(
 def _untold(checked: Sequence[Caution], told: Sequence[Caution]) -> list[Caution]:
     """Return what the check doubts, without the constants whose miss the run has told.
 
-    Run and check measure a constant in two ways, and differ in its last digits: the same doubt in other words.
+    Run and check measure a constant in two ways and differ in its last digits: one doubt in other words.
     """
-    known = {(each.code, _stated(each)) for each in told}
-    return [each for each in checked if each.code != _MISSED or (_MISSED, _stated(each)) not in known]
 
+    def missed(caution: Caution) -> str:  # the constant and its stated value, with which the text begins
+        return caution.text.partition(",")[0] if caution.code == _MISSED else ""
 
-def _stated(caution: Caution) -> str:
-    """Return the constant and its stated value, with which a caution about a missed one begins."""
-    return caution.text.partition(",")[0]
+    known = {missed(each) for each in told} - {""}
+    return [each for each in checked if missed(each) not in known]
 
 
 def _file_name(label: str) -> str:
