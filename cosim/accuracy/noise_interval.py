@@ -73,7 +73,7 @@ def noise_of(
         except InputError as error:
             why = error.in_brief
         else:
-            halves = {name: _NORMAL * math.sqrt(max(row @ covariance @ row, 0.0))
+            halves = {name: _NORMAL * math.sqrt(max(float(row @ covariance @ row), 0.0))
                       for name, row in tangents.items()}  # fmt: skip
     return {
         name: {"noise": halves[name]}

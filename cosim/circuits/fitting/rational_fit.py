@@ -147,8 +147,8 @@ def fit(s: Complex, h: Complex, worst: float = WORST) -> Modes:
         raise unstable
     best = min(fits, key=lambda modes: modes.worst)
     if not best.worst <= worst:
-        reason = f"order {len(best.a)} leaves an error of {best.worst:.1e} of the path's maximum"
-        raise FitError(reason + _rising(s, h))
+        left = f"order {len(best.a)} leaves an error of {best.worst:.1e} of the path's maximum"
+        raise FitError(left + _rising(s, h))
     return best
 
 
