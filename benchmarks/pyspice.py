@@ -53,11 +53,11 @@ class PythonLockstep(NgSpiceShared):  # type: ignore[misc]  # PySpice carries no
         self.t, self.h_old, self.history = 0.0, 1.0, 0
         self.trial = (-1.0, self.q, self.v)
         self.torque_per_amp, self.gear = float(s["torque_per_amp"][0]), float(s["gear"])
-        self.h_max, self.h_first = float(s["h_max"]), float(s["h_first"])
+        self.h_max, self.h_first = float(s["steps"]["longest"]), float(s["steps"]["first"])
         self.h_couple = self.h_max
-        self.tolerance, self.tiny = float(s["tol"]), float(s["delta_min"])
-        self.settle, self.period = float(s["settle"]), scene.computer.period_s
-        self.tick, self.last_tick, self.end = 0, int(s["last_tick"]), scene.duration_s
+        self.tolerance, self.tiny = float(s["steps"]["tol"]), float(s["steps"]["least"])
+        self.settle, self.period = float(s["dac"]["settle"]), scene.computer.period_s
+        self.tick, self.last_tick, self.end = 0, int(s["clock"]["last_tick"]), scene.duration_s
         every = channels(n)
         self.channel = {name: every.index(name) for name in plan.circuit.channels}
         self.kind = {f"v{k:02d}": pin for k, pin in enumerate(plan.circuit.sources())}

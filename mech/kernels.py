@@ -55,13 +55,13 @@ def _pose(p: Record, q: Vector, w: Record) -> None:
     phi = 0.0
     for i in range(p.n):
         phi += q[i]
-        w.cos[i] = math.cos(phi)
-        w.sin[i] = math.sin(phi)
+        w.pose.cos[i] = math.cos(phi)
+        w.pose.sin[i] = math.sin(phi)
     x = 0.0
     y = 0.0
     for i in range(p.n - 1, -1, -1):
-        x += p.length[i] * w.cos[i]
-        y += p.length[i] * w.sin[i]
+        x += p.length[i] * w.pose.cos[i]
+        y += p.length[i] * w.pose.sin[i]
         w.jac[0, i] = -y
         w.jac[1, i] = x
     w.r[0] = p.origin[0] + x
@@ -82,7 +82,7 @@ def _inertia(p: Record, tip_mass: float, w: Record) -> None:
         below = 0.0
         for b in range(n - 1, a - 1, -1):
             couple = p.couple[a, b] + tip_mass * p.length[a] * p.length[b]
-            row += couple * (w.cos[a] * w.cos[b] + w.sin[a] * w.sin[b])
+            row += couple * (w.pose.cos[a] * w.pose.cos[b] + w.pose.sin[a] * w.pose.sin[b])
             if b > a:
                 below = w.mass[a + 1, b]
             elif a + 1 < n:
@@ -95,7 +95,7 @@ def _inertia(p: Record, tip_mass: float, w: Record) -> None:
 
 @inner_inlined
 def _bias(p: Record, v: Vector, tip_mass: float, w: Record) -> None:
-    """Fill `w.bias` and `w.rate` from the pose in `w`: M a + bias = applied torque."""
+    """Fill `w.bias` and `w.pose.rate` from the pose in `w`: M a + bias = applied torque."""
     n = p.n
     if p.slider:
         w.bias[0] = 0.0
@@ -105,18 +105,18 @@ def _bias(p: Record, v: Vector, tip_mass: float, w: Record) -> None:
     rate = 0.0
     for i in range(n):
         rate += v[i]
-        w.rate[i] = rate
+        w.pose.rate[i] = rate
         w.bias[i] = 0.0
     if p.coriolis:
         for i in range(n):
             for j in range(i):
                 couple = p.couple[i, j] + tip_mass * p.length[i] * p.length[j]
-                twist = couple * (w.sin[i] * w.cos[j] - w.cos[i] * w.sin[j])
-                w.bias[i] += twist * w.rate[j] * w.rate[j]
-                w.bias[j] -= twist * w.rate[i] * w.rate[i]
+                twist = couple * (w.pose.sin[i] * w.pose.cos[j] - w.pose.cos[i] * w.pose.sin[j])
+                w.bias[i] += twist * w.pose.rate[j] * w.pose.rate[j]
+                w.bias[j] -= twist * w.pose.rate[i] * w.pose.rate[i]
     if p.heavy:
         for i in range(n):
-            w.bias[i] += p.moment[i] * (p.gravity[0] * w.sin[i] - p.gravity[1] * w.cos[i])
+            w.bias[i] += p.moment[i] * (p.gravity[0] * w.pose.sin[i] - p.gravity[1] * w.pose.cos[i])
     for i in range(n - 2, -1, -1):
         w.bias[i] += w.bias[i + 1]
 
@@ -175,41 +175,41 @@ def solve(n: int, matrix: Vector, x: Vector, factor: Vector) -> None:
 
 @inner
 def solve_held(n: int, w: Record, x: Vector) -> None:
-    """Solve `w.mass` x = x in place with x = 0 at the joints that `w.held` marks.
+    """Solve `w.mass` x = x in place with x = 0 at the joints that `w.contact.held` marks.
 
-    `w.hold` receives the torques [N m] that hold them: M x = (right-hand side) + hold.
+    `w.contact.hold` receives the torques [N m] that hold them: M x = (right-hand side) + hold.
     """
     for i in range(n):
-        w.hold[i] = -x[i]
+        w.contact.hold[i] = -x[i]
         for j in range(n):
-            w.reduced[i, j] = 0.0 if w.held[i] or w.held[j] else w.mass[i, j]
-        if w.held[i]:
-            w.reduced[i, i] = 1.0
+            w.scratch.reduced[i, j] = 0.0 if w.contact.held[i] or w.contact.held[j] else w.mass[i, j]
+        if w.contact.held[i]:
+            w.scratch.reduced[i, i] = 1.0
             x[i] = 0.0
-    solve(n, w.reduced, x, w.factor)
+    solve(n, w.scratch.reduced, x, w.scratch.factor)
     for i in range(n):
-        if not w.held[i]:
-            w.hold[i] = 0.0
+        if not w.contact.held[i]:
+            w.contact.hold[i] = 0.0
             continue
         for j in range(n):
-            w.hold[i] += w.mass[i, j] * x[j]
+            w.contact.hold[i] += w.mass[i, j] * x[j]
 
 
 @inner
 def _accelerate(p: Record, w: Record, x: Vector) -> None:
     """Turn torques into accelerations in place; what holds a held joint is its friction's or its stop's."""
     n = p.n
-    if w.holding == 0:
-        solve(n, w.mass, x, w.factor)
+    if w.contact.holding == 0:
+        solve(n, w.mass, x, w.scratch.factor)
         return
     solve_held(n, w, x)
     for i in range(n):
-        if not w.held[i]:
+        if not w.contact.held[i]:
             continue
-        if w.touch[i] * w.hold[i] < 0.0:
-            w.tau_stop[i] = w.hold[i]
+        if w.contact.touch[i] * w.contact.hold[i] < 0.0:
+            w.tau_stop[i] = w.contact.hold[i]
         elif p.coulomb_on:
-            w.tau_coul[i] = w.hold[i]
+            w.tau_coul[i] = w.contact.hold[i]
 
 
 @entry(LINKAGE, OPERATOR, float, vector, vector, vector, vector, WORK)
@@ -225,10 +225,10 @@ def dynamics(
     coulomb tanh(v / coulomb_speed): a smooth step, so a joint held by Coulomb friction creeps at
     coulomb_speed * atanh(torque / coulomb). With `coriolis` off the operator's mass, too, is taken at
     its instantaneous inertia only, so that M a = tau + J^T F_op holds to the letter in every setting.
-    Where `w.located` is set, friction is constant by the way that each joint slips (`w.slide`), joints in
-    `w.held` do not accelerate, and, with `w.stops_located`, a stop pushes as `w.touch` says: whoever
-    integrates sets these at the instants where they change (`mech.stiction`), and the accelerations are
-    smooth between them.
+    Where `w.mode.located` is set, friction is constant by the way that each joint slips
+    (`w.contact.slide`), joints in `w.contact.held` do not accelerate, and, with `w.mode.stops_located`,
+    a stop pushes as `w.contact.touch` says: whoever integrates sets these at the instants where they
+    change (`mech.stiction`), and the accelerations are smooth between them.
 
     Left in `w`: r, rdot, jac, mass, bias, tau_visc, tau_coul, tau_stop (torques on the joints),
     f_op (operator on device, with weight and inertia of its mass), f_drive (without both).
@@ -270,15 +270,15 @@ def dynamics(
             a_out[i] += w.tau_visc[i]
     if p.coulomb_on:
         for i in range(n):
-            if w.located:
-                w.tau_coul[i] = -p.coulomb[i] * w.slide[i]
+            if w.mode.located:
+                w.tau_coul[i] = -p.coulomb[i] * w.contact.slide[i]
             else:
                 w.tau_coul[i] = -p.coulomb[i] * math.tanh(v[i] / p.coulomb_speed)
             a_out[i] += w.tau_coul[i]
     if p.stops_on:
         for i in range(n):
-            if w.stops_located:
-                w.tau_stop[i] = pushed(p, i, q[i], v[i], w.touch[i])
+            if w.mode.stops_located:
+                w.tau_stop[i] = pushed(p, i, q[i], v[i], w.contact.touch[i])
             else:
                 w.tau_stop[i] = stop_torque(p, i, q[i], v[i])
             a_out[i] += w.tau_stop[i]
@@ -303,9 +303,9 @@ def dynamics(
             y += w.jac[1, i] * a_out[i]
         if p.coriolis and not p.slider:
             for i in range(n):
-                pull = p.length[i] * w.rate[i] * w.rate[i]
-                x -= pull * w.cos[i]
-                y -= pull * w.sin[i]
+                pull = p.length[i] * w.pose.rate[i] * w.pose.rate[i]
+                x -= pull * w.pose.cos[i]
+                y -= pull * w.pose.sin[i]
         w.f_op[0] -= mass * x
         w.f_op[1] -= mass * y
 

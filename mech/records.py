@@ -97,6 +97,46 @@ OPERATOR = np.dtype(
     align=True,
 )
 
+# What a time loop locates as events. 0: `kernels.dynamics` decides by the state alone.
+_MODE = np.dtype(
+    [
+        ("located", np.int64),  # friction; 0: a smooth step
+        ("stops_located", np.int64),  # 0: a stop's torque is a function of the angle
+        ("latched", np.int64),  # gears' flanks (`mech.shaft`)
+    ],
+    align=True,
+)
+# Discrete state of the gears.
+_FLANK = np.dtype(
+    [
+        ("tooth", np.int64, (NMAX,)),  # flank that carries, -1, 0 or +1
+        ("slack", np.float64, (NMAX,)),  # rad, twist of the shaft when its flank was left
+        ("left", np.float64, (NMAX,)),  # s, then
+    ],
+    align=True,
+)
+# Discrete state of friction and stops, and what holds a held joint.
+_CONTACT = np.dtype(
+    [
+        ("slide", np.int64, (NMAX,)),  # way a joint slips, +1 or -1; 0: held
+        ("touch", np.int64, (NMAX,)),  # `Touch`, its sign the stop's: -1 the lower, +1 the upper
+        ("holding", np.int64),  # number of joints held
+        ("held", np.int64, (NMAX,)),
+        ("hold", np.float64, (NMAX,)),  # N m, torque that holds a held joint
+    ],
+    align=True,
+)
+# Absolute angles and rates of the links.
+_POSE = np.dtype(
+    [
+        ("cos", np.float64, (NMAX,)),
+        ("sin", np.float64, (NMAX,)),
+        ("rate", np.float64, (NMAX,)),  # rad/s
+    ],
+    align=True,
+)
+_SCRATCH = np.dtype([("factor", np.float64, (NMAX, NMAX)), ("reduced", np.float64, (NMAX, NMAX))], align=True)
+
 # What `kernels.dynamics` leaves behind for the caller, and its scratch memory.
 WORK = np.dtype(
     [
@@ -110,25 +150,13 @@ WORK = np.dtype(
         ("tau_stop", np.float64, (NMAX,)),  # N m, on the joint
         ("tau_shaft", np.float64, (NMAX,)),  # N m, motor on joint
         ("tau_loss", np.float64, (NMAX,)),  # N m, the part of it that stores no energy
-        ("latched", np.int64),  # 1: the caller keeps the gears' flanks; 0: by the state (`mech.shaft`)
-        ("tooth", np.int64, (NMAX,)),  # flank that carries, -1, 0 or +1
-        ("slack", np.float64, (NMAX,)),  # rad, twist of the shaft when its flank was left
-        ("left", np.float64, (NMAX,)),  # s, then
+        ("mode", _MODE),
+        ("flank", _FLANK),
+        ("contact", _CONTACT),
         ("mass", np.float64, (NMAX, NMAX)),  # kg m^2, joint space, with rotors and operator's mass
         ("bias", np.float64, (NMAX,)),  # N m, Coriolis and gravity of the device, without operator's weight
-        ("cos", np.float64, (NMAX,)),
-        ("sin", np.float64, (NMAX,)),
-        ("rate", np.float64, (NMAX,)),  # rad/s, absolute
-        ("factor", np.float64, (NMAX, NMAX)),
-        # Friction as located events, and stops. 0: friction a smooth step, stops a function of the angle.
-        ("located", np.int64),
-        ("stops_located", np.int64),
-        ("slide", np.int64, (NMAX,)),  # way a joint slips, +1 or -1; 0: held
-        ("touch", np.int64, (NMAX,)),  # `Touch`, its sign the stop's: -1 the lower, +1 the upper
-        ("holding", np.int64),  # number of joints held
-        ("held", np.int64, (NMAX,)),
-        ("hold", np.float64, (NMAX,)),  # N m, torque that holds a held joint
-        ("reduced", np.float64, (NMAX, NMAX)),
+        ("pose", _POSE),
+        ("scratch", _SCRATCH),
     ],
     align=True,
 )

@@ -10,9 +10,9 @@ that carries leaves x = twist -+ half_gap to the shaft, T = k x + c x', until T 
 tooth touches, no torque passes, and the shaft relaxes, x = x0 exp(-k t/c), until the rest of the twist has
 crossed the gap. As the gap goes to zero this is the shaft without backlash.
 
-Which flank carries is memory, not a function of the state: `WORK.tooth`, with `WORK.slack` and `WORK.left`,
-the twist x0 and the time at which the flank was left. A time loop that sets `WORK.latched` keeps them with
-`engage` at its accepted points, and ends its steps where `margin` vanishes.
+Which flank carries is memory, not a function of the state: `tooth` of `WORK.flank`, with `slack` and `left`,
+the twist x0 and the time at which the flank was left. A time loop that sets `latched` of `WORK.mode` keeps
+them with `engage` at its accepted points, and ends its steps where `margin` vanishes.
 """
 
 import math
@@ -35,9 +35,11 @@ EDGE_RAD = 1e-14
 @inner_inlined
 def _slack(p: Record, i: int, t: float, w: Record) -> float:
     """Twist [rad] that a shaft without a flank to push on has not yet let go."""
-    if w.slack[i] == 0.0:
+    if w.flank.slack[i] == 0.0:
         return 0.0
-    return float(w.slack[i] * math.exp(-(t - w.left[i]) * p.shaft_stiffness[i] / p.shaft_damping[i]))
+    return float(
+        w.flank.slack[i] * math.exp(-(t - w.flank.left[i]) * p.shaft_stiffness[i] / p.shaft_damping[i])
+    )
 
 
 @inner
@@ -56,15 +58,15 @@ def engage(p: Record, t: float, q: Vector, v: Vector, w: Record) -> tuple[bool, 
         k, c = p.shaft_stiffness[i], p.shaft_damping[i]
         twist = q[n + i] - q[i]
         rate = v[n + i] - v[i]
-        tooth = w.tooth[i]
+        tooth = w.flank.tooth[i]
         if tooth != 0:
             x = twist - tooth * p.half_gap[i]
             if tooth * (k * x + c * rate) <= 0.0:
                 changed = True
                 lost += 0.5 * k * x * x
-                w.tooth[i] = 0
-                w.slack[i] = x if c > 0.0 else 0.0
-                w.left[i] = t
+                w.flank.tooth[i] = 0
+                w.flank.slack[i] = x if c > 0.0 else 0.0
+                w.flank.left[i] = t
         else:
             slack = _slack(p, i, t, w)
             bare = twist - slack
@@ -75,7 +77,7 @@ def engage(p: Record, t: float, q: Vector, v: Vector, w: Record) -> tuple[bool, 
                 changed = True
                 x = twist - side * p.half_gap[i]
                 lost -= 0.5 * k * x * x
-                w.tooth[i] = side
+                w.flank.tooth[i] = side
     return changed, lost
 
 
@@ -83,23 +85,23 @@ def engage(p: Record, t: float, q: Vector, v: Vector, w: Record) -> tuple[bool, 
 def shaft_torque(p: Record, q: Vector, v: Vector, w: Record) -> None:
     """Fill `w.tau_shaft` (motor on joint) and `w.tau_loss`, its part that stores nothing [N m].
 
-    Where no loop keeps the flanks (`w.latched` 0) they are those of a state that begins here.
+    Where no loop keeps the flanks (`w.mode.latched` 0) they are those of a state that begins here.
     """
     n = p.n
-    if p.backlash_on and w.latched == 0:
+    if p.backlash_on and w.mode.latched == 0:
         for i in range(n):
-            w.tooth[i] = 0
-            w.slack[i] = 0.0
+            w.flank.tooth[i] = 0
+            w.flank.slack[i] = 0.0
         engage(p, 0.0, q, v, w)
     for i in range(n):
         spring = p.shaft_stiffness[i] * (q[n + i] - q[i])
         loss = p.shaft_damping[i] * (v[n + i] - v[i])
         if p.half_gap[i] > 0.0:
-            if w.tooth[i] == 0:
+            if w.flank.tooth[i] == 0:
                 spring = 0.0
                 loss = 0.0
             else:
-                spring -= p.shaft_stiffness[i] * w.tooth[i] * p.half_gap[i]
+                spring -= p.shaft_stiffness[i] * w.flank.tooth[i] * p.half_gap[i]
         w.tau_shaft[i] = spring + loss
         w.tau_loss[i] = loss
 
@@ -110,7 +112,7 @@ def margin(p: Record, i: int, t: float, twist: float, rate: float, w: Record) ->
     gap = p.half_gap[i]
     if gap == 0.0:
         return math.inf
-    tooth = w.tooth[i]
+    tooth = w.flank.tooth[i]
     if tooth != 0:
         return float(tooth * (twist + p.shaft_damping[i] / p.shaft_stiffness[i] * rate) - gap)
     return float(gap - abs(twist - _slack(p, i, t, w)))
@@ -124,6 +126,6 @@ def windup_energy(p: Record, q: Vector, w: Record) -> float:
         for i in range(p.n):
             x = q[p.n + i] - q[i]
             if p.half_gap[i] > 0.0:
-                x = x - w.tooth[i] * p.half_gap[i] if w.tooth[i] != 0 else 0.0
+                x = x - w.flank.tooth[i] * p.half_gap[i] if w.flank.tooth[i] != 0 else 0.0
             total += 0.5 * p.shaft_stiffness[i] * x * x
     return total

@@ -1,8 +1,8 @@
 """Joints at rest under Coulomb friction or on a stop: which are held, which start, and which way.
 
-With friction and stops as located events (`w.located`, `w.stops_located` of `mech.records.WORK`) a joint
-whose speed is zero is held while the torque that this takes is within its friction's limit, or pushes as a
-stop can; else it starts.
+With friction and stops as located events (`located` and `stops_located` of `WORK.mode`) a joint whose speed
+is zero is held while the torque that this takes is within its friction's limit, or pushes as a stop can; else
+it starts.
 Several joints couple through the mass matrix. The accelerations are those that minimise
 
     a^T M a / 2 - a^T r + sum f_c |a|      (a >= 0 on a lower stop, a <= 0 on an upper one),
@@ -34,8 +34,8 @@ _SWEEPS, _CHECKS = 8, 200
 def bounds(p: Record, w: Record, i: int) -> tuple[float, float]:
     """Least and greatest torque [N m] that friction and stop can hold joint i with."""
     friction = p.coulomb[i] if p.coulomb_on else 0.0
-    low = -math.inf if w.touch[i] == _RESTING else -friction
-    high = math.inf if w.touch[i] == -_RESTING else friction
+    low = -math.inf if w.contact.touch[i] == _RESTING else -friction
+    high = math.inf if w.contact.touch[i] == -_RESTING else friction
     return low, high
 
 
@@ -55,26 +55,28 @@ def touching(p: Record, i: int, q: float, v: float) -> int:
 def settle(
     p: Record, op: Record, t: float, q: Vector, v: Vector, tau: Vector, a_out: Vector, w: Record
 ) -> None:
-    """Find accelerations, and set `w.slide` and `w.held` as they are just after `t`; arguments of `dynamics`.
+    """Find accelerations, and set `slide` and `held` of `w.contact` as they are just after `t`.
+
+    The arguments are those of `dynamics`.
 
     Joints that turn slip the way they turn. A joint that starts leaves the stop that it rested on.
     """
     n = p.n
     resting = np.zeros(NMAX, np.bool_)
-    w.holding = 0
+    w.contact.holding = 0
     for i in range(n):
-        limited = (p.coulomb_on != 0 and p.coulomb[i] > 0.0) or abs(w.touch[i]) == _RESTING
+        limited = (p.coulomb_on != 0 and p.coulomb[i] > 0.0) or abs(w.contact.touch[i]) == _RESTING
         resting[i] = limited and v[i] == 0.0
-        w.held[i] = 1 if resting[i] else 0
-        w.holding += w.held[i]
-        w.slide[i] = 0 if resting[i] else np.sign(v[i])
+        w.contact.held[i] = 1 if resting[i] else 0
+        w.contact.holding += w.contact.held[i]
+        w.contact.slide[i] = 0 if resting[i] else np.sign(v[i])
     dynamics(p, op, t, q, v, tau, a_out, w)
-    if w.holding == 0 or _consistent(p, w, resting, a_out):
+    if w.contact.holding == 0 or _consistent(p, w, resting, a_out):
         return
     # torque on each joint without what holds or brakes those at rest
     wanted, a = np.zeros(NMAX), np.zeros(NMAX)
     for i in range(n):
-        wanted[i] = -w.hold[i]
+        wanted[i] = -w.contact.hold[i]
         a[i] = a_out[i]
         for j in range(n):
             wanted[i] += w.mass[i, j] * a_out[j]
@@ -89,18 +91,18 @@ def settle(
                     low, high = bounds(p, w, i)
                     left = left + low if left + low > 0.0 else min(left + high, 0.0)
                 a[i] = left / w.mass[i, i]
-        w.holding = 0
+        w.contact.holding = 0
         for i in range(n):
             if resting[i]:
-                w.held[i] = 1 if a[i] == 0.0 else 0
-                w.slide[i] = np.sign(a[i])
-                w.holding += w.held[i]
+                w.contact.held[i] = 1 if a[i] == 0.0 else 0
+                w.contact.slide[i] = np.sign(a[i])
+                w.contact.holding += w.contact.held[i]
         dynamics(p, op, t, q, v, tau, a_out, w)
         if _consistent(p, w, resting, a_out):
             break
     for i in range(n):
-        if resting[i] and not w.held[i] and abs(w.touch[i]) == _RESTING:
-            w.touch[i] = 0
+        if resting[i] and not w.contact.held[i] and abs(w.contact.touch[i]) == _RESTING:
+            w.contact.touch[i] = 0
 
 
 @inner
@@ -109,11 +111,11 @@ def _consistent(p: Record, w: Record, resting: Any, a: Vector) -> bool:
     for i in range(p.n):
         if not resting[i]:
             continue
-        if w.held[i]:
+        if w.contact.held[i]:
             low, high = bounds(p, w, i)
-            if not low <= w.hold[i] <= high:
+            if not low <= w.contact.hold[i] <= high:
                 return False
-        elif w.slide[i] * a[i] < 0.0:
+        elif w.contact.slide[i] * a[i] < 0.0:
             return False
     return True
 
@@ -141,7 +143,7 @@ def impact(p: Record, w: Record, v: Vector, side: Any) -> float:
         for i in range(n):
             struck = (pattern >> i) & 1 == 1
             possible = possible and not (struck and side[i] == 0)
-            w.held[i] = 1 if struck else 0
+            w.contact.held[i] = 1 if struck else 0
             jump[i] = -(1.0 + p.restitution) * v[i] if struck else 0.0
         if not possible:
             continue
@@ -156,7 +158,7 @@ def impact(p: Record, w: Record, v: Vector, side: Any) -> float:
         for i in range(n):
             if side[i] == 0:
                 continue
-            if w.held[i]:
+            if w.contact.held[i]:
                 push = 0.0
                 for j in range(n):
                     push += w.mass[i, j] * change[j]
@@ -168,7 +170,7 @@ def impact(p: Record, w: Record, v: Vector, side: Any) -> float:
             best[:] = change
     lost = 0.0
     for i in range(n):
-        w.held[i] = 0
+        w.contact.held[i] = 0
         for j in range(n):
             lost -= w.mass[i, j] * best[j] * (v[i] + 0.5 * best[i])
     for i in range(n):

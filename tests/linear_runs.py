@@ -68,7 +68,7 @@ def propagate(
     """A run in this process, all its rows and samples in memory."""
     made = prepare(scene, CONSTANTS, circuit, record=rows, row_capacity=200_000, sample_capacity=300_000)
     state = made.memory.state[0]
-    state["tol"] = tol
+    state["steps"]["tol"] = tol
     if not exact:
         made.exact.on[0] = 0
     stop = ctypes.CFUNCTYPE(None)(lambda: None)

@@ -62,7 +62,7 @@ def test_impulse_of_a_settling_current_has_no_error_by_the_rule_that_the_circuit
     """L di/dt = 1 - i by trapezoids of growing steps, i an acceleration: its integral is t - L i, exactly."""
     inductance, i, v, t = 1.0, 0.0, 0.0, 0.0
     s = at(np.polynomial.Polynomial([0.0]), 1)
-    s["v"][0], s["trapezoids"] = 0.0, trapezoids
+    s["v"][0], s["steps"]["trapezoids"] = 0.0, trapezoids
     for h in np.geomspace(0.01, 1.0, 20):
         z = h / inductance
         new = (i * (1.0 - z / 2.0) + z) / (1.0 + z / 2.0)

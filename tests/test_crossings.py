@@ -259,7 +259,7 @@ def test_which_joints_start_does_not_depend_on_their_order(n: int) -> None:  # 2
         p, nobody, w = linkage.pack()[0], NoOperator().pack()[0], new_work()[0]
         q, v, tau, a = (np.zeros(NMAX) for _ in range(4))
         q[:n], tau[:n] = rng.uniform(-2, 2, n), rng.normal(0, 0.3, n)
-        w["located"] = 1
+        w["mode"]["located"] = 1
         settle(p, nobody, 0.0, q, v, tau, a, w)
         mass = linkage.mass_matrix(q[:n])
         wanted = tau[:n] - linkage.bias(q[:n], np.zeros(n))

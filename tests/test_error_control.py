@@ -43,7 +43,7 @@ def signals(scene: Scene, circuit: LinearCircuit, tol: float, *, exact: bool) ->
         scene, CONSTANTS, circuit, record=True, dense=False, row_capacity=20_000, sample_capacity=100
     )
     state = made.memory.state[0]
-    state["tol"] = tol
+    state["steps"]["tol"] = tol
     made.exact.on[0] = int(exact)
     drain = ctypes.CFUNCTYPE(None)(lambda: None)
     state["drain_address"] = ctypes.cast(drain, ctypes.c_void_p).value

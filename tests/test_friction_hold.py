@@ -22,7 +22,7 @@ def test_a_joint_at_rest_is_held_against_motor_and_hand_together(tau: float, for
     hand = Hand(waypoints_s_m=[(0.0, 0.0, 0.0)], force_s_n=[(0.0, 0.0, force)], mass_kg=0.0,
                 stiffness_n_per_m=0.0, damping_n_s_per_m=0.0)  # fmt: skip
     work = np.zeros(1, WORK)
-    work["located"] = 1
+    work["mode"]["located"] = 1
     p, op = slider.pack(), hand.pack()
     p["coulomb_on"] = 1
     q, v, torque, a = np.zeros(NMAX), np.zeros(NMAX), np.array([tau] + [0.0] * (NMAX - 1)), np.zeros(NMAX)
@@ -30,9 +30,9 @@ def test_a_joint_at_rest_is_held_against_motor_and_hand_together(tau: float, for
     load = tau + RADIUS * force
     beyond = np.sign(load) * max(abs(load) - FRICTION, 0.0)
     assert a[0] == pytest.approx(beyond / (MASS * RADIUS**2), abs=1e-12)
-    assert bool(work[0]["held"][0]) == (beyond == 0.0)
+    assert bool(work[0]["contact"]["held"][0]) == (beyond == 0.0)
     if beyond == 0.0:
-        assert work[0]["hold"][0] == pytest.approx(-load, abs=1e-15)
+        assert work[0]["contact"]["hold"][0] == pytest.approx(-load, abs=1e-15)
 
 
 def pushed(force: float, friction: bool) -> dict[str, Any]:

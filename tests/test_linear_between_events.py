@@ -36,4 +36,4 @@ def test_a_scene_is_linear_between_events(tmp_path: Path, more: dict[str, Any], 
     # the packed records hold what is not linear: the statement overlooks none of it
     state = packed.memory.state[0]
     bends = [np.any(state["p"][name]) for name in ("coulomb_on", "stops_on", "shaft_on")]
-    assert linear == (not any(bends) and not state["position_noise"])
+    assert linear == (not any(bends) and not state["position_noise"]["address"])

@@ -40,8 +40,12 @@ def read(table: Array, lo: float, step: float, q: Array) -> Array:
     """What the kernels make of one joint's table at the angles q."""
     state = np.zeros(1, STATE)
     table = np.ascontiguousarray(table, float)
-    state["n"], state["position_noise"], state["position_points"] = 1, table.ctypes.data, len(table)
-    state["position_lo"], state["position_step"] = lo, step
+    state["n"], state["position_noise"]["address"], state["position_noise"]["points"] = (
+        1,
+        table.ctypes.data,
+        len(table),
+    )
+    state["position_noise"]["lo"], state["position_noise"]["step"] = lo, step
     return np.array([position_noise(state[0], float(angle), 0) for angle in q])
 
 

@@ -33,7 +33,7 @@ def _lacks(scene: Scene) -> str:
 
 
 def _pack(state: np.void, scene: Scene) -> NDArray[np.float64]:
-    state["skew"] = skew_s(scene)  # `cosim.loop.events` delays the group of these channels by it
+    state["dac"]["skew"] = skew_s(scene)  # `cosim.loop.events` delays the group of these channels by it
     return np.zeros(0)
 
 

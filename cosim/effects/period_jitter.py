@@ -52,8 +52,8 @@ def _pack(state: np.void, scene: Scene) -> NDArray[np.float64]:
     share, kind = scene.computer.jitter_share, scene.effects.period_jitter.value
     if share == 0.0:
         return np.zeros(0)
-    late = scene.computer.period_s * lateness(kind, scene.seed, int(state["last_tick"]) + 1, share)
-    state["jitter"] = late.ctypes.data  # `cosim.loop.events.instant` adds it
+    late = scene.computer.period_s * lateness(kind, scene.seed, int(state["clock"]["last_tick"]) + 1, share)
+    state["clock"]["jitter"] = late.ctypes.data  # `cosim.loop.events.instant` adds it
     return late
 
 

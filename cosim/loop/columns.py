@@ -60,7 +60,7 @@ def write_row(s: Record, t: float, row: Any) -> int:
             row[at + j], row[at + n + j], row[at + 2 * n + j] = s.q[n + j], s.v[n + j], s.w.tau_shaft[j]
             row[at + 3 * n] -= s.w.tau_loss[j] * rate
         at += 3 * n + 2
-    for i in range(s.dacs):
-        row[at] = s.out[s.dac_first + i]
+    for i in range(s.dac.count):
+        row[at] = s.out[s.dac.first + i]
         at += 1
     return int(at)

@@ -18,8 +18,8 @@ _ROUNDING = 1e-12
 def instant(s: Record, tick: int) -> float:
     """Return when the computer samples [s]: an integer tick of its clock, early or late by its jitter."""
     at = tick * s.c.period
-    if s.jitter != 0:
-        at += carray(doubles_at(s.jitter), (s.last_tick + 1,))[tick]
+    if s.clock.jitter != 0:
+        at += carray(doubles_at(s.clock.jitter), (s.clock.last_tick + 1,))[tick]
     return float(at)
 
 
@@ -27,53 +27,55 @@ def instant(s: Record, tick: int) -> float:
 def _release(s: Record, group: int) -> bool:
     """Let the oldest waiting sample reach the DACs of a group; True if a driven voltage changes."""
     slot = s.queue.taken[group] % QUEUE
-    start = s.queue.time[slot] + (s.skew if group == 1 else 0.0)
+    start = s.queue.time[slot] + (s.dac.skew if group == 1 else 0.0)
     s.queue.taken[group] += 1
     part = 1.0  # of the ramp before, which a settling time longer than the period leaves unfinished
-    if s.ramping:
-        part = min(max((start - s.dac_start[group]) / s.settle, 0.0), 1.0)
-    s.dac_start[group] = start
+    if s.dac.ramping:
+        part = min(max((start - s.dac.start[group]) / s.dac.settle, 0.0), 1.0)
+    s.dac.start[group] = start
     changed, largest = False, 0.0
     for j in range(s.c.n):
         largest = max(largest, s.c.v_rad * abs(s.x.q[j]))
-    for i in range(s.dacs):
-        k = s.dac_channel[i]
+    for i in range(s.dac.count):
+        k = s.dac.channel[i]
         if is_gain(s, k) == (group == 0):
-            largest = max(largest, abs(s.queue.volts[slot, k]), abs(s.dac_to[k]))
-    for i in range(s.dacs):
-        k = s.dac_channel[i]
+            largest = max(largest, abs(s.queue.volts[slot, k]), abs(s.dac.target[k]))
+    for i in range(s.dac.count):
+        k = s.dac.channel[i]
         if is_gain(s, k) != (group == 0):
             continue
-        reached = s.dac_to[k] if part == 1.0 else s.dac_from[k] + part * (s.dac_to[k] - s.dac_from[k])
-        s.dac_from[k] = reached
+        reached = (
+            s.dac.target[k] if part == 1.0 else s.dac.before[k] + part * (s.dac.target[k] - s.dac.before[k])
+        )
+        s.dac.before[k] = reached
         # rounding of a converter without steps is no jump: each would have the integrator start afresh
         moves = abs(s.queue.volts[slot, k] - reached) > _ROUNDING * largest
-        s.dac_to[k] = s.queue.volts[slot, k] if moves else reached
-        changed = changed or s.dac_to[k] != s.dac_from[k]
-        if s.settle == 0.0:
-            s.out[s.dac_first + i] = s.dac_to[k]
-    if s.settle > 0.0 and changed:
-        s.ramping = 1
+        s.dac.target[k] = s.queue.volts[slot, k] if moves else reached
+        changed = changed or s.dac.target[k] != s.dac.before[k]
+        if s.dac.settle == 0.0:
+            s.out[s.dac.first + i] = s.dac.target[k]
+    if s.dac.settle > 0.0 and changed:
+        s.dac.ramping = 1
     return changed
 
 
 @inner
 def compute_sample(s: Record) -> None:
     """Compute one sample at the present state; its voltages wait in the queue for the DACs."""
-    read_encoders(s.c, s.x, s.tick, s.q[s.motor :])
+    read_encoders(s.c, s.x, s.clock.tick, s.q[s.motor :])
     if s.law_address != 0:
         call_plain(s.law_address)
     else:
         law(s.c, s.known, s.x)
     slot = s.queue.put % QUEUE
     to_volts(s.c, s.x, s.queue.volts[slot])
-    s.queue.time[slot] = (s.tick + s.delay_ticks) * s.c.period + s.delay_s
-    if s.jitter != 0:
-        s.queue.time[slot] += instant(s, s.tick) - s.tick * s.c.period
+    s.queue.time[slot] = (s.clock.tick + s.clock.delay_ticks) * s.c.period + s.clock.delay_s
+    if s.clock.jitter != 0:
+        s.queue.time[slot] += instant(s, s.clock.tick) - s.clock.tick * s.c.period
     s.queue.put += 1
     if s.queue.put - min(s.queue.taken[0], s.queue.taken[1]) > QUEUE:
         s.fault = _SAMPLE_LOST
-    s.tick += 1
+    s.clock.tick += 1
     s.points_before = s.points
     _write_sample(s)
 
@@ -104,23 +106,23 @@ def _write_sample(s: Record) -> None:
 def next_event(s: Record) -> float:
     """Return the time of the next instant that the step must land on."""
     at = s.t_end
-    if s.tick <= s.last_tick:
-        at = min(at, instant(s, s.tick))
+    if s.clock.tick <= s.clock.last_tick:
+        at = min(at, instant(s, s.clock.tick))
     for group in range(2):
         if s.queue.taken[group] < s.queue.put:
             slot = s.queue.taken[group] % QUEUE
-            at = min(at, s.queue.time[slot] + (s.skew if group == 1 else 0.0))
-    if s.ramping:
+            at = min(at, s.queue.time[slot] + (s.dac.skew if group == 1 else 0.0))
+    if s.dac.ramping:
         for group in range(2):
-            end = s.dac_start[group] + s.settle
-            if end > s.t + s.delta_min:
+            end = s.dac.start[group] + s.dac.settle
+            if end > s.t + s.steps.least:
                 at = min(at, end)
-    if s.noise != 0:
-        at = min(at, (s.noise_tick + 1) * s.noise_dt)
-    if s.component != 0:
-        at = min(at, (s.component_tick + 1) * s.component_dt)
-    if s.knot < s.knots:
-        at = min(at, carray(doubles_at(s.knot_times), (s.knots,))[s.knot])
+    if s.noise.address != 0:
+        at = min(at, (s.noise.tick + 1) * s.noise.dt)
+    if s.component.address != 0:
+        at = min(at, (s.component.tick + 1) * s.component.dt)
+    if s.knots.next < s.knots.count:
+        at = min(at, carray(doubles_at(s.knots.address), (s.knots.count,))[s.knots.next])
     return float(at)
 
 
@@ -129,13 +131,13 @@ def announce(s: Record, now: float) -> None:
     """Tell ngspice where the DACs will jump next, so that it starts afresh there (order one)."""
     if s.breakpoint_address == 0:  # the linear loop knows
         return
-    if s.tick <= s.last_tick:
-        call_with_time(s.breakpoint_address, instant(s, s.tick))
+    if s.clock.tick <= s.clock.last_tick:
+        call_with_time(s.breakpoint_address, instant(s, s.clock.tick))
     change = s.queue.time[(s.queue.put - 1) % QUEUE]
     if change > now:
         call_with_time(s.breakpoint_address, change)
-    if s.skew > 0.0:
-        call_with_time(s.breakpoint_address, change + s.skew)
+    if s.dac.skew > 0.0:
+        call_with_time(s.breakpoint_address, change + s.dac.skew)
 
 
 @entry(STATE)
@@ -145,16 +147,16 @@ def begin(s: Record) -> None:
     A delayed one finds the DACs out of contact: gains and commands zero, equilibria at the pose.
     """
     for j in range(s.n):
-        s.dac_to[j] = s.c.v_rad * s.q[s.motor + j]
+        s.dac.target[j] = s.c.v_rad * s.q[s.motor + j]
     compute_sample(s)
     for group in range(2):
-        if s.queue.time[0] + (s.skew if group == 1 else 0.0) <= s.delta_min:
+        if s.queue.time[0] + (s.dac.skew if group == 1 else 0.0) <= s.steps.least:
             _release(s, group)
-    s.ramping = 0
-    for i in range(s.dacs):
-        k = s.dac_channel[i]
-        s.dac_from[k] = s.dac_to[k]
-        s.out[s.dac_first + i] = s.dac_to[k]
+    s.dac.ramping = 0
+    for i in range(s.dac.count):
+        k = s.dac.channel[i]
+        s.dac.before[k] = s.dac.target[k]
+        s.out[s.dac.first + i] = s.dac.target[k]
     s.t_event = next_event(s)
 
 
@@ -162,45 +164,48 @@ def begin(s: Record) -> None:
 def _watch_rest(s: Record, t: float) -> None:
     """End the run when the joints have been at rest for long enough."""
     for j in range(s.n):
-        if not abs(s.v[j]) < s.rest_speed:
-            s.moved = t
-    if t - s.moved >= s.rest_time:
-        s.rested = 1
+        if not abs(s.v[j]) < s.rest.speed:
+            s.rest.moved = t
+    if t - s.rest.moved >= s.rest.time:
+        s.rest.rested = 1
         s.t_end = t
 
 
 @inner
 def process_events(s: Record, t: float) -> bool:
     """Do everything due at the accepted time `t`: noise grid, ramp ends, samples, DACs."""
-    now = t + s.delta_min
-    if s.noise != 0 and (s.noise_tick + 1) * s.noise_dt <= now:
-        s.noise_tick += 1
+    now = t + s.steps.least
+    if s.noise.address != 0 and (s.noise.tick + 1) * s.noise.dt <= now:
+        s.noise.tick += 1
         s.history = min(s.history, 1)
-    if s.component != 0 and (s.component_tick + 1) * s.component_dt <= now:
-        s.component_tick += 1
+    if s.component.address != 0 and (s.component.tick + 1) * s.component.dt <= now:
+        s.component.tick += 1
         s.history = min(s.history, 1)
-    if s.knot < s.knots and carray(doubles_at(s.knot_times), (s.knots,))[s.knot] <= now:
-        s.knot += 1
+    if (
+        s.knots.next < s.knots.count
+        and carray(doubles_at(s.knots.address), (s.knots.count,))[s.knots.next] <= now
+    ):
+        s.knots.next += 1
         s.history = min(s.history, 1)
-    if s.ramping and max(s.dac_start[0], s.dac_start[1]) + s.settle <= now:
-        for i in range(s.dacs):
-            s.out[s.dac_first + i] = s.dac_to[s.dac_channel[i]]
-        s.ramping = 0
+    if s.dac.ramping and max(s.dac.start[0], s.dac.start[1]) + s.dac.settle <= now:
+        for i in range(s.dac.count):
+            s.out[s.dac.first + i] = s.dac.target[s.dac.channel[i]]
+        s.dac.ramping = 0
         s.history = min(s.history, 1)
-    if s.tick <= s.last_tick and instant(s, s.tick) <= now:
+    if s.clock.tick <= s.clock.last_tick and instant(s, s.clock.tick) <= now:
         compute_sample(s)
         announce(s, now)
-        if s.rest_time > 0.0:
+        if s.rest.time > 0.0:
             _watch_rest(s, t)
     jumped = False
     for group in range(2):
         while s.queue.taken[group] < s.queue.put:
             slot = s.queue.taken[group] % QUEUE
-            if s.queue.time[slot] + (s.skew if group == 1 else 0.0) > now:
+            if s.queue.time[slot] + (s.dac.skew if group == 1 else 0.0) > now:
                 break
             jumped = _release(s, group) or jumped
     if jumped:
         s.discontinuities += 1
-        s.history = 0 if s.settle == 0.0 else min(s.history, 1)
+        s.history = 0 if s.dac.settle == 0.0 else min(s.history, 1)
     s.t_event = next_event(s)
     return jumped

@@ -26,29 +26,29 @@ def is_gain(s: Record, channel: int) -> bool:
 @inner_inlined
 def volts(s: Record, channel: int, t: float) -> float:
     """Voltage of a DAC channel [V] at `t`."""
-    if s.ramping == 0:
-        return float(s.dac_to[channel])
+    if s.dac.ramping == 0:
+        return float(s.dac.target[channel])
     group = 0 if s.n <= channel < s.n + 2 * s.n * s.n else 1
-    part = min(max((t - s.dac_start[group]) / s.settle, 0.0), 1.0)
-    return float(s.dac_from[channel] + part * (s.dac_to[channel] - s.dac_from[channel]))
+    part = min(max((t - s.dac.start[group]) / s.dac.settle, 0.0), 1.0)
+    return float(s.dac.before[channel] + part * (s.dac.target[channel] - s.dac.before[channel]))
 
 
 @inner_inlined
 def ramp_step(s: Record) -> float:
     """Longest step over a ramp of the gains [s]."""
-    if s.tol < _CLOSE:
-        return float(s.settle / _CLOSE_RAMP)
-    return float(s.settle if s.settle <= _SHORT * s.c.period else s.settle / _RAMP)
+    if s.steps.tol < _CLOSE:
+        return float(s.dac.settle / _CLOSE_RAMP)
+    return float(s.dac.settle if s.dac.settle <= _SHORT * s.c.period else s.dac.settle / _RAMP)
 
 
 @inner_inlined
 def gains_ramp(s: Record) -> bool:
     """Whether a multiplier's gain is on its way to another value."""
-    if s.ramping == 0:
+    if s.dac.ramping == 0:
         return False
-    for i in range(s.dacs):
-        channel = s.dac_channel[i]
-        if s.n <= channel < s.n + 2 * s.n * s.n and s.dac_from[channel] != s.dac_to[channel]:
+    for i in range(s.dac.count):
+        channel = s.dac.channel[i]
+        if s.n <= channel < s.n + 2 * s.n * s.n and s.dac.before[channel] != s.dac.target[channel]:
             return True
     return False
 
@@ -56,23 +56,23 @@ def gains_ramp(s: Record) -> bool:
 @inner_inlined
 def grid_noise(s: Record, t: float, joint: int) -> float:
     """Noise of a potentiometer [rad] that is linear between the ticks of its grid."""
-    if s.noise == 0:
+    if s.noise.address == 0:
         return 0.0
-    table = carray(doubles_at(s.noise), (s.noise_rows * s.n,))
-    x = t / s.noise_dt - s.noise_tick
-    at = s.noise_tick * s.n + joint
+    table = carray(doubles_at(s.noise.address), (s.noise.rows * s.n,))
+    x = t / s.noise.dt - s.noise.tick
+    at = s.noise.tick * s.n + joint
     return float(table[at] + x * (table[at + s.n] - table[at]))
 
 
 @inner
 def component(s: Record, t: float, place: int) -> float:
     """Component noise [V] at a place, the different X first, then the pins cmd; linear between its ticks."""
-    if s.component == 0:
+    if s.component.address == 0:
         return 0.0
-    width = s.component_inputs + s.n
-    table = carray(doubles_at(s.component), (s.component_rows * width,))
-    x = t / s.component_dt - s.component_tick
-    at = s.component_tick * width + place
+    width = s.component.inputs + s.n
+    table = carray(doubles_at(s.component.address), (s.component.rows * width,))
+    x = t / s.component.dt - s.component.tick
+    at = s.component.tick * width + place
     return float(table[at] + x * (table[at + width] - table[at]))
 
 
@@ -83,16 +83,16 @@ def position_noise(s: Record, q: float, joint: int) -> float:
     A cubic between the points of its table, whose slope at a point is that of the line through the two beside
     it (Catmull and Rom, 1974): a differentiator makes a jump of the current of every kink.
     """
-    if s.position_noise == 0:
+    if s.position_noise.address == 0:
         return 0.0
-    table = carray(doubles_at(s.position_noise), (s.position_points * s.n,))
-    x = min(max((q - s.position_lo) / s.position_step, 0.0), s.position_points - 1.000001)
+    table = carray(doubles_at(s.position_noise.address), (s.position_noise.points * s.n,))
+    x = min(max((q - s.position_noise.lo) / s.position_noise.step, 0.0), s.position_noise.points - 1.000001)
     i = int(x)
     x -= i
     at = i * s.n + joint
     left, right = table[at], table[at + s.n]
     before = table[at - s.n] if i > 0 else 2.0 * left - right
-    behind = table[at + 2 * s.n] if i + 2 < s.position_points else 2.0 * right - left
+    behind = table[at + 2 * s.n] if i + 2 < s.position_noise.points else 2.0 * right - left
     square = before - 2.5 * left + 2.0 * right - 0.5 * behind
     cube = 1.5 * (left - right) + 0.5 * (behind - before)
     return float(left + x * (0.5 * (right - before) + x * (square + x * cube)))
@@ -102,10 +102,10 @@ def position_noise(s: Record, q: float, joint: int) -> float:
 def noise_at(s: Record, t: float, joint: int) -> float:
     """Return what the potentiometer of a joint adds to its angle [rad]: linear in time, then by the angle."""
     value = 0.0
-    if s.noise != 0:
-        table = carray(doubles_at(s.noise), (s.noise_rows * s.n,))
-        x = t / s.noise_dt - s.noise_tick
-        at = s.noise_tick * s.n + joint
+    if s.noise.address != 0:
+        table = carray(doubles_at(s.noise.address), (s.noise.rows * s.n,))
+        x = t / s.noise.dt - s.noise.tick
+        at = s.noise.tick * s.n + joint
         value += table[at] + x * (table[at + s.n] - table[at])
     return float(value + position_noise(s, s.q_trial[joint], joint))
 
@@ -121,4 +121,4 @@ def pins(s: Record, out: Any) -> None:
     for channel in range(dacs):
         out[n + channel] = volts(s, channel, s.t)
     for i in range(n):
-        out[dacs + i] += component(s, s.t, s.component_inputs + i)
+        out[dacs + i] += component(s, s.t, s.component.inputs + i)

@@ -159,29 +159,36 @@ def pack(
     if linkage.coordinates > n:  # the motors start with their joints: no twist, in the middle of the gap
         s["motor"] = n
         s["q"][n : 2 * n], s["v"][n : 2 * n] = q, v
-        s["w"]["latched"] = 1
+        s["w"]["mode"]["latched"] = 1
     s["torque_per_amp"][:n] = constants.torques_per_amp(n)
     s["gear"] = constants.gear
     s["t_trial"] = math.nan
     s["speeds"] = n if circuit.speeds else 0
     names = channels(n)
-    s["dac_channel"][: len(circuit.channels)] = [names.index(c) for c in circuit.channels]
-    s["dacs"] = len(circuit.channels)
-    s["dac_first"] = n + s["speeds"]
+    s["dac"]["channel"][: len(circuit.channels)] = [names.index(c) for c in circuit.channels]
+    s["dac"]["count"] = len(circuit.channels)
+    s["dac"]["first"] = n + s["speeds"]
     if scene.effects.dac_settling:
-        s["settle"] = scene.computer.dac.settling_s
+        s["dac"]["settle"] = scene.computer.dac.settling_s
     s["c"] = computer_record(scene, constants)
     _put_delay(s, scene)
     period = scene.computer.period_s
-    s["last_tick"] = math.floor(scene.duration_s / period * (1 + 1e-12))
+    s["clock"]["last_tick"] = math.floor(scene.duration_s / period * (1 + 1e-12))
     s["t_end"] = scene.duration_s
     drawings = [each.pack(s, scene) for each in EFFECTS if each.is_in_force(scene)]
     drawn = noise(scene)
     if drawn.dt > 0:
-        s["noise"], s["noise_rows"], s["noise_dt"] = drawn.grid.ctypes.data, len(drawn.grid), drawn.dt
+        s["noise"]["address"], s["noise"]["rows"], s["noise"]["dt"] = (
+            drawn.grid.ctypes.data,
+            len(drawn.grid),
+            drawn.dt,
+        )
     if len(drawn.table):
-        s["position_noise"], s["position_points"] = drawn.table.ctypes.data, len(drawn.table)
-        s["position_lo"], s["position_step"] = drawn.lo, drawn.step
+        s["position_noise"]["address"], s["position_noise"]["points"] = (
+            drawn.table.ctypes.data,
+            len(drawn.table),
+        )
+        s["position_noise"]["lo"], s["position_noise"]["step"] = drawn.lo, drawn.step
     grids = [drawn.dt] if drawn.dt > 0 else []
     if component is not None:
         _put_component(s, component)
@@ -193,7 +200,7 @@ def pack(
     s["samples"]["address"], s["samples"]["capacity"] = samples.ctypes.data, len(samples)
     s["nodes"], s["nodes_recorded"] = len(recorded) + len(watched), len(recorded)
     knots = np.array([t for t in person.knots_s if 0.0 < t < scene.duration_s])
-    s["knot_times"], s["knots"] = knots.ctypes.data, len(knots)
+    s["knots"]["address"], s["knots"]["count"] = knots.ctypes.data, len(knots)
     return Memory(state, rows, samples, drawn, circuit, person, knots, drawings, component)
 
 
@@ -201,9 +208,9 @@ def _put_delay(s: np.void, scene: Scene) -> None:
     """Set the computing delay; `InputError` for one that would lose samples."""
     period = scene.computer.period_s
     if scene.effects.delay:
-        s["delay_ticks"] = scene.computer.delay_periods
-        s["delay_s"] = scene.computer.delay_fraction * period
-    if s["delay_ticks"] + 2 > QUEUE:
+        s["clock"]["delay_ticks"] = scene.computer.delay_periods
+        s["clock"]["delay_s"] = scene.computer.delay_fraction * period
+    if s["clock"]["delay_ticks"] + 2 > QUEUE:
         fail(
             "a sample would be lost",
             file=scene.file_name,
@@ -217,25 +224,25 @@ def _put_steps(s: np.void, scene: Scene, grids: list[float]) -> None:
     """Set the longest steps and tolerances; `grids` [s] are those of the noises."""
     period = scene.computer.period_s
     solver = scene.solver
-    s["h_max"] = min(solver.max_step_s, period)
-    s["h_first"] = FIRST_STEP_SHARE * s["h_max"]
-    if s["settle"] > 0.0:
-        s["h_first"] = min(float(s["h_first"]), s["settle"] / 3)
-    s["h_couple"] = s["h_max"]
-    s["h_pole"] = s["h_max"]
-    s["tol"] = solver.coupling_tolerance_rad
-    s["trapezoids"] = solver.method is choices.Integration.TRAP
+    s["steps"]["longest"] = min(solver.max_step_s, period)
+    s["steps"]["first"] = FIRST_STEP_SHARE * s["steps"]["longest"]
+    if s["dac"]["settle"] > 0.0:
+        s["steps"]["first"] = min(float(s["steps"]["first"]), s["dac"]["settle"] / 3)
+    s["steps"]["couple"] = s["steps"]["longest"]
+    s["steps"]["pole"] = s["steps"]["longest"]
+    s["steps"]["tol"] = solver.coupling_tolerance_rad
+    s["steps"]["trapezoids"] = solver.method is choices.Integration.TRAP
     # A million is thousands of times what a period needs, ten times more than it was asked for is too.
-    fine = min([float(s["h_max"]), *grids])
-    s["most_points"] = max(1_000_000, math.ceil(10 * period / fine))
+    fine = min([float(s["steps"]["longest"]), *grids])
+    s["steps"]["most"] = max(1_000_000, math.ceil(10 * period / fine))
     s["calls"]["free"] = math.inf  # `convergence` bounds what may be tried again
-    s["delta_min"] = 1e-12 * max(period, scene.duration_s * 1e-3)
+    s["steps"]["least"] = 1e-12 * max(period, scene.duration_s * 1e-3)
 
 
 def _put_component(s: np.void, component: ComponentGrid) -> None:
     """Give compiled code the address of component noise, and its sources."""
-    s["component"], s["component_rows"] = component.values.ctypes.data, len(component.values)
-    s["component_dt"], s["component_inputs"] = component.dt, component.inputs
+    s["component"]["address"], s["component"]["rows"] = component.values.ctypes.data, len(component.values)
+    s["component"]["dt"], s["component"]["inputs"] = component.dt, component.inputs
     names = [np.frombuffer(name.encode(), np.uint8) for name, _ in component.probes]
     s["probe"]["count"] = len(names)
     s["probe"]["name"][: len(names)] = [name_hash(name, len(name)) for name in names]
@@ -249,7 +256,7 @@ def shift_samples(memory: Memory, share: float) -> None:
     It changes only when an event happens between two samples. Used in place of a period jitter.
     """
     state = memory.state[0]
-    late = np.full(int(state["last_tick"]) + 2, -share * float(state["c"]["period"]))
+    late = np.full(int(state["clock"]["last_tick"]) + 2, -share * float(state["c"]["period"]))
     late[0] = 0.0
     memory.drawings.append(late)
-    state["jitter"] = late.ctypes.data
+    state["clock"]["jitter"] = late.ctypes.data

@@ -82,6 +82,83 @@ _CALLS = np.dtype(
     ],
     align=True,
 )
+#: DAC channels: each ramps from `before` to `target` [V] over `settle` from `start`.
+_DAC = np.dtype(
+    [
+        ("count", "i8"),
+        ("first", "i8"),  # place of the first one in `STATE.out`
+        ("channel", "i8", CHANNELS),
+        ("before", "f8", CHANNELS),
+        ("target", "f8", CHANNELS),
+        ("start", "f8", 2),  # s; group 0: gains; group 1: equilibria and commands
+        ("settle", "f8"),  # s
+        ("skew", "f8"),  # s
+        ("ramping", "i8"),
+    ],
+    align=True,
+)
+#: When the computer samples, and how late its values are.
+_CLOCK = np.dtype(
+    [
+        ("jitter", "i8"),  # address of what is added to the instant of each tick [s], 0 without
+        ("delay_ticks", "i8"),
+        ("delay_s", "f8"),
+        ("tick", "i8"),
+        ("last_tick", "i8"),
+    ],
+    align=True,
+)
+#: Potentiometer noise: linear between grid ticks.
+_NOISE = np.dtype(
+    [
+        ("address", "i8"),  # of the samples [ticks, n], 0 without noise
+        ("rows", "i8"),
+        ("dt", "f8"),
+        ("tick", "i8"),
+    ],
+    align=True,
+)
+#: Potentiometer noise that belongs to the angle.
+_POSITION_NOISE = np.dtype(
+    [
+        ("address", "i8"),  # of a table over one turn [points, n], 0 without
+        ("points", "i8"),
+        ("lo", "f8"),
+        ("step", "f8"),
+    ],
+    align=True,
+)
+#: Component noise: linear between grid ticks, at the different X and at the pins cmd.
+_COMPONENT = np.dtype(
+    [
+        ("address", "i8"),  # of the samples [ticks, X + n], 0 without noise
+        ("rows", "i8"),
+        ("dt", "f8"),
+        ("tick", "i8"),
+        ("inputs", "i8"),  # number of different X
+        ("now", "f8", MULTIPLIERS + NMAX),  # values at the trial point
+    ],
+    align=True,
+)
+#: Instants at which the operator's force has a kink.
+_KNOTS = np.dtype([("address", "i8"), ("count", "i8"), ("next", "i8")], align=True)
+#: Step control.
+_STEPS = np.dtype(
+    [
+        ("longest", "f8"),  # s
+        ("first", "f8"),  # s, behind an event
+        ("fresh", "f8"),  # s behind a jump over which rows show how the circuit settles; 0 without rows
+        ("couple", "f8"),  # s, what the coupling's error allows
+        ("pole", "f8"),  # s, what the mechanics' poles allow
+        ("least", "f8"),  # s
+        ("tol", "f8"),
+        ("trapezoids", "i8"),  # whether ngspice integrates by them, and the linkage with it
+        ("most", "i8"),  # points in one sampling period, before it counts as endless cutting of steps
+    ],
+    align=True,
+)
+#: Joints below `speed` [rad/s] at the samples for `time` [s] end the linear loop; 0: never.
+_REST = np.dtype([("speed", "f8"), ("time", "f8"), ("moved", "f8"), ("rested", "i8")], align=True)
 
 STATE = np.dtype(
     [
@@ -117,68 +194,26 @@ STATE = np.dtype(
         # EXTERNAL sources: first the potentiometers, then the speeds (if any), then the driven DAC channels
         ("out", "f8", 2 * NMAX + CHANNELS),
         ("speeds", "i8"),
-        ("dacs", "i8"),
-        ("dac_first", "i8"),
-        ("dac_channel", "i8", CHANNELS),
-        # DAC channels [V]: ramp from `dac_from` to `dac_to` over `settle` from `dac_start`
-        ("volts", "f8", CHANNELS),
-        ("dac_from", "f8", CHANNELS),
-        ("dac_to", "f8", CHANNELS),
-        ("dac_start", "f8", 2),  # group 0: gains; group 1: equilibria and commands
-        ("settle", "f8"),
-        ("skew", "f8"),
-        ("ramping", "i8"),
+        ("dac", _DAC),
         # the computer
         ("c", COMPUTER),
         ("x", SAMPLE),
         ("law_address", "i8"),  # a user's Python law, 0 for the built-in one
-        ("jitter", "i8"),  # address of what is added to the instant of each tick [s], 0 without
-        ("delay_ticks", "i8"),
-        ("delay_s", "f8"),
-        ("tick", "i8"),
-        ("last_tick", "i8"),
+        ("clock", _CLOCK),
         ("queue", _QUEUED),
-        # potentiometer noise: linear between grid ticks
-        ("noise", "i8"),  # address of the samples [ticks, n], 0 without noise
-        ("noise_rows", "i8"),
-        ("noise_dt", "f8"),
-        ("noise_tick", "i8"),
-        ("position_noise", "i8"),  # address of a table over one turn [points, n], 0 without
-        ("position_points", "i8"),
-        ("position_lo", "f8"),
-        ("position_step", "f8"),
-        # component noise: linear between grid ticks, at the different X and at the pins cmd
-        ("component", "i8"),  # address of the samples [ticks, X + n], 0 without noise
-        ("component_rows", "i8"),
-        ("component_dt", "f8"),
-        ("component_tick", "i8"),
-        ("component_inputs", "i8"),  # number of different X
-        ("component_now", "f8", MULTIPLIERS + NMAX),  # values at the trial point
+        ("noise", _NOISE),
+        ("position_noise", _POSITION_NOISE),
+        ("component", _COMPONENT),
         ("probe", _PROBES),
-        # instants at which the operator's force has a kink
-        ("knot_times", "i8"),
-        ("knots", "i8"),
-        ("knot", "i8"),
+        ("knots", _KNOTS),
         # step control
-        ("h_max", "f8"),
-        ("h_first", "f8"),
-        ("fresh", "f8"),  # s behind a jump over which rows show how the circuit settles; 0 without rows
-        ("h_couple", "f8"),
-        ("h_pole", "f8"),
+        ("steps", _STEPS),
         ("b_emf", "f8", (NMAX, NMAX)),  # N m s/rad at the joints: what the motors' back-EMF brakes with
         ("column", "f8", NMAX),
-        ("tol", "f8"),
-        ("trapezoids", "i8"),  # whether ngspice integrates by them, and the linkage with it
         ("t_event", "f8"),
         ("announced", "i8"),
         ("t_end", "f8"),
-        ("delta_min", "f8"),
-        ("most_points", "i8"),  # in one sampling period, before it counts as endless cutting of steps
-        # joints below `rest_speed` [rad/s] at the samples for `rest_time` [s] end the linear loop; 0: never
-        ("rest_speed", "f8"),
-        ("rest_time", "f8"),
-        ("moved", "f8"),
-        ("rested", "i8"),
+        ("rest", _REST),
         # where ngspice's accepted values are
         ("time_index", "i8"),
         ("current_index", "i8", NMAX),

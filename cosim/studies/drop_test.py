@@ -148,8 +148,8 @@ class Falls:
         )  # fmt: skip
         memory = self._packed.memory
         state = memory.state[0]
-        state["rest_speed"] = job.rest.speed_m_per_s / _reach(scene)
-        state["rest_time"] = job.rest.time_s
+        state["rest"]["speed"] = job.rest.speed_m_per_s / _reach(scene)
+        state["rest"]["time"] = job.rest.time_s
         self._fresh = memory.state.copy()
         self._phases, self._gain = job.rest.phases, gain
         self._linear = int(self._packed.exact.on[0])
@@ -173,8 +173,8 @@ class Falls:
             if state["fault"] not in (Fault.NONE, Fault.RAN_AWAY):
                 raise CosimError(f"a drop at {stiffness:.6g} N/m ended with fault {state['fault']}")
             self.runs += 1
-            self.samples += int(state["tick"])
-            yield int(state["rested"]), memory.samples[: int(state["samples"]["used"])]
+            self.samples += int(state["clock"]["tick"])
+            yield int(state["rest"]["rested"]), memory.samples[: int(state["samples"]["used"])]
 
 
 def _reach(scene: Scene) -> float:

@@ -108,7 +108,7 @@ def first_crossing(s: Record, b: Any, h: float) -> float:
     v, q, guard = np.zeros(5), np.zeros(5), np.zeros(5)
     fast, still = np.zeros(2), np.zeros(3)
     for j in range(s.n):
-        if w.held[j]:
+        if w.contact.held[j]:
             low, high = bounds(p, w, j)
             for i in range(4):
                 if not low <= b.holds[i, j] <= high:
@@ -124,7 +124,7 @@ def first_crossing(s: Record, b: Any, h: float) -> float:
         extremes = turns(v, fast)
         if p.coulomb_on and p.coulomb[j] > 0.0:
             for i in range(4):
-                guard[i] = w.slide[j] * v[i]
+                guard[i] = w.contact.slide[j] * v[i]
             first = min(first, below(guard, fast, extremes))
         if not p.stops_on:
             continue
@@ -133,14 +133,14 @@ def first_crossing(s: Record, b: Any, h: float) -> float:
             stop = p.stop_low[j] if side < 0 else p.stop_high[j]
             if not abs(stop) < math.inf:
                 continue
-            inside = side * w.touch[j] > 0
+            inside = side * w.contact.touch[j] > 0
             sign = side if inside else -side
             for i in range(5):
                 guard[i] = sign * q[i]
             guard[0] = sign * ((s.q[j] - stop) + b.low[j])
             first = min(first, below(guard, still, rests))
             if inside and p.stop_damping > 0.0:
-                sign = 1 if abs(w.touch[j]) == _PUSHED else -1
+                sign = 1 if abs(w.contact.touch[j]) == _PUSHED else -1
                 for i in range(4):
                     guard[i] = sign * side * p.stop_damping * v[i]
                 guard[0] += sign * p.stop_stiffness
@@ -184,11 +184,11 @@ def strike(s: Record, b: Any) -> bool:
         b.total[5] -= lost
     for j in range(s.n):
         b.hit[j] = 0
-        if w.held[j]:
+        if w.contact.held[j]:
             low, high = bounds(p, w, j)
             changed = changed or not low <= b.holds[3, j] <= high
             continue
-        if p.coulomb_on and p.coulomb[j] > 0.0 and w.slide[j] * s.v[j] < 0.0:
+        if p.coulomb_on and p.coulomb[j] > 0.0 and w.contact.slide[j] * s.v[j] < 0.0:
             s.v[j] = 0.0
             changed = True
         if not p.stops_on:
@@ -196,33 +196,33 @@ def strike(s: Record, b: Any) -> bool:
         for side in (-1, 1):
             stop = p.stop_low[j] if side < 0 else p.stop_high[j]
             deep = side * ((s.q[j] - stop) + b.low[j])
-            if side * w.touch[j] > 0:
+            if side * w.contact.touch[j] > 0:
                 pushing = p.stop_stiffness + side * p.stop_damping * s.v[j]
                 if deep < 0.0:
                     _put_back(s, b, j, stop)
-                    w.touch[j] = 0
+                    w.contact.touch[j] = 0
                     changed = True
-                elif (abs(w.touch[j]) == _PUSHED) != (pushing >= 0.0):
-                    w.touch[j] = side * (_PUSHED if pushing >= 0.0 else _INSIDE)
+                elif (abs(w.contact.touch[j]) == _PUSHED) != (pushing >= 0.0):
+                    w.contact.touch[j] = side * (_PUSHED if pushing >= 0.0 else _INSIDE)
                     changed = True
             elif deep > 0.0:
                 _put_back(s, b, j, stop)
                 changed = True
                 if p.rigid == 0:
-                    w.touch[j] = side * _PUSHED
+                    w.contact.touch[j] = side * _PUSHED
                 elif side * s.v[j] > 0.0:
                     b.hit[j] = side
                     hits = True
     if hits:
         for j in range(s.n):
-            if abs(w.touch[j]) == _RESTING:
-                b.hit[j] = -1 if w.touch[j] < 0 else 1
+            if abs(w.contact.touch[j]) == _RESTING:
+                b.hit[j] = -1 if w.contact.touch[j] < 0 else 1
         carried = _carried(s)
         b.total[4] -= impact(p, w, s.v, b.hit)
         b.total[1] += carried - _carried(s)  # what the operator's mass has given up went through the device
         for j in range(s.n):
-            if abs(w.touch[j]) == _RESTING:
-                w.touch[j] = 0
+            if abs(w.contact.touch[j]) == _RESTING:
+                w.contact.touch[j] = 0
     return changed
 
 
@@ -242,7 +242,7 @@ def find(s: Record, b: Any) -> None:
             # too slow to fly, or driven in by what rounding leaves
             if side * s.v[j] >= 0.0 or (back > 0.0 and 2.0 * abs(s.v[j]) < back * shortest):
                 s.v[j] = 0.0
-                s.w.touch[j] = side * _RESTING
+                s.w.contact.touch[j] = side * _RESTING
                 b.hit[j] = 0
                 again = True
         if not again:
@@ -256,4 +256,4 @@ def find(s: Record, b: Any) -> None:
 def meet(s: Record) -> None:
     """Say how the joints touch their stops at the start."""
     for j in range(s.n):
-        s.w.touch[j] = touching(s.p, j, s.q[j], s.v[j])
+        s.w.contact.touch[j] = touching(s.p, j, s.q[j], s.v[j])

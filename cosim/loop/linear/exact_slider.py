@@ -215,7 +215,7 @@ def transition(
 @inner_inlined
 def _outer(s: Record, x: Any, t: float) -> float:
     """Torque on the drum [N m] that does not depend on its motion, between the last knot and the next."""
-    at = s.knot
+    at = s.knots.next
     part = (t - x.outer[at, 0]) / (x.outer[at + 1, 0] - x.outer[at, 0])
     return float(x.outer[at, 1] + part * (x.outer[at + 1, 1] - x.outer[at, 1]))
 
@@ -296,11 +296,11 @@ def leap(s: Record, k: Any, b: Any, x: Any, t: float, h: float, ramp: float) -> 
     now[size + 1], now[size + 2] = volts(s, 0, t), volts(s, 3, t)
     now[size + 3] = _outer(s, x, t + h) - outer
     now[size + 4] = now[size + 5] = 0.0
-    if s.ramping:
+    if s.dac.ramping:
         now[size + 4] = volts(s, 0, t + h) - now[size + 1]
         now[size + 5] = volts(s, 3, t + h) - now[size + 2]
     width = size + _QUIET
-    if s.noise != 0:
+    if s.noise.address != 0:
         noise = grid_noise(s, t, 0)
         rise = grid_noise(s, t + h, 0) - noise
         now[width], now[width + 1], now[width + 2], now[width + 3] = noise, rise / h, rise, 0.0

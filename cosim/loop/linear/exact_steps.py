@@ -29,12 +29,12 @@ _GROWTH = 8.0
 @inner_inlined
 def _behind(s: Record) -> float:
     """Return the next event behind the end of the ramp that begins now; 0 when the step must not go there."""
-    if s.skew != 0.0 or abs(s.t - s.dac_start[1]) > s.delta_min:
+    if s.dac.skew != 0.0 or abs(s.t - s.dac.start[1]) > s.steps.least:
         return 0.0
-    s.ramping = 0
+    s.dac.ramping = 0
     at = next_event(s)
-    s.ramping = 1
-    if at - s.t <= s.settle or at - s.t > s.h_max * (1 + 1e-9):
+    s.dac.ramping = 1
+    if at - s.t <= s.dac.settle or at - s.t > s.steps.longest * (1 + 1e-9):
         return 0.0
     return float(at)
 
@@ -68,31 +68,31 @@ def leaps(state: int, plan: int, step: int, exact: int, first: float) -> bool:
     s.history = 0
     b.scale[0] = 0.0
     t0, length, position = s.t, s.t_event - s.t, 0
-    wish, jump = s.h_max, -math.inf
+    wish, jump = s.steps.longest, -math.inf
     while s.fault == 0:
-        if s.t_event <= s.t + s.delta_min:
-            if s.t >= s.t_end - s.delta_min:
+        if s.t_event <= s.t + s.steps.least:
+            if s.t >= s.t_end - s.steps.least:
                 return True
             if process_events(s, s.t) and first > 0.0:
                 wish, jump = min(wish, first), s.t
-                if s.ramping == 0:
+                if s.dac.ramping == 0:
                     b.before[0] = s.tau[0]
                     _right_hand(s, k, b, wanted)
                     if moved(s, b):
                         row(s)
             t0, length, position = s.t, s.t_event - s.t, 0
-            if s.t_event <= s.t + s.delta_min:  # the run has come to rest
+            if s.t_event <= s.t + s.steps.least:  # the run has come to rest
                 continue
-        longest, ramp = min(wish, s.h_max), 0.0
-        if s.t - jump < s.fresh:
+        longest, ramp = min(wish, s.steps.longest), 0.0
+        if s.t - jump < s.steps.fresh:
             longest = min(longest, max(first, s.t - jump))
-        if s.ramping:
+        if s.dac.ramping:
             if gains_ramp(s):
                 longest = min(longest, ramp_step(s))
             elif not wanted and position == 0:
                 behind = _behind(s)
                 if behind > 0.0:
-                    length, ramp = behind - s.t, s.settle
+                    length, ramp = behind - s.t, s.dac.settle
         level, h = 0, length
         if position != 0 or h > longest * (1 + 1e-9):
             while position & ((_PARTS >> level) - 1) != 0 or h > longest * (1 + 1e-9):
@@ -102,7 +102,7 @@ def leaps(state: int, plan: int, step: int, exact: int, first: float) -> bool:
             return False
         position += _PARTS >> level
         if ramp > 0.0:  # over, and no event any more
-            s.ramping = 0
+            s.dac.ramping = 0
             s.t_event = next_event(s)
         land(s, k, b, x, float(s.t_event) if position == _PARTS else t0 + length * position / _PARTS)
         wish = max(wish, _GROWTH * h)

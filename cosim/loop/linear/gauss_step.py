@@ -71,17 +71,17 @@ def _fixed(s: Record, k: Any, b: StepMemory, t: float, h: float) -> None:
     for j in range(n):
         f[at + DAC * j] = volts(s, first + j, t)
         f[at + DAC * j + 1] = volts(s, first + j, t + h) - f[at + DAC * j]
-    if s.component != 0:
+    if s.component.address != 0:
         for j in range(n):
-            now = component(s, t, s.component_inputs + j)
+            now = component(s, t, s.component.inputs + j)
             f[at + DAC * j] += now
-            f[at + DAC * j + 1] += component(s, t + h, s.component_inputs + j) - now
+            f[at + DAC * j + 1] += component(s, t + h, s.component.inputs + j) - now
     at += DAC * n
     for j in range(n):
         f[at + SPEED * j] = s.gear * s.v[s.motor + j]
-    if s.component != 0:
+    if s.component.address != 0:
         at += SPEED * n
-        for i in range(s.component_inputs):
+        for i in range(s.component.inputs):
             now = component(s, t, i)
             f[at + DAC * i] = now
             f[at + DAC * i + 1] = component(s, t + h, i) - now
@@ -168,8 +168,8 @@ def _sweep(s: Record, k: Any, b: StepMemory, t: float, h: float, weight: float) 
             b.work[2] += part * s.w.tau_visc[j] * v
             b.work[3] += part * s.w.tau_coul[j] * v
             b.work[4] += part * s.w.tau_stop[j] * v
-            if s.w.holding:
-                b.holds[i, j] = s.w.hold[j]
+            if s.w.contact.holding:
+                b.holds[i, j] = s.w.contact.hold[j]
             if motor > 0:
                 b.work[5] -= part * s.w.tau_loss[j] * (s.v_trial[motor + j] - v)
     moved = 0.0
@@ -215,17 +215,17 @@ def _error_at_end(s: Record, k: Any, b: StepMemory, slot: int, t: float, h: floa
         for i in range(3):
             smooth += _AT_END[i] * b.results[3 * j + i]
         b.a_new[motor + j] = s.tau[j] - s.torque_per_amp[j] * clamped(k, b, j, smooth)
-    if s.w.holding:
+    if s.w.contact.holding:
         for j in range(n):
-            b.holds[3, j] = s.w.hold[j]
+            b.holds[3, j] = s.w.contact.hold[j]
     if motor > 0:
         for j in range(n):
             b.a_new[j] = 0.0
             b.a_new[n + j] /= s.p.rotor[j]
-    elif s.w.holding:
+    elif s.w.contact.holding:
         solve_held(n, s.w, b.a_new)
     else:
-        solve(n, s.w.mass, b.a_new, s.w.factor)
+        solve(n, s.w.mass, b.a_new, s.w.scratch.factor)
     error = jump = 0.0
     for j in range(m):
         jump = max(jump, abs(b.a_new[j]))
@@ -309,7 +309,7 @@ def accept(s: Record, k: Any, b: StepMemory, t: float, h: float) -> None:
     n = s.n
     for j in range(n):
         b.current[j] = b.results[3 * n + j]
-    if s.w.located:
+    if s.w.mode.located:
         _keep_rounding(s, b, h)
     for j in range(s.coordinates):
         s.q[j], s.v[j], s.a[j] = s.q_trial[j], s.v_trial[j], s.a_trial[j]
@@ -338,7 +338,7 @@ def present(s: Record, k: Any, b: StepMemory) -> None:
         for i in range(k.after):
             total += k.c_post[o, i] * b.states[k.before + i]
         for j in range(n):
-            held = volts(s, n + m + j, s.t) + component(s, s.t, s.component_inputs + j)
+            held = volts(s, n + m + j, s.t) + component(s, s.t, s.component.inputs + j)
             total += k.d_post[o, m + j] * held
             total += k.d_post[o, m + n + j] * s.gear * s.v[s.motor + j]
         for c in range(m):
@@ -351,7 +351,7 @@ def present(s: Record, k: Any, b: StepMemory) -> None:
             for j in range(n):
                 pot = s.q[j] + grid_noise(s, s.t, j) + position_noise(s, s.q[j], j)
                 x += k.d_pre[c, j] * pot + k.d_pre[c, n + j] * volts(s, j, s.t) + k.e_pre[c, j] * s.v[j]
-            for i in range(s.component_inputs):
+            for i in range(s.component.inputs):
                 x += k.d_pre[c, 2 * n + i] * component(s, s.t, i)
             total += g * x
         b.current[o] = total

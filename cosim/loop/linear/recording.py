@@ -23,10 +23,10 @@ def show(s: Record) -> None:
     for j in range(s.n):
         s.q_trial[j] = s.q[j]
         s.out[j] = s.q[j]
-        if s.noise != 0 or s.position_noise != 0:
+        if s.noise.address != 0 or s.position_noise.address != 0:
             s.out[j] += noise_at(s, s.t, j)
-    for i in range(s.dacs):
-        s.out[s.dac_first + i] = volts(s, s.dac_channel[i], s.t)
+    for i in range(s.dac.count):
+        s.out[s.dac.first + i] = volts(s, s.dac.channel[i], s.t)
 
 
 @inner_inlined
@@ -60,7 +60,7 @@ def moved(s: Record, b: Any) -> bool:
 @inner_inlined
 def check(s: Record) -> None:
     """End the run on speeds that no device has, and on steps cut endlessly."""
-    if s.points - s.points_before > s.most_points:
+    if s.points - s.points_before > s.steps.most:
         s.fault = _COLLAPSED
     for j in range(s.coordinates):
         if not abs(s.v[j]) < RUNAWAY_RAD_PER_S:

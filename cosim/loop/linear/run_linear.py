@@ -129,9 +129,11 @@ def prepare(
     state = memory.state[0]
     state["rows"]["capacity"] = row_capacity if record else 0
     if not (record and dense):
-        state["h_max"] = scene.computer.period_s
-    state["w"]["located"] = any(state["p"][name] for name in ("coulomb_on", "stops_on", "backlash_on"))
-    state["w"]["stops_located"] = state["p"]["stops_on"]
+        state["steps"]["longest"] = scene.computer.period_s
+    state["w"]["mode"]["located"] = any(
+        state["p"][name] for name in ("coulomb_on", "stops_on", "backlash_on")
+    )
+    state["w"]["mode"]["stops_located"] = state["p"]["stops_on"]
     names = channels(n)
     driven = [names.index(name) - n for name in driving.channels if name.startswith("ks")]
     shifted_circuit = shifted(circuit)
@@ -140,7 +142,7 @@ def prepare(
         gear=constants.gear,
         commands=any(name.startswith("cmd") for name in driving.channels),
         speeds=driving.speeds,
-        bent=bool(state["position_noise"]),
+        bent=bool(state["position_noise"]["address"]),
         noise=component.group if component is not None else None,
         shafts=scene.effects.shaft,
     )  # fmt: skip
@@ -148,11 +150,13 @@ def prepare(
     step = step_memory(maps, np.zeros(maps.before + maps.after))
     first = 0.0
     if record and dense:
-        state["fresh"] = _SETTLED * _slowest(shifted_circuit.a_post)
-        first = max(FIRST_ROW_SHARE * scene.computer.period_s, _FIRST_OF_FRESH * float(state["fresh"]))
+        state["steps"]["fresh"] = _SETTLED * _slowest(shifted_circuit.a_post)
+        first = max(
+            FIRST_ROW_SHARE * scene.computer.period_s, _FIRST_OF_FRESH * float(state["steps"]["fresh"])
+        )
         if scene.solver.max_step_s < _USUAL_STEP_S:  # rows asked for closer than usual are closer here, too
             first *= scene.solver.max_step_s / _USUAL_STEP_S
-            state["fresh"] = max(float(state["fresh"]), scene.computer.period_s)
+            state["steps"]["fresh"] = max(float(state["steps"]["fresh"]), scene.computer.period_s)
     failures: list[Exception] = []
     linear = is_linear_between_events(scene)
     leaps, callback = exact(state, shifted_circuit, memory.knots, failures, linear=linear)

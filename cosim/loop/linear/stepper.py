@@ -141,7 +141,7 @@ def _limit(s: Record, k: Any, b: Any) -> None:
         b.clamp[j] = _side(k, j, b.current[j])
         current = min(max(b.current[j], k.limit[j, 0]), k.limit[j, 1])
         s.tau[j] = s.torque_per_amp[j] * current
-    if s.w.located:
+    if s.w.mode.located:
         find(s, b)
     else:
         evaluate(s, s.t, s.q, s.v, s.a)
@@ -178,8 +178,8 @@ def _level(interval: _Interval, position: int, longest: float) -> int:
 @inner_inlined
 def _longest(s: Record, wish: float, jump: float, first: float, watch: bool) -> float:
     """Return the longest step [s] that is allowed: behind a jump, near a limit, over a ramp of the gains."""
-    longest = min(wish, s.h_max)
-    if s.t - jump < s.fresh:
+    longest = min(wish, s.steps.longest)
+    if s.t - jump < s.steps.fresh:
         longest = min(longest, max(first, s.t - jump))
     if watch:
         longest = min(longest, s.c.period / _WATCH_STEPS)
@@ -199,10 +199,10 @@ def _take(
             s.fault = _COLLAPSED
             return _Trial(level, 0.0, 0.0, watch, wish, until)
         h = math.ldexp(length, -level)
-        error = attempt(s, k, b, slot_of(k, h), s.t, h, s.tol)
-        if not error <= s.tol:
+        error = attempt(s, k, b, slot_of(k, h), s.t, h, s.steps.tol)
+        if not error <= s.steps.tol:
             s.rejected += 1
-            level += 2 if error > 1e3 * s.tol else 1
+            level += 2 if error > 1e3 * s.steps.tol else 1
             wish = math.ldexp(length, -level)
             guess(s, b, wish)
             continue
@@ -218,7 +218,7 @@ def _take(
             level += 1
             guess(s, b, math.ldexp(length, -level))
             continue
-        if s.w.located and level < interval.finest:
+        if s.w.mode.located and level < interval.finest:
             share = first_crossing(s, b, h)
             if share <= 1.0:
                 s.rejected += 1
@@ -234,7 +234,7 @@ def _take(
 @inner_inlined
 def _wish(s: Record, error: float, h: float, wish: float) -> float:
     """Return the step [s] to try next after one of length `h` with this error."""
-    share = error / (_SAFETY * s.tol)
+    share = error / (_SAFETY * s.steps.tol)
     grow = _GROWTH if share * _GROWTH**_ORDER < 1.0 else share ** (-1.0 / _ORDER)
     # an event that cuts a step short is no reason against the longer ones before it
     return float(h * grow if grow < 1.0 else max(wish, h * grow))
@@ -246,8 +246,8 @@ def _pass_events(s: Record, k: Any, b: Any, first: float, watch: bool) -> bool:
     jumped = process_events(s, s.t)
     if jumped:
         s.history = 0
-    shown = jumped and first > 0.0 and s.ramping == 0
-    if watch or s.w.located or shown:
+    shown = jumped and first > 0.0 and s.dac.ramping == 0
+    if watch or s.w.mode.located or shown:
         for j in range(s.n):
             b.before[j] = s.tau[j]
         _right_hand(s, k, b)
@@ -290,18 +290,18 @@ def _steps(state: int, plan: int, step: int, exact: int, first: float) -> bool:
     """Go on by collocation; whether the run is over. Otherwise all is linear from the event now due on."""
     s = carray(record_at(state, STATE_KIND), 1)[0]
     k, b, x = lent(plan, PLAN_KIND), lent(step, STEP_KIND), lent(exact, EXACT_KIND)
-    if s.points == 0 and s.w.located:
+    if s.points == 0 and s.w.mode.located:
         meet(s)
     _right_hand(s, k, b)
     s.history = 0
     if s.points == 0:
         record(s)
     interval, position = _interval(s), 0
-    wish, jump, until = s.h_max, -_NEVER, _NEVER
+    wish, jump, until = s.steps.longest, -_NEVER, _NEVER
     watch = behind = bool(0)  # as literals they would have `_take` and `_longest` compiled twice
     while s.fault == 0:
-        if s.t_event <= s.t + s.delta_min:
-            if s.t >= s.t_end - s.delta_min:
+        if s.t_event <= s.t + s.steps.least:
+            if s.t >= s.t_end - s.steps.least:
                 return True
             if behind and not watch and rests(x, s.t + _WELL_BEHIND * s.c.period):
                 return False
@@ -323,7 +323,7 @@ def _steps(state: int, plan: int, step: int, exact: int, first: float) -> bool:
         position += _PARTS >> trial.level
         accept(s, k, b, _time(s, interval, position), trial.h)
         _note_error(s, trial.error)
-        shown = trial.h > _ROW_SHARE * s.c.period or trial.h > _CUT_SHORT * min(trial.wish, s.h_max)
+        shown = trial.h > _ROW_SHARE * s.c.period or trial.h > _CUT_SHORT * min(trial.wish, s.steps.longest)
         wish = _wish(s, trial.error, trial.h, trial.wish)
         watch, until = trial.watch, trial.until
         check(s)
@@ -331,7 +331,7 @@ def _steps(state: int, plan: int, step: int, exact: int, first: float) -> bool:
             watch = _watched(s, k, b)
             _switch_limits(s, k, b)
         struck = False
-        if s.w.located and trial.level >= interval.finest and _switch_contacts(s, k, b):
+        if s.w.mode.located and trial.level >= interval.finest and _switch_contacts(s, k, b):
             struck, until = True, _NEVER
         if struck or position == _PARTS or shown:
             record(s)

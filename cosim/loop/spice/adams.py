@@ -54,7 +54,7 @@ def correct(s: Record, h: float, a_new: Vector, weight: float, take: bool) -> fl
             # a(x) = a + b x + c x^2 through -h_old, 0, h
             right = (a_new[j] - s.a[j]) / h
             c = 0.0
-            if s.history > 1 and s.trapezoids == 0:
+            if s.history > 1 and s.steps.trapezoids == 0:
                 c = (right - (s.a[j] - s.a_old[j]) / s.h_old) / (h + s.h_old)
             b = right - c * h
             q = s.q[j] + h * (s.v[j] + h * (s.a[j] / 2 + h * (b / 6 + h * c / 12)))

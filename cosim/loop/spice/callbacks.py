@@ -32,9 +32,9 @@ _DOT, _LONGEST = 46, 512
 def _command_noise(s: Record, place: int) -> float:
     """Component noise [V] at the source `place`: none but at the pins cmd."""
     first = s.n + 2 * s.n * s.n
-    if place < s.dac_first or s.dac_channel[place - s.dac_first] < first:
+    if place < s.dac.first or s.dac.channel[place - s.dac.first] < first:
         return 0.0
-    return float(s.component_now[s.component_inputs + s.dac_channel[place - s.dac_first] - first])
+    return float(s.component.now[s.component.inputs + s.dac.channel[place - s.dac.first] - first])
 
 
 @inner
@@ -43,7 +43,7 @@ def _probe_noise(s: Record, letters: Any) -> float:
     wanted = name_hash(letters, _LONGEST)
     for i in range(s.probe.count):
         if s.probe.name[i] == wanted:
-            return float(s.probe.sign[i] * s.component_now[s.probe.input[i]])
+            return float(s.probe.sign[i] * s.component.now[s.probe.input[i]])
     return 0.0
 
 
@@ -55,7 +55,7 @@ def source(voltage: Any, t: float, name: Any, ident: int, user: Any) -> int:
         fill(s, t)
     digits = carray(name, 3)
     s.calls.count += 1
-    if s.component == 0:
+    if s.component.address == 0:
         voltage[0] = s.out[(digits[1] - 48) * 10 + digits[2] - 48]
     elif digits[1] == _DOT:
         voltage[0] = _probe_noise(s, carray(name, _LONGEST))
@@ -99,15 +99,15 @@ def synchronise(t: float, delta: Any, old: float, redo: int, ident: int, where: 
     h = delta[0]
     if s.announced == 0:
         s.announced = 1
-        announce(s, t + s.delta_min)
-    if s.t_event <= t + s.delta_min and process_events(s, t):
-        h = s.h_first
-    h = min(h, s.h_max, s.h_couple, s.h_pole)
+        announce(s, t + s.steps.least)
+    if s.t_event <= t + s.steps.least and process_events(s, t):
+        h = s.steps.first
+    h = min(h, s.steps.longest, s.steps.couple, s.steps.pole)
     if s.p.backlash_on:
         h = runge_kutta.edge(s, h)
     if s.p.stops_on:
         h = stop_surfaces.edge(s, h)
-    if s.w.located:
+    if s.w.mode.located:
         h = friction_events.edge(s, h)
     rest = s.t_event - t
     if rest > 0.0:
@@ -146,12 +146,12 @@ def accepted(data: Any, count: int, ident: int, user: Any) -> int:
         if s.speeds > 0 or s.p.shaft_on:
             bound_by_pole(s)
     s.points += 1
-    if s.points - s.points_before > s.most_points:
+    if s.points - s.points_before > s.steps.most:
         s.fault = _COLLAPSED
     if s.points == 1:
         s.calls.start = s.calls.count
     else:
-        most = s.calls.free + s.calls.per_s * t + s.calls.per_event * (s.discontinuities + s.knot)
+        most = s.calls.free + s.calls.per_s * t + s.calls.per_event * (s.discontinuities + s.knots.next)
         if s.calls.count - s.calls.start > most:
             s.fault = _CRAWLS
     row = carray(doubles_at(s.rows.address + 8 * s.columns * s.rows.used), (s.columns,))

@@ -37,19 +37,19 @@ def fill(s: Record, t: float) -> None:
         predict(s, t - s.t, s.q_trial, s.v_trial)
     for j in range(n):
         s.out[j] = s.q_trial[j]
-        if s.noise != 0 or s.position_noise != 0:
+        if s.noise.address != 0 or s.position_noise.address != 0:
             s.out[j] += noise_at(s, t, j)
     for j in range(s.speeds):
         s.out[n + j] = s.gear * s.v_trial[s.motor + j]
-    if s.component != 0:
-        for i in range(s.component_inputs + n):
-            s.component_now[i] = component(s, t, i)
-    if s.ramping:
-        for i in range(s.dacs):
-            k = s.dac_channel[i]
-            part = (t - s.dac_start[0 if is_gain(s, k) else 1]) / s.settle
+    if s.component.address != 0:
+        for i in range(s.component.inputs + n):
+            s.component.now[i] = component(s, t, i)
+    if s.dac.ramping:
+        for i in range(s.dac.count):
+            k = s.dac.channel[i]
+            part = (t - s.dac.start[0 if is_gain(s, k) else 1]) / s.dac.settle
             part = min(max(part, 0.0), 1.0)
-            s.out[s.dac_first + i] = s.dac_from[k] + part * (s.dac_to[k] - s.dac_from[k])
+            s.out[s.dac.first + i] = s.dac.before[k] + part * (s.dac.target[k] - s.dac.before[k])
 
 
 @inner
@@ -64,16 +64,16 @@ def bound_by_pole(s: Record) -> None:
     if s.p.shaft_on:
         for j in range(s.n):
             rates += s.b_emf[j, j] / s.p.rotor[j]
-        s.h_pole = min(s.h_max, runge_kutta.longest(s))
+        s.steps.pole = min(s.steps.longest, runge_kutta.longest(s))
         if rates > 0.0:
-            s.h_pole = min(s.h_pole, _POLE_SHARE / rates)
+            s.steps.pole = min(s.steps.pole, _POLE_SHARE / rates)
         return
     for j in range(s.n):
         for i in range(s.n):
             s.column[i] = s.b_emf[i, j]
-        solve(s.n, s.w.mass, s.column, s.w.factor)
+        solve(s.n, s.w.mass, s.column, s.w.scratch.factor)
         rates += s.column[j]
-    s.h_pole = min(s.h_max, _POLE_SHARE / rates) if rates > 0.0 else s.h_max
+    s.steps.pole = min(s.steps.longest, _POLE_SHARE / rates) if rates > 0.0 else s.steps.longest
 
 
 @inner_inlined
@@ -88,7 +88,7 @@ def _weight(s: Record, h: float, inside: int) -> float:
 @inner_inlined
 def _at_trial(s: Record, t: float) -> None:
     """Find the accelerations at the trial point `t`, the motors' torques there being in `s.tau`."""
-    if s.w.located:
+    if s.w.mode.located:
         friction_events.trial(s, t)
     else:
         evaluate(s, t, s.q_trial, s.v_trial, s.a_trial)
@@ -97,7 +97,7 @@ def _at_trial(s: Record, t: float) -> None:
 @inner
 def present(s: Record, t: float) -> None:
     """Compute the accelerations at the accepted point `t`, with friction just behind it."""
-    if not s.w.located:
+    if not s.w.mode.located:
         evaluate(s, t, s.q, s.v, s.a)
     elif friction_events.meet(s, t):
         s.history = min(s.history, 1)
@@ -138,9 +138,9 @@ def advance(s: Record, t: float) -> None:
     s.defect_max = max(s.defect_max, s.defect)
     s.defect_sum += s.defect
     # the predictor's local error is of third order: aim the next step at the tolerance
-    share = s.defect / (_SAFETY * s.tol)
+    share = s.defect / (_SAFETY * s.steps.tol)
     grow = _GROWTH if share * _GROWTH**3 < 1.0 else share ** (-1.0 / 3.0)
-    s.h_couple = h * grow
+    s.steps.couple = h * grow
     if s.speeds > 0 or s.p.shaft_on:
         bound_by_pole(s)
 
@@ -160,7 +160,7 @@ def shortened(s: Record, h: float) -> float:
         s.tau[j] = s.tau_old[0, j] + h * slope
     _at_trial(s, s.t_trial)
     inside = stop_surfaces.inside(s) if s.p.stops_on else 0
-    share = correct(s, h, s.a_trial, _weight(s, h, inside), False) / (_SAFETY * s.tol)
+    share = correct(s, h, s.a_trial, _weight(s, h, inside), False) / (_SAFETY * s.steps.tol)
     if not share > _REDONE / _SAFETY:
         return h
-    return float(max(h * max(share ** (-1.0 / 3.0), _SHORTER), s.delta_min))
+    return float(max(h * max(share ** (-1.0 / 3.0), _SHORTER), s.steps.least))

@@ -31,7 +31,7 @@ _APPROACH, _CLOSE = 0.98, 0.05
 def _rests(s: Record, j: int) -> float:
     """Time [s] after the last accepted point at which a slipping joint comes to rest, along the predictor."""
     jerk = (s.a[j] - s.a_old[j]) / s.h_old if s.history > 1 else 0.0
-    way = float(s.w.slide[j])
+    way = float(s.w.contact.slide[j])
     # way (v + a t + jerk t^2 / 2) = 0, neither root by a difference of nearly equal numbers
     c, b, a = way * s.v[j], way * s.a[j], way * jerk / 2
     under = b * b - 4.0 * a * c
@@ -64,19 +64,19 @@ def edge(s: Record, h: float) -> float:
     for j in range(s.n):
         if not s.p.coulomb[j] > 0.0:
             continue
-        at = _starts(s, j) if s.w.held[j] else _rests(s, j)
+        at = _starts(s, j) if s.w.contact.held[j] else _rests(s, j)
         if at < h:
             h = at if at < _CLOSE * h else _APPROACH * at
-    return float(max(h, s.delta_min))
+    return float(max(h, s.steps.least))
 
 
 @inner
 def _overcome(s: Record) -> bool:
     """Whether a held joint needs more than its friction, as the accelerations were found last."""
     for j in range(s.n):
-        if s.w.held[j]:
+        if s.w.contact.held[j]:
             low, high = bounds(s.p, s.w, j)
-            if not low <= s.w.hold[j] <= high:
+            if not low <= s.w.contact.hold[j] <= high:
                 return True
     return False
 
@@ -88,13 +88,13 @@ def trial(s: Record, t: float) -> None:
     Who slips and who is held stays noted as it was: the point is not accepted yet.
     """
     evaluate(s, t, s.q_trial, s.v_trial, s.a_trial)
-    if s.w.holding == 0 or not _overcome(s):
+    if s.w.contact.holding == 0 or not _overcome(s):
         return
     w = s.w
     v = np.zeros(NMAX)
-    slide, held, holding = np.zeros(NMAX, np.int64), np.zeros(NMAX, np.int64), w.holding
+    slide, held, holding = np.zeros(NMAX, np.int64), np.zeros(NMAX, np.int64), w.contact.holding
     for j in range(s.n):
-        slide[j], held[j] = w.slide[j], w.held[j]
+        slide[j], held[j] = w.contact.slide[j], w.contact.held[j]
         v[j] = s.v_trial[j]
         if not held[j] and slide[j] * v[j] <= 0.0:  # within the step it slips as at its start
             v[j] = 1e-300 * slide[j]
@@ -102,8 +102,8 @@ def trial(s: Record, t: float) -> None:
         v[j] = s.v_trial[j]
     settle(s.p, s.op, t, s.q_trial, v, s.tau, s.a_trial, w)
     for j in range(s.n):
-        w.slide[j], w.held[j] = slide[j], held[j]
-    w.holding = holding
+        w.contact.slide[j], w.contact.held[j] = slide[j], held[j]
+    w.contact.holding = holding
 
 
 @inner
@@ -112,14 +112,14 @@ def meet(s: Record, t: float) -> bool:
     changed = False
     way = np.zeros(NMAX, np.int64)
     for j in range(s.n):
-        way[j] = s.w.slide[j]
+        way[j] = s.w.contact.slide[j]
         slows = way[j] * s.v[j] < 0.0 or (way[j] * s.a[j] < 0.0 and abs(s.v[j]) < _REST_RAD_PER_S)
         if s.p.coulomb[j] > 0.0 and way[j] != 0 and slows:
             s.v[j] = 0.0
             changed = True
     settle(s.p, s.op, t, s.q, s.v, s.tau, s.a, s.w)
     for j in range(s.n):
-        changed = changed or way[j] != s.w.slide[j]
+        changed = changed or way[j] != s.w.contact.slide[j]
         s.hold_old[j] = s.hold[j]
-        s.hold[j] = s.w.hold[j]
+        s.hold[j] = s.w.contact.hold[j]
     return changed

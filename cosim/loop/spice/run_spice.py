@@ -111,7 +111,7 @@ def _simulate(request: RunRequest, report: Report, aid: Aid) -> RunAnswer:
         bound_work(memory, request.predicted_points, scene.duration_s, tolerance)
     swings = _output_limits(simulator, board, measured)
     state = memory.state[0]
-    state["w"]["located"] = state["p"]["coulomb_on"]
+    state["w"]["mode"]["located"] = state["p"]["coulomb_on"]
     state["node"]["limit"][: len(nodes)] = [AT_LIMIT * swings.get(node, math.inf) for node in nodes]
     watch.begin(state, nodes, swings, scene.computer.period_s)
     missing: list[str] = []

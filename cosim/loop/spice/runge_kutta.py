@@ -143,7 +143,7 @@ def longest(s: Record) -> float:
         for i in range(s.n):
             s.column[i] = 0.0
         s.column[j] = 1.0
-        solve(s.n, s.w.mass, s.column, s.w.factor)
+        solve(s.n, s.w.mass, s.column, s.w.scratch.factor)
         mobility = s.column[j] + 1.0 / s.p.rotor[j]
         squares += s.p.shaft_stiffness[j] * mobility
         decays += s.p.shaft_damping[j] * mobility
@@ -172,7 +172,7 @@ def edge(s: Record, h: float) -> float:
             else:
                 low = middle
         h = high if high < _CLOSE * h else _APPROACH * high
-    return float(max(h, s.delta_min))
+    return float(max(h, s.steps.least))
 
 
 @inner

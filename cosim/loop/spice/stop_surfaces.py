@@ -62,4 +62,4 @@ def edge(s: Record, h: float) -> float:
                         low = middle
                 h = high if high < _CLOSE * h else _APPROACH * high
                 break
-    return float(max(h, s.delta_min))
+    return float(max(h, s.steps.least))

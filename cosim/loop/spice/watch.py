@@ -42,7 +42,7 @@ def watch(s: Any, i: int, value: float, t: float) -> None:
     if moving or abs(value) < s.hang.limit[i]:
         s.hang.start[i] = t
     elif s.hang.volts[i] == 0.0 and t - s.hang.start[i] >= s.hang.wait:
-        if t - max(s.dac_start[0], s.dac_start[1]) >= s.hang.quiet:
+        if t - max(s.dac.start[0], s.dac.start[1]) >= s.hang.quiet:
             s.hang.volts[i], s.hang.since[i] = value, s.hang.start[i]
             for k in range(len(s.out)):
                 s.hang.pins[i, k] = s.out[k]
