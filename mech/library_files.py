@@ -287,8 +287,9 @@ class _Builder:
         path = os.pathsep.join([str(ROOT), *(os.path.abspath(each) for each in sys.path if each)])
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "mech.build", *packages],
+            # O2 runs as fast as O3, and builds in nine tenths of the time
             env={**os.environ, "COSIM_BUILDS_LIBRARIES": "1", "PYTHONPATH": path, FOLDER: str(folder()),
-                 "NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING": "1"},
+                 "NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING": "1", "NUMBA_OPT": "2"},
             stdin=subprocess.DEVNULL, stdout=self._words, stderr=self._words,
         )  # fmt: skip
 
