@@ -12,6 +12,7 @@ import atexit
 import contextlib
 import functools
 import hashlib
+import importlib.util
 import os
 import platform
 import re
@@ -50,12 +51,14 @@ _HALVES = (
 )
 #: Packages (and that module) with compiled functions.
 PACKAGES = tuple(each for half in _HALVES for each in half)
+#: What builds them: its changes make other libraries, too.
+_BUILDER = "mech.build"
 #: Set in processes that build no libraries: they could not keep one.
 BUILDS_NONE = "COSIM_BUILDS_NONE"
 #: Folders whose modules' imports are followed: of what lies elsewhere compiled functions use constants
 #: at most.
 _FOLLOWED = ("mech", "cosim.loop")
-_OFFERS = re.compile(r"^@(?:entry|callback)\(", re.M)
+_OFFERS = re.compile(r"\n@(?:entry|callback)\(")
 _IMPORT = re.compile(
     r"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)|import[ \t]+([^\n]*))", re.M
 )
@@ -86,9 +89,9 @@ def file_of(package: str) -> Path:
 
 @functools.cache
 def stamp(package: str) -> str:
-    """Return what tells the sources of a package's library and the processor."""
-    digest = _SUM(_processor())
-    for name in sorted(closure(modules_of(package))):
+    """Return what tells the sources of a package's library, what builds it, and the processor."""
+    digest = _SUM(_processor() + _translator())
+    for name in sorted(closure((*modules_of(package), _BUILDER))):
         digest.update(name.encode() + b"\0" + sources()[name] + b"\0")
     return digest.hexdigest()[:16]
 
@@ -193,6 +196,17 @@ def _imports(module: str) -> tuple[str, ...]:
 
 
 @functools.cache
+def _translator() -> bytes:
+    """Return what numba states of its version, without its import."""
+    found = importlib.util.find_spec("numba")
+    if found is None or found.origin is None:
+        return b""
+    with contextlib.suppress(OSError):
+        return Path(found.origin).with_name("_version.py").read_bytes()
+    return b""
+
+
+@functools.cache
 def _processor() -> bytes:
     """Return what tells processors apart that need different code, and the loader's version."""
     import llvmlite
@@ -220,7 +234,7 @@ def ready(tell: Callable[[str, float], None] | None = None) -> None:
     RuntimeError
         When one cannot be built.
     """
-    missing = [package for package in _packages() if unpack(file_of(package)) is None]
+    missing = [package for package in _packages() if not _is_whole(file_of(package))]
     for package in _packages():
         if package not in missing:
             _note_use(file_of(package))
@@ -250,6 +264,20 @@ def ready(tell: Callable[[str, float], None] | None = None) -> None:
         for builder in builders:
             builder.end()
     _tidy_up()
+
+
+def _is_whole(file: Path) -> bool:
+    """Whether a library is there and undamaged; the same file is read once, as each run asks thrice."""
+    try:
+        known = file.stat()
+    except OSError:
+        return False
+    return _was_whole(file, known.st_size, known.st_mtime_ns)
+
+
+@functools.lru_cache(maxsize=len(PACKAGES))
+def _was_whole(file: Path, size: int, changed_ns: int) -> bool:
+    return unpack(file) is not None
 
 
 def _note_use(file: Path) -> None:

@@ -157,8 +157,12 @@ def test_the_table_of_packages_is_what_the_sources_say() -> None:
 def test_a_library_is_another_when_what_its_modules_import_changes(monkeypatch):
     packages = library_files.PACKAGES
     before = {package: library_files.stamp(package) for package in packages}
-    closures = {package: library_files.closure(library_files.modules_of(package)) for package in packages}
-    for module in ("mech.kinematics", "cosim.loop.spice.watch", "cosim.circuits.decks", "cosim.scene.schema"):
+    modules = {package: (*library_files.modules_of(package), "mech.build") for package in packages}
+    closures = {package: library_files.closure(each) for package, each in modules.items()}
+    for module in (
+        "mech.build", "mech.kinematics",
+        "cosim.loop.spice.watch", "cosim.circuits.decks", "cosim.scene.schema",
+    ):  # fmt: skip
         text = {**library_files.sources(), module: library_files.sources()[module] + b"\n"}
         changed = library_files._Sources(text)
         library_files.stamp.cache_clear()
@@ -169,10 +173,22 @@ def test_a_library_is_another_when_what_its_modules_import_changes(monkeypatch):
             monkeypatch.undo()
             library_files.stamp.cache_clear()
         assert others == {package for package in packages if module in closures[package]}
-    assert "mech.kinematics" in set.intersection(*closures.values())
+    assert {"mech.kinematics", "mech.build"} <= set.intersection(*closures.values())
     # its limits are constants of the watch's
     assert "cosim.circuits.decks" in closures["cosim.loop.spice"]
     assert "cosim.loop.spice.watch" not in closures["cosim.loop.linear"]
+
+
+def test_a_library_is_another_when_what_translates_it_changes(monkeypatch):
+    numba = pytest.importorskip("numba")
+    assert numba.__version__.encode() in library_files._translator()
+    before = library_files.stamp("mech")
+    monkeypatch.setattr(library_files, "_translator", lambda: b"a later version")
+    library_files.stamp.cache_clear()
+    try:
+        assert library_files.stamp("mech") != before
+    finally:
+        library_files.stamp.cache_clear()
 
 
 def test_imports_are_found_in_every_form(monkeypatch):
