@@ -5,6 +5,7 @@ Nothing heavy is imported before a command runs, so that ``cosim --help`` answer
 """
 
 import argparse
+import importlib
 import json
 import os
 import signal
@@ -17,30 +18,8 @@ from typing import Any, TextIO
 
 from cosim import __version__
 from cosim.caution import Caution, collected
-from cosim.commands import (
-    accuracy,
-    check,
-    compare,
-    device,
-    docs,
-    effects,
-    export,
-    hard_cases,
-    keys,
-    mc,
-    new,
-    nodes,
-    noise,
-    plan,
-    report,
-    run,
-    stability,
-    sweep,
-    verbosity,
-    verify,
-    warm,
-)
-from cosim.commands.command import caution_lines
+from cosim.commands import verbosity
+from cosim.commands.command import Command, caution_lines
 from cosim.errors import CosimError, fail
 from cosim.storage.staging import writable_folder
 from cosim.terminal import printable
@@ -52,32 +31,21 @@ EXIT_INTERRUPTED = 130
 
 SHELLS = ("bash", "zsh", "tcsh")
 
-COMMANDS = (
-    check.COMMAND,
-    plan.COMMAND,
-    run.COMMAND,
-    report.COMMAND,
-    effects.COMMAND,
-    compare.COMMAND,
-    sweep.COMMAND,
-    accuracy.COMMAND,
-    hard_cases.COMMAND,
-    mc.COMMAND,
-    verify.COMMAND,
-    stability.COMMAND,
-    noise.COMMAND,
-    device.COMMAND,
-    export.COMMAND,
-    keys.COMMAND,
-    nodes.COMMAND,
-    new.COMMAND,
-    docs.COMMAND,
-    warm.COMMAND,
-)
+#: Commands in the order of the help; `cosim.commands` has a module for each.
+NAMES = (
+    "check", "plan", "run", "report", "effects", "compare", "sweep", "accuracy", "hard-cases", "mc", "verify",
+    "stability", "noise", "device", "export", "keys", "nodes", "new", "docs", "warm",
+)  # fmt: skip
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """Return the parser with all commands."""
+def commands(names: Sequence[str] = NAMES) -> list[Command]:
+    """Return the commands of these names, loading their modules."""
+    modules = (f"cosim.commands.{name.replace('-', '_')}" for name in names)
+    return [importlib.import_module(module).COMMAND for module in modules]
+
+
+def build_parser(names: Sequence[str] = NAMES) -> argparse.ArgumentParser:
+    """Return the parser with all commands, or with those of some names."""
     parser = argparse.ArgumentParser(
         prog="cosim",
         description="Circuit-level co-simulation of haptic devices: ngspice in lockstep with a linkage.",
@@ -89,9 +57,9 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--completion", choices=SHELLS, help="print what makes this shell complete commands and options"
     )
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for command in COMMANDS:
-        sub = commands.add_parser(command.name, help=command.help, description=command.help)
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for command in commands(names):
+        sub = subparsers.add_parser(command.name, help=command.help, description=command.help)
         command.arguments(sub)
         sub.add_argument("--json", action="store_true", help="print the result as JSON")
         sub.add_argument(
@@ -120,7 +88,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         import shtab
 
         return _printed(0, shtab.complete(build_parser(), shell=words[1]), sys.stdout)
-    args = build_parser().parse_args(words)
+    named = words[:1] if words[:1] in [[name] for name in NAMES] else NAMES  # the help shows all
+    args = build_parser(named).parse_args(words)
     verbosity.choose(quiet=args.quiet, verbose=args.verbose)
     interrupts = _Interrupts()
     if threading.current_thread() is threading.main_thread():

@@ -150,9 +150,9 @@ def measures() -> str:
 
 def commands() -> str:
     """Write every command with its options, from the parser."""
-    from cosim.cli import COMMANDS, build_parser
+    from cosim import cli
 
-    parser = build_parser()
+    parser = cli.build_parser()
     (subs,) = [a.choices for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
     shared = {"--json", "--strict", "--quiet", "--verbose", "--help"}
     general = [action for action in subs["run"]._actions if shared & set(action.option_strings)]
@@ -168,7 +168,7 @@ def commands() -> str:
         table(["option", "what it does"], [_option(action) for action in general]),
         "",
     ]
-    for command in COMMANDS:
+    for command in cli.commands():
         sub = subs[command.name]
         own = [action for action in sub._actions if not shared & set(action.option_strings)]
         text += [
