@@ -1,10 +1,11 @@
 """What is needed to repeat a run: versions, seed, command, date, digests."""
 
+import functools
 import hashlib
-import importlib.metadata
 import json
 import os
 import platform
+import re
 import sys
 import time
 from collections.abc import Sequence
@@ -14,7 +15,7 @@ from typing import Any
 import cosim
 from cosim.scene import Scene
 
-__all__ = ["effects_digest", "provenance", "run_date"]
+__all__ = ["effects_digest", "packages", "provenance", "run_date"]
 
 
 def provenance(
@@ -33,13 +34,12 @@ def provenance(
     more
         Further entries, for example the digest of the netlist.
     """
-    packages = ("numpy", "scipy", "numba", "PySpice", "pydantic")
     return {
         "versions": {
             "cosim": cosim.__version__,
             "python": platform.python_version(),
             "ngspice": ngspice,
-            **{package: _version(package) for package in packages},
+            **packages(),
         },
         "platform": platform.platform(),
         "date": datetime.fromtimestamp(run_date(), UTC).isoformat(timespec="seconds"),
@@ -50,6 +50,13 @@ def provenance(
         "effects_digest": effects_digest(scene),
         **more,
     }
+
+
+@functools.cache
+def packages() -> dict[str, str | None]:
+    """Return the versions of the packages that matter to a result."""
+    names = ("numpy", "scipy", "numba", "PySpice", "pydantic")
+    return {name: _version(name) for name in names}
 
 
 def run_date() -> float:
@@ -65,7 +72,13 @@ def effects_digest(scene: Scene) -> str:
 
 
 def _version(package: str) -> str | None:
+    from importlib.metadata import PackageNotFoundError, distribution  # a run has time for it while it waits
+
     try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
+        found = distribution(package)
+    except PackageNotFoundError:
         return None
+    text = found.read_text("METADATA") or found.read_text("PKG-INFO") or ""
+    # the file is a mail with licences and a whole README in it: one line of its head is asked for
+    stated = re.search(r"^Version:[ \t]*(\S+)", text.partition("\n\n")[0], re.MULTILINE)
+    return stated[1] if stated else None

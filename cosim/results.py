@@ -12,7 +12,6 @@ A result folder holds
 
 import csv
 import importlib
-import importlib.metadata
 import importlib.util
 import json
 import os

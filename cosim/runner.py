@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import platform
 import sys
 import tempfile
 import time
 import uuid
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -17,26 +19,29 @@ from numpy.typing import NDArray
 from cosim import plausibility
 from cosim.caution import Caution, collected, warn
 from cosim.circuits.design_constants import DesignConstants
+from cosim.circuits.instability.stability_verdict import Verdict
 from cosim.errors import fail
 from cosim.loop.run_messages import RunAnswer, RunRequest
 from cosim.measures import chosen, headroom, own_measures, standard
 from cosim.ngspice import deck_file
 from cosim.ngspice.child import OUTBOX, Child, call
 from cosim.plan import Plan, resolve
-from cosim.provenance import provenance, run_date
+from cosim.provenance import packages, provenance, run_date
 from cosim.results import Run, written_files
 from cosim.scene import PythonOperator, Scene
 from cosim.stability_gate import answer_of, bent, coupled, latched, left, question, reached, verdict
+from cosim.storage.field_types import prepare
 from cosim.storage.rawfile import RAW, Signals, read_raw, stamp
-from cosim.storage.staging import Staging, disk_errors, require_ours, scratch_folder
+from cosim.storage.run_record import Record
+from cosim.storage.staging import Staging, disk_errors, scratch_folder
 from cosim.types import Measures
 from cosim.units import quantity
 from mech.library_files import ready
 
 __all__ = ["Errors", "measures_of", "request_of", "resolve", "run"]
 
-#: Adds errors to measures; see `run`.
-Errors = Callable[[Measures, Any, tuple[int, ...]], Mapping[str, dict[str, Any]]]
+#: Returns the measures of what was simulated with their errors; see `run`.
+Errors = Callable[["Simulated", Callable[[], object]], Mapping[str, dict[str, Any]]]
 
 #: What simulates a circuit model, in the child process.
 _TARGETS = {
@@ -80,8 +85,8 @@ def run(
     more
         Measures that need no run, to be kept with its own (`cosim.comparisons.measure_values`).
     errors
-        Called with the run's own measures, the `LinearCircuit` that was simulated, if any, and the samples at
-        which contact is made or lost; returns the measures with their errors (`cosim.accuracy.estimate`).
+        Called with what was simulated, and with what it may call, once, while it waits for the child; returns
+        the run's own measures with their errors (`cosim.accuracy.estimate`).
 
     Raises
     ------
@@ -110,33 +115,18 @@ def _run(
     begun = time.perf_counter()
     scene = plan.scene
     target = Path(out) if out is not None else Path(tempfile.gettempdir()) / f"cosim-run-{uuid.uuid4().hex}"
-    require_ours(target, written_files)  # refuse before anything is computed
-    plan.stated(child)
-    _check_duration(plan)
-    judged = verdict(question(plan), plan.board.path, child, scene.solver.time_limit_s)
-    if not scene.solver.allow_unstable:
-        judged.require(str(plan.board.path))
-    _, floating, node = judged.unjudged.partition("floating node: ")
-    if floating:  # a transient would try for a minute
-        fail(floating + node, file=str(plan.board.path))
-    warn(*judged.cautions())
-    if not judged.unjudged:
-        warn(*coupled(plan, child))
-        if plan.model == "spice":  # the other models tell it of the circuit that they simulate
-            stated = plan.stated().constants()
-            warn(*plausibility.of_response(answer_of(plan, child), stated, lambda: bent(plan, child)))
-    with Staging(target, written_files) as stage:
-        done = _simulated(plan, stage.path, child, on_progress)
+    with Staging(target, written_files) as stage:  # refuses the place before anything is computed
+        judged = _judged(plan, child)
+        told = cache(partial(_told_before, plan))
+        done = _simulated(plan, stage.path, child, on_progress, told)
         answer, samples, signals = done.answer, done.samples, done.signals
-        constants = plan.stated().constants()
-        ledger, amplifiers = answer.ledger, done.amplifiers
+        constants, ledger, amplifiers = done.constants, answer.ledger, done.amplifiers
         stamp(stage.path / RAW, run_date())
-        measures = done.measures | dict(more)
-        if errors is not None:
-            measures |= errors(done.measures, answer.circuit, done.contacts)
+        looked = cache(partial(_looked_at, done))
+        measures = {**(errors(done, looked) if errors is not None else done.measures), **more}
         own = _own(plan, constants, stage.path / RAW, samples, child)
         measures |= own["rows"]
-        warn(*plausibility.of_run(scene, constants, signals, samples, measures, amplifiers, ledger))
+        warn(*looked())
         if answer.end is not None:
             limits = {a["node"]: a["swing_v"] for a in amplifiers if a["swing_v"]}
             warn(*latched(plan, answer.end, limits, child), *left(plan, answer.end))
@@ -151,7 +141,8 @@ def _run(
             signals=signals,
             samples=samples,
             plan={
-                **plan.as_dict(),
+                **told(),
+                "circuit_states": told()["circuit_states"] or plan.circuit_states(),  # extracted since
                 "constants": constants.as_dict(),
                 "amplifiers": headroom(amplifiers),
                 "certificate": answer.circuit.certificate if answer.circuit is not None else {},
@@ -178,15 +169,70 @@ def _run(
     return Run.load(target)
 
 
-@dataclass(frozen=True)
-class _Simulated:
-    """A finished simulation: the child's answer, and what was read and measured from it."""
+def _judged(plan: Plan, child: Child | None) -> Verdict:
+    """Return the verdict on the circuit's stability, and say what it and its response leave in doubt."""
+    plan.stated(child)
+    _check_duration(plan)
+    solver, file = plan.scene.solver, str(plan.board.path)
+    judged = verdict(question(plan), plan.board.path, child, solver.time_limit_s)
+    if not solver.allow_unstable:
+        judged.require(file)
+    _, floating, node = judged.unjudged.partition("floating node: ")
+    if floating:  # a transient would try for a minute
+        fail(floating + node, file=file)
+    warn(*judged.cautions())
+    if not judged.unjudged:
+        warn(*coupled(plan, child))
+        if plan.model == "spice":  # the other models tell it of the circuit that they simulate
+            stated = plan.stated().constants()
+            warn(*plausibility.of_response(answer_of(plan, child), stated, lambda: bent(plan, child)))
+    return judged
 
+
+def _told_before(plan: Plan) -> dict[str, Any]:
+    """Return what a result tells of its plan, for a process that waits.
+
+    What is slow to look up for its other parts is looked up, too, and kept where it is: 30 ms of a run.
+    """
+    packages()
+    platform.platform()
+    prepare(Record)
+    return plan.as_dict()
+
+
+def _looked_at(done: Simulated) -> list[Caution]:
+    """Return what the run itself leaves in doubt."""
+    return plausibility.of_run(
+        done.scene, done.constants, done.signals, done.samples,
+        done.measures, done.amplifiers, done.answer.ledger,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """A finished simulation: the child's answer, and what was read from it.
+
+    Attributes
+    ----------
+    scene, constants : what was simulated
+    answer : the child's
+    samples, signals : by name, one value a sample, and one a time point
+    amplifiers : peak and limit of each
+    """
+
+    scene: Scene
+    constants: DesignConstants
     answer: RunAnswer
     samples: dict[str, NDArray[np.float64]]
     signals: Signals
     amplifiers: list[dict[str, Any]]
-    measures: dict[str, dict[str, Any]]
+
+    @cached_property
+    def measures(self) -> dict[str, dict[str, Any]]:
+        """A run's own measures."""
+        return standard(
+            self.scene, self.constants, self.signals, self.samples, self.amplifiers, self.answer.ledger
+        )
 
     @property
     def contacts(self) -> tuple[int, ...]:
@@ -199,11 +245,11 @@ def _simulated(
     folder: Path,
     child: Child | None,
     on_progress: Callable[[Mapping[str, Any]], None] | None = None,
-) -> _Simulated:
-    """Simulate in the child process; the signals land in the folder."""
+    meanwhile: Callable[[], object] | None = None,
+) -> Simulated:
+    """Simulate in the child process, and call `meanwhile` beside it; the signals land in the folder."""
     scene = plan.scene
     asked = request_of(plan, child)
-    constants = asked.constants
     ready()
     answer: RunAnswer = call(
         f"{_TARGETS[plan.model]}:simulate",
@@ -215,12 +261,11 @@ def _simulated(
         child=child,
         reads=_python_folders(scene),
         collect=folder,
+        meanwhile=meanwhile,
     )
     samples = _read_samples(folder / "samples.f64", answer.sample_columns)
     signals = read_raw(folder / RAW)
-    amplifiers = _amplifiers(plan, answer)
-    measures = standard(scene, constants, signals, samples, amplifiers, answer.ledger)
-    return _Simulated(answer, samples, signals, amplifiers, measures)
+    return Simulated(scene, asked.constants, answer, samples, signals, _amplifiers(plan, answer))
 
 
 def request_of(plan: Plan, child: Child | None = None) -> RunRequest:
@@ -238,8 +283,10 @@ def request_of(plan: Plan, child: Child | None = None) -> RunRequest:
     )
 
 
-def measures_of(plan: Plan, child: Child | None) -> tuple[dict[str, dict[str, Any]], tuple[int, ...]]:
-    """Simulate a plan whose board was judged before; nothing is kept.
+def measures_of(
+    plan: Plan, child: Child | None, meanwhile: Callable[[], object] | None = None
+) -> tuple[dict[str, dict[str, Any]], tuple[int, ...]]:
+    """Simulate a plan whose board was judged before, and call `meanwhile` beside it; nothing is kept.
 
     Returns its measures, and the numbers of the samples at which contact is made or lost.
 
@@ -249,7 +296,7 @@ def measures_of(plan: Plan, child: Child | None) -> tuple[dict[str, dict[str, An
         As `run`.
     """
     with scratch_folder("measures") as folder:
-        done = _simulated(plan, folder, child)
+        done = _simulated(plan, folder, child, meanwhile=meanwhile)
         return done.measures, done.contacts
 
 

@@ -39,6 +39,12 @@ def standstill(payload: Any, report: Any) -> None:
         report({"time_s": 0.5})
 
 
+def await_file(payload: str, report: Any) -> bool:
+    while not os.path.exists(payload):
+        time.sleep(0.005)
+    return True
+
+
 def steady(payload: Any, report: Any) -> int:
     for i in range(10):
         time.sleep(0.06)

@@ -4,6 +4,8 @@ import json
 import math
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -98,6 +100,12 @@ def test_rounding_of_the_converters_is_no_jump(tmp_path: Path, model: str) -> No
     assert peaks[1] == pytest.approx(peaks[0], rel=1e-9)
 
 
+def simulated(row: dict[str, Any], contacts: tuple[int, ...] = ()) -> Any:
+    """Return what stands for a finished simulation with one measure."""
+    answer = SimpleNamespace(circuit=None)
+    return SimpleNamespace(measures={"peak_force": row}, answer=answer, contacts=contacts)
+
+
 def test_what_cannot_be_estimated_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from cosim.accuracy import estimate
 
@@ -106,7 +114,7 @@ def test_what_cannot_be_estimated_says_why(tmp_path: Path, monkeypatch: pytest.M
 
     monkeypatch.setattr(estimate, "measures_of", refused)
     plan = resolve(scene_of(tmp_path, THROWN))
-    rows = estimator(plan, None)({"peak_force": {"value": 1.0, "unit": "N", "text": ""}}, None)
+    rows = estimator(plan, None)(simulated({"value": 1.0, "unit": "N", "text": ""}), lambda: None)
     assert rows["peak_force"]["error"] is None
     assert rows["peak_force"]["no_error"] == "no such thing"
 
@@ -255,7 +263,7 @@ def test_another_sequence_of_contacts_is_reported(tmp_path: Path, monkeypatch: p
         ((4,), "at none, there"),
     ):
         with collected(forward=False) as heard:
-            rows = estimated({"peak_force": row}, None, contacts)
+            rows = estimated(simulated(row, contacts), lambda: None)
         assert rows["peak_force"]["error"] >= 1.0  # both sequences are inside
         assert [c.code for c in heard] == (["sequence-differs"] if words else [])
         assert words is None or words in heard[0].text

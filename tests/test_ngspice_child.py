@@ -62,6 +62,25 @@ def test_a_payload_goes_and_comes_back_whole() -> None:
     assert back["text"] == "µ"
 
 
+def test_the_parent_works_once_the_child_has_its_request(tmp_path: Path) -> None:
+    """The child waits for what the parent makes meanwhile: each waited for the other, were it made behind."""
+    made = tmp_path / "made"
+    calls: list[int] = []
+
+    def make() -> None:
+        calls.append(1)
+        made.touch()
+
+    assert run("await_file", str(made), reads=[tmp_path], meanwhile=make, time_limit_s=20.0)
+    assert calls == [1]
+
+    def fail() -> None:
+        raise ZeroDivisionError("the very words")
+
+    with pytest.raises(ZeroDivisionError, match="the very words"):
+        run("echo", 1, meanwhile=fail)
+
+
 def test_private_folder_and_home() -> None:
     result = run("where")
     assert result["files"] == [".spiceinit"]

@@ -11,7 +11,7 @@ difference times a margin.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +22,7 @@ from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import CosimError
 from cosim.ngspice.child import Child
 from cosim.plan import Plan, resolve
-from cosim.runner import Errors, measures_of
+from cosim.runner import Errors, Simulated, measures_of
 
 __all__ = ["Twin", "estimator", "twin_of"]
 
@@ -100,29 +100,28 @@ def estimator(plan: Plan, child: Child | None) -> Errors:
     so: neither is close to the other, and tighter tolerances may give a third.
     """
 
-    def errors(
-        measures: Measures, circuit: LinearCircuit | None, contacts: tuple[int, ...] = ()
-    ) -> dict[str, dict[str, Any]]:
+    def errors(done: Simulated, meanwhile: Callable[[], object]) -> dict[str, dict[str, Any]]:
         why = ""
         for own in (False, True):
             try:
                 twin = twin_of(plan, own=own)
                 with collected(forward=False):
-                    nominal, others = measures_of(twin.plan, child)
+                    nominal, others = measures_of(twin.plan, child, meanwhile)
                 break
             except CosimError as error:
                 why = error.in_brief
         else:
-            return {name: {**row, "error": None, "no_error": why} for name, row in measures.items()}
-        if contacts != others:
-            warn(_other_sequence(contacts, others))
+            return {name: {**row, "error": None, "no_error": why} for name, row in done.measures.items()}
+        if done.contacts != others:
+            warn(_other_sequence(done.contacts, others))
+        circuit = done.answer.circuit
         share = doubt(circuit)
-        noise = noise_of(measures, twin.plan, circuit, contacts, child)
+        noise = noise_of(done.measures, twin.plan, circuit, done.contacts, child)
         return {
             name: {**_with_error(name, row, nominal.get(name), twin, share), **noise.get(name, {})}
             if name not in _WITHOUT
             else dict(row)
-            for name, row in measures.items()
+            for name, row in done.measures.items()
         }
 
     return errors

@@ -60,6 +60,7 @@ def call(
     child: "Child | None" = None,
     reads: Sequence[Path] = (),
     collect: Path | None = None,
+    meanwhile: Callable[[], object] | None = None,
 ) -> Any:
     """Run a function in a child process and return what it returns.
 
@@ -87,6 +88,9 @@ def call(
         Folders that the function reads besides Python's modules and its own: those of a user's Python files.
     collect
         Folder to which the files go that the function leaves in `OUTBOX`.
+    meanwhile
+        Called once the child has its request: what this process can do without the answer. It should be
+        short, for the limits are not looked at until it returns.
 
     Raises
     ------
@@ -105,6 +109,7 @@ def call(
             on_progress=on_progress,
             deck=deck,
             collect=collect,
+            meanwhile=meanwhile,
         )
 
 
@@ -183,6 +188,7 @@ class Child:
         on_progress: Callable[[Mapping[str, Any]], None] | None = None,
         deck: str | None = None,
         collect: Path | None = None,
+        meanwhile: Callable[[], object] | None = None,
     ) -> Any:
         """Run a function in this child; see `call`."""
         if self._closed:
@@ -193,7 +199,7 @@ class Child:
         body = pickle.dumps((target, pickle.dumps(payload, protocol=5), cpu_s), protocol=5)
         watch = Watch(time_limit_s, stall_limit_s, self._preparing_s)
         try:
-            for kind, content in self._messages(HEAD.pack(len(body)) + body, watch):
+            for kind, content in self._messages(HEAD.pack(len(body)) + body, watch, meanwhile):
                 if kind == "result":
                     if collect is not None:
                         self._collect(collect)
@@ -251,7 +257,7 @@ class Child:
     ) -> None:
         self.close()
 
-    def _messages(self, request: bytes, watch: Watch) -> Any:
+    def _messages(self, request: bytes, watch: Watch, meanwhile: Callable[[], object] | None = None) -> Any:
         """Send the request and yield messages until the child closes its pipe.
 
         Sends and receives at the same time: a child that still imports does not read, and while a long
@@ -274,6 +280,8 @@ class Child:
                             view = view[:0]
                         if not view:
                             selector.unregister(inlet)
+                            if meanwhile is not None:
+                                meanwhile()
                     else:
                         chunk = os.read(self._receive, 1 << 20)
                         if not chunk:

@@ -67,6 +67,7 @@ class Reader:
     trust: bool = False
     dialect: Dialect = Dialect.NGSPICE
     _read: dict[Path, list[Line]] = field(default_factory=dict, repr=False, compare=False)
+    _places: dict[Path, Path] = field(default_factory=dict, repr=False, compare=False)
 
     def read(self, path: Path, section: str | None = None) -> list[Line]:
         """Return the lines of `path`, or of one ``.lib`` section of it, with all that they include.
@@ -95,10 +96,16 @@ class Reader:
 
     def rows(self, path: Path) -> list[Line]:
         """Return the lines of one file, its values as its dialect means them."""
-        place = path.resolve()
+        place = self._place(path)
         if place not in self._read:
             self._read[place] = list(_as_meant(text_of(path), str(path), self.dialect))
         return self._read[place]
+
+    def _place(self, path: Path) -> Path:
+        """Return where a path leads; like a file's lines it is looked up once, and boards include a lot."""
+        if path not in self._places:
+            self._places[path] = path.resolve()
+        return self._places[path]
 
     def sections(self, path: Path) -> list[str]:
         """Return the names of a file's ``.lib`` sections in lower case."""
@@ -111,7 +118,7 @@ class Reader:
         section: str | None,
         stack: tuple[tuple[Path, str | None], ...],
     ) -> Iterator[Line]:
-        place = (path.resolve(), section)
+        place = (self._place(path), section)
         includes = self.dialect.lib_includes and not any(line.keyword == ".endl" for line in rows)
         inside: str | None = None
         opened: Line | None = None
@@ -152,8 +159,8 @@ class Reader:
         """Yield what an include stands for, or the line with the reason why it cannot be followed."""
         fault = line.fault or ("" if names else "names no file")
         target = path.parent / names[0] if names else path  # an absolute name stands for itself
-        place = target.resolve()
-        inside = any(place.is_relative_to(each.resolve()) for each in (self.root, *_granted.get()))
+        place = self._place(target)
+        inside = any(place.is_relative_to(self._place(each)) for each in (self.root, *_granted.get()))
         if not fault and not self.trust and not inside:
             lifted = f"--include {target.parent} or --trust allows it"
             fault = f"include leaves the project's folder {self.root} ({lifted})"

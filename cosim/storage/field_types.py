@@ -16,7 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from cosim.errors import fail
 
-__all__ = ["check", "fits", "made", "misfit", "refuse_code", "used"]
+__all__ = ["check", "fits", "made", "misfit", "prepare", "refuse_code", "used"]
 
 
 def misfit(value: Any, form: Any) -> tuple[str, str] | None:
@@ -34,6 +34,11 @@ def misfit(value: Any, form: Any) -> tuple[str, str] | None:
     except ValidationError as error:
         return _first(error)
     return None
+
+
+def prepare(form: Any) -> None:
+    """Build the check of a form, for a process that waits."""
+    _adapter(form)
 
 
 def refuse_code(named: Iterable[str], file: str, *, trust: bool) -> None:
