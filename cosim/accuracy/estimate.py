@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.accuracy.noise_interval import noise_of
+from cosim.accuracy.noise_paths import noisy
 from cosim.accuracy.solver_settings import carries
 from cosim.caution import Caution, collected, warn
 from cosim.circuits.linear_circuit import LinearCircuit
@@ -116,7 +116,11 @@ def estimator(plan: Plan, child: Child | None) -> Errors:
             warn(_other_sequence(done.contacts, others))
         circuit = done.answer.circuit
         share = doubt(circuit)
-        noise = noise_of(done.measures, twin.plan, circuit, done.contacts, child)
+        noise: Measures = {}
+        if noisy(plan.scene):
+            from cosim.accuracy.noise_interval import noise_of  # theory, and all of scipy: 0.2 s
+
+            noise = noise_of(done.measures, twin.plan, circuit, done.contacts, child)
         return {
             name: {**_with_error(name, row, nominal.get(name), twin, share), **noise.get(name, {})}
             if name not in _WITHOUT
