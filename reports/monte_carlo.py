@@ -44,6 +44,7 @@ def write_monte_carlo(
     digest: str,
     cautions: Sequence[Caution] = (),
     asked: Mapping[str, Any] | None = None,
+    command: str = "",
 ) -> Path:
     """Write ``report.html`` with its figures, ``mc.json``, and tables of samples, components and bill.
 
@@ -61,6 +62,8 @@ def write_monte_carlo(
         For the head of the page.
     asked
         What the study was asked, from `cosim.tolerance.replay.record_of`: it can be repeated then.
+    command
+        The command of the whole study, for the head of the page.
 
     Raises
     ------
@@ -75,8 +78,9 @@ def write_monte_carlo(
             sections.append(rare_failures(findings.rare, findings.study.tolerances.components))
     html = render(
         "study.html.j2", title="Tolerances: what the built devices do",
-        command=replay.removesuffix(" --sample"),
-        summary=[*sentences(findings), CONVENTION], sections=sections, claims=[], warnings=grouped(cautions),
+        command=command or replay.removesuffix(" --sample"),
+        summary=[*sentences(findings, beside_tables=True), CONVENTION],
+        sections=sections, claims=[], warnings=grouped(cautions),
     )  # fmt: skip
     record = json_text({"digest": digest, "replay": replay, "asked": asked, **findings.as_dict()}) + "\n"
     tables = (findings.samples_csv(), components_csv(findings.study.tolerances), findings.bill_csv(), record)
@@ -101,8 +105,8 @@ def _known(findings: "Findings", name: str) -> Array:
     return column[np.isfinite(column)]
 
 
-def sentences(findings: "Findings") -> list[str]:
-    """Return the findings in sentences."""
+def sentences(findings: "Findings", *, beside_tables: bool = False) -> list[str]:
+    """Return the findings in sentences; `beside_tables`: without what the tables of a page say."""
     study = findings.study
     how = study.sampling
     kind = {"plain": "plain samples", "lhs": "Latin hypercubes", "sobol": "scrambled Sobol points"}
@@ -113,7 +117,8 @@ def sentences(findings: "Findings") -> list[str]:
     for text, each in findings.yields.items():
         what = "All specifications are met" if text == "all" else f"{text} holds"
         lines.append(f"{what} for {percent(each)} of the devices ({each.how}).")
-    return [*lines, *findings.notes]
+    notes = [note for note in findings.notes if not (beside_tables and note in findings.in_tables)]
+    return [*lines, *(note if note.endswith(".") else f"{note}." for note in notes)]
 
 
 def _overview(findings: "Findings") -> Section:
@@ -134,6 +139,7 @@ def _overview(findings: "Findings") -> Section:
             f"In parentheses the interval that holds with 95 %: mean by {how}, quantiles by "
             f"{next(iter(findings.summaries.values())).quantiles[0.5].how}.",
             "samples.csv",
+            stacked=True,
         )
     ]
     if findings.corners:
@@ -144,7 +150,7 @@ def _overview(findings: "Findings") -> Section:
                          str(corner.evaluations), str(corner.outside)])  # fmt: skip
         note = "No sample inside the limits lies beyond; those outside them are counted in the last column."
         head = ["measure", "least", "largest", "devices looked at", "samples outside the limits"]
-        tables.append(Table("Worst case within all limits", head, rows, note))
+        tables.append(Table("Worst case within all limits", head, rows, note, stacked=True))
     pictures = []
     if len(study.names) > 1:
         pictures.append(picture("correlation", "Correlation of the measures", _correlation(findings)))
@@ -307,16 +313,15 @@ def bill_table(findings: "Findings", most: int = _ROWS) -> tuple[list[str], list
     names = list(findings.surfaces)
     rows = [
         [
-            line.name, line.tolerance, *(percent(line.share[n]) for n in names),
-            *(f"{line.slope[n]:.4g}" for n in names), grade_text(line.loosest), grade_text(line.better),
-            "-" if line.gain is None else percent(line.gain),
+            line.name, line.tolerance, grade_text(line.loosest), grade_text(line.better),
+            "-" if line.gain is None else percent(line.gain), *(percent(line.share[n]) for n in names),
+            *(quantity(line.slope[n], UNITS.get(n, ""), 4) for n in names),
         ]
         for line in findings.bill[:most]
     ]  # fmt: skip
     head = [
-        "component", "tolerance", *(f"share of variance, {n}" for n in names),
-        *(f"change by 1 %, {heading(n, UNITS.get(n, ''))}" for n in names),
-        "loosest", "next better", "adds to yield",
+        "component", "tolerance", "loosest", "next better", "adds to yield",
+        *(f"share of variance, {n}" for n in names), *(f"change by 1 %, {n}" for n in names),
     ]  # fmt: skip
     return head, rows
 
@@ -325,8 +330,9 @@ def _bill(findings: "Findings") -> Section:
     head, rows = bill_table(findings)
     wanted = "the present yield" if findings.wanted is None else f"a yield of {100 * findings.wanted:g} %"
     note = (
-        f"Loosest: the largest sold tolerance with which {wanted} is kept, all others as they are. Both "
-        "columns at the right go through the fitted surface, on the same samples."
+        f"Loosest: the largest sold tolerance with which {wanted} is kept, all others as they are; it and "
+        "what the next better one adds go through the fitted surface, on the same samples. Change: by 1 % of "
+        "the component, or by its whole tolerance where that is no share."
     )
     if len(findings.bill) > _ROWS:
         note += f" {len(findings.bill)} rows, all of them in the file."

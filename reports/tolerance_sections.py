@@ -70,12 +70,12 @@ def two_models(levels: "Levels") -> Section:
             ]
         )  # fmt: skip
     head = ["measure", "mean", "standard deviation", "correlation", "of the squares", "cost ratio",
-            f"samples on {levels.dear}", f"on {levels.cheap}", "variance times cost"]  # fmt: skip
+            f"samples on {levels.dear}", f"samples on {levels.cheap}", "variance times cost"]  # fmt: skip
     note = (
         f"Samples on {levels.dear}, corrected by many on {levels.cheap} with a factor from a pilot that is "
         "left out. Variance times cost is that of the mean, relative to plain sampling, at the best split."
     )
-    tables = [Table("Mean and standard deviation", head, rows, note)]
+    tables = [Table("Mean and standard deviation", head, rows, note, stacked=True)]
     if levels.yields:
         rows = [
             [
@@ -98,7 +98,7 @@ def two_models(levels: "Levels") -> Section:
             f"{levels.dear} failed. The interval holds an exact bound of all strata and the weights' error; "
             "its ends share the error so that it is expected to be shortest."
         )
-        tables.append(Table("Yield by strata", head, rows, note))
+        tables.append(Table("Yield by strata", head, rows, note, stacked=True))
     words = tuple(f"{name}: {each.word}." for name, each in levels.moments.items() if each.word)
     words += tuple(f"{text}: {each.word}." for text, each in levels.yields.items() if each.word)
     return Section("levels", "Two models", words, [], tables)
@@ -120,7 +120,7 @@ def rare_failures(rare: "Rare", components: Sequence["Component"]) -> Section:
         f"Failures are searched on {rare.cheap} and counted on {rare.model} by importance sampling about the "
         "places found; first order: as if the border were a plane at the nearest one."
     )
-    tables = [Table("How often a device fails", head, rows, note)]
+    tables = [Table("How often a device fails", head, rows, note, stacked=True)]
     if rare.device:
         of = {each.key: each for each in components}
         table = [
@@ -139,9 +139,16 @@ def _change(number: float, nominal: float) -> str:
 
 
 def value(of: "Estimate", unit: str) -> str:
-    """Return an estimate of a measure with its interval."""
-    low, high = (quantity(end, unit, 4) if math.isfinite(end) else "not known" for end in (of.low, of.high))
-    return f"{quantity(of.value, unit, 5)} ({low} to {high})"
+    """Return an estimate of a measure with its interval, in as many digits as tell the ends apart."""
+    halves = [abs(end - of.value) for end in (of.low, of.high) if math.isfinite(end)]
+    half = min((each for each in halves if each > 0.0), default=0.0)
+    apart = math.ceil(math.log10(abs(of.value) / half)) + 1 if half and of.value else 0
+    digits = min(max(apart, 4), 12)
+    middle = quantity(of.value, unit, max(digits, 5))
+    suffix = middle.partition(" ")[2]
+    ends = (quantity(end, unit, digits) if math.isfinite(end) else "not known" for end in (of.low, of.high))
+    low, high = (end.removesuffix(f" {suffix}") if suffix else end for end in ends)
+    return f"{middle} ({low} to {high})"
 
 
 def percent(of: "Estimate") -> str:

@@ -51,6 +51,8 @@ def test_a_study_its_files_and_one_of_its_devices_again(
     worst = result["worst"]["curl"][0]
     page = (out / "report.html").read_text()
     assert f"--sample {worst[0]}<" in page
+    # the head has the command of the whole study
+    assert re.search(r"<code>cosim mc [^<]* --model linear -n 52</code>", page)
     again = json.loads(call(capsys, *ASKED, "--sample", str(worst[0]), "--json"))
     assert again["measures"]["curl"] == worst[1]
     # the same call is the same study; another one does not write over it

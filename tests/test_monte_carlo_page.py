@@ -1,5 +1,6 @@
 """The page of a Monte Carlo study with all of its sections, in a browser and by its weight."""
 
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +11,12 @@ from browser import Browser
 from formula_studies import SIGMA, SLOPE, Formulas, formulas, measured
 from legible import faults
 
+from cosim.tolerance.intervals import Estimate
 from cosim.tolerance.scene_study import monte_carlo
 from cosim.tolerance.study_results import Findings
 from reports.monte_carlo import PARTS, draw, write_monte_carlo
 from reports.style import look
+from reports.tolerance_sections import value
 
 #: Measures of the catalogue, in whose units the formulas are read.
 FOUR = ("rendered_stiffness", "peak_force", "k_max", "curl")
@@ -79,6 +82,31 @@ def test_a_command_stands_on_the_page_as_it_is_typed(full: Path) -> None:
     commands = re.findall(r"<code>(cosim mc [^<]*--sample \d+)</code>", html)
     assert len(commands) == 5
     assert all(each.startswith(REPLAY.replace("'", "&#39;")) for each in commands)
+
+
+@pytest.mark.parametrize(
+    ("middle", "low", "high", "unit", "text"),
+    [
+        (4.0001e-3, 3.9999e-3, 4.0003e-3, "m", "4.00010 mm (3.99990 to 4.00030)"),
+        (104.5, 103.5, 105.5, "N/m", "104.50 N/m (103.5 to 105.5)"),
+        (1.0001e-3, 9.998e-4, 1.0004e-3, "m", "1.0001 mm (999.80 µm to 1.0004)"),
+        (0.36411, 0.3, math.inf, "N/m", "0.36411 N/m (0.3000 to not known)"),
+        (0.0, 0.0, 0.0, "N", "0 N (0 to 0)"),
+    ],
+)
+def test_the_ends_of_an_interval_can_be_told_apart(
+    middle: float, low: float, high: float, unit: str, text: str
+) -> None:
+    """A mean that is known to 5e-5 stood there as 4 mm, between 4 mm and 4 mm."""
+    assert value(Estimate(middle, low, high, ""), unit) == text
+
+
+def test_the_tables_of_two_models_are_not_told_twice(full: Path) -> None:
+    head = full.read_text(encoding="utf-8").partition("<nav>")[0]
+    assert "devices" in head
+    assert "bought at" in head or "no two resistors" in head
+    assert "correlation" not in head
+    assert "rare failures:" not in head
 
 
 @pytest.mark.browser

@@ -115,7 +115,13 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     with collected() as cautions, progress("mc") as show:
         findings = monte_carlo(prepared, show, processes)
     page = write_monte_carlo(
-        findings, out, replay(args, findings.study.sampling.n), digest, cautions, record_of(prepared)
+        findings,
+        out,
+        replay(args, findings.study.sampling.n),
+        digest,
+        cautions,
+        record_of(prepared),
+        whole(args),
     )
     result = findings.as_dict() | {"page": str(page)}
     return result, "\n".join([*_text(findings), f"wrote {page}"])
@@ -188,14 +194,33 @@ def replay(args: argparse.Namespace, n: int) -> str:
     """Return the command that measures one sample of `n` again, without its number."""
     import shlex
 
+    words = _same_devices(args)
+    words += ["--sampling", args.sampling, "-n", str(n)] if args.sampling != "plain" else []
+    return f"{shlex.join(words)} --sample"
+
+
+def whole(args: argparse.Namespace) -> str:
+    """Return the command of the whole study, but for its folder and who works on it."""
+    import shlex
+
+    words = _same_devices(args)
+    words += ["--sampling", args.sampling] if args.sampling != "plain" else []
+    words += ["--until", args.until] if args.until else ["-n", str(_samples(args))]
+    words += ["--yield", args.wanted] if args.wanted is not None else []
+    words += [
+        f"--{name.replace('_', '-')}" for name in ("worst_case", "two_level", "rare") if getattr(args, name)
+    ]
+    return shlex.join(words)
+
+
+def _same_devices(args: argparse.Namespace) -> list[str]:
+    """Return the words of a command that all its devices depend on."""
     words = ["cosim", "mc", args.scene]
     words += [word for text in args.set for word in ("--set", text)]
     words += [word for name in args.measure for word in ("--measure", name)]
     words += [word for text in args.spec for word in ("--spec", text)]
     words += ["--model", args.model] if args.model else []
-    words += ["--seed", str(args.seed)] if args.seed is not None else []
-    words += ["--sampling", args.sampling, "-n", str(n)] if args.sampling != "plain" else []
-    return f"{shlex.join(words)} --sample"
+    return words + (["--seed", str(args.seed)] if args.seed is not None else [])
 
 
 def _listed(tolerances: "Tolerances") -> tuple[dict[str, Any], str]:
@@ -265,10 +290,9 @@ def _text(findings: "Findings") -> list[str]:
 
 
 def _with_interval(of: "Estimate", unit: str) -> str:
-    from cosim.units import quantity
+    from reports.tolerance_sections import value
 
-    low, high = (quantity(end, unit, 4) for end in (of.low, of.high))
-    return f"{quantity(of.value, unit, 5)} ({low} to {high})"
+    return value(of, unit)
 
 
 def _percent(of: "Estimate") -> str:

@@ -88,6 +88,13 @@ class Findings:
         text: str = view("findings_html", self)
         return text
 
+    @property
+    def in_tables(self) -> frozenset[str]:
+        """Those of the notes whose figures a page has in its tables: of two models, and of rare failures."""
+        lines = _of_levels(self.levels) if self.levels is not None and self.levels.moments else []
+        lines += _of_rare(self.rare, _units(self.study)) if self.rare is not None and self.rare.places else []
+        return frozenset(lines)
+
     def correlation(self) -> NDArray[np.float64]:
         """Return the correlation of the measures (measures, measures)."""
         known = np.isfinite(self.study.results).all(axis=1)
@@ -194,8 +201,7 @@ def find(
         summaries = {name: _corrected(each, levels) for name, each in summaries.items()}
         shares |= {text: each.passing for text, each in levels.yields.items()}
         notes_of += _of_levels(levels)
-    units = {each.key: each.unit for each in study.tolerances.components}
-    notes_of += _of_rare(rare, units) if rare is not None else []
+    notes_of += _of_rare(rare, _units(study)) if rare is not None else []
     return Findings(
         study, tuple(specs), summaries, shares, surfaces,
         tuple(bill(few, surfaces, specs, wanted)), wanted, dict(corners or {}), tuple(notes_of), levels,
@@ -253,6 +259,10 @@ def _of_levels(levels: Levels) -> list[str]:
         if share.word:
             lines.append(f"yield, {what}: {share.word}")
     return lines
+
+
+def _units(study: Study) -> dict[str, str]:
+    return {each.key: each.unit for each in study.tolerances.components}
 
 
 def _of_rare(rare: Rare, units: Mapping[str, str]) -> list[str]:
