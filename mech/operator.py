@@ -16,6 +16,7 @@ from typing import Any, final
 
 import numpy as np
 
+from mech.addresses import address_of
 from mech.parameter_checks import Checker, ParameterError, Refusal
 from mech.records import KNOTS, OPERATOR, OperatorKind
 from mech.userfile import load_file
@@ -182,7 +183,7 @@ class UserOperator(Operator):
         """Return a record for the kernels, shape (1,), dtype `OPERATOR`."""
         record = np.zeros(1, OPERATOR)
         record["kind"], record["mass"] = OperatorKind.USER, self.mass_kg
-        record["callback"] = ctypes.cast(self._callback, ctypes.c_void_p).value
+        record["callback"] = address_of(self._callback)
         return record
 
     def listen(self, listening: Callable[[], AbstractContextManager[None]]) -> None:

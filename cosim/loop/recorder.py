@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+import weakref
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
@@ -16,6 +17,7 @@ from cosim.loop.state import NO_VOLTAGE, PATIENCE, Fault
 from cosim.loop.userclass import in_users_words
 from cosim.storage.staging import disk_errors
 from cosim.types import Report
+from mech.addresses import address_of
 
 _FAULTS = {
     Fault.NOT_FINITE: "a motor current is not a finite number",
@@ -73,9 +75,10 @@ class Recorder:
         self.rows: BinaryIO = opened[0]
         self.samples: BinaryIO = opened[1]
         self.bytes = 0
-        self.callback = ctypes.CFUNCTYPE(None)(self.drain)
+        this = weakref.proxy(self)  # or a run's memory would stay until garbage is collected
+        self.callback = ctypes.CFUNCTYPE(None)(lambda: this.drain())
         state = memory.state[0]
-        state["drain_address"] = ctypes.cast(self.callback, ctypes.c_void_p).value
+        state["drain_address"] = address_of(self.callback)
 
     def drain(self) -> None:
         """Write what compiled code has left in the buffers; called by it, so it must not raise."""

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from cosim.circuits.design_constants import DesignConstants
 from cosim.loop.userclass import PrintCapture, in_users_words, load_class
 from cosim.scene import Scene
+from mech.addresses import address_of
 from mech.kernels import jacobian, tip
 from mech.records import NMAX
 
@@ -127,7 +128,7 @@ class UserLaw:
         self.law, self.state, self.failed, self.where = law, state, failed, where
         self.scene, self.board, self.printed = scene, board, printed
         self.callback = ctypes.CFUNCTYPE(None)(self._sample)
-        self.address = ctypes.cast(self.callback, ctypes.c_void_p).value
+        self.address = address_of(self.callback)
 
     def _sample(self) -> None:
         try:
