@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,11 @@ Signals = Mapping[str, NDArray[np.float64]]
 AT_LIMIT = 0.995
 #: The share of a run, at its end, over which steady figures are averaged.
 STEADY = 0.2
+#: Measures that depend on when the tip was in the wall.
+_OF_CONTACT = frozenset(
+    {"contact_share", "peak_normal_force", "mean_normal_force", "steady_penetration", "steady_normal_force",
+     "steady_tangential_force", "rendered_stiffness", "tangential_ratio", "force_ripple"}
+)  # fmt: skip
 
 
 def wall_frame(scene: Scene, signals: Signals) -> dict[str, NDArray[np.float64]]:
@@ -66,62 +72,84 @@ def standard(
     samples: Signals,
     amplifiers: list[dict[str, Any]],
     ledger: Mapping[str, Any],
+    names: Collection[str] = NAMES,
 ) -> dict[str, dict[str, Any]]:
-    """Every measure that applies to the scene: name -> {value, unit, text}."""
+    """Every measure that applies to the scene, of those that are wanted: name -> {value, unit, text}."""
     out: dict[str, dict[str, Any]] = {}
 
-    def add(name: str, value: float, text: str = "") -> None:
-        out[name] = {"value": float(value), "unit": UNITS[name], "text": text or MEASURES[name].text}
+    def add(name: str, value: Callable[[], float], text: str = "") -> None:
+        if name in names:
+            text = text or MEASURES[name].text
+            out[name] = {"value": float(value()), "unit": UNITS[name], "text": text}
 
     t = np.asarray(signals["time"])
     span = float(t[-1] - t[0])
     trace = _tracer(scene, signals)
-    force = trace(np.hypot(signals["fx"], signals["fy"]))
-    add("peak_force", force.peak())
+    add("peak_force", lambda: trace(np.hypot(signals["fx"], signals["fy"])).peak())
     if scene.wall is not None:
         frame = wall_frame(scene, signals)
         pen = trace(frame["penetration"], -_tip_speed(scene, signals))
-        normal = trace(frame["normal"])
-        add("max_penetration", max(pen.peak(), 0.0))
-        contact = pen.above(0.0)
-        add("contact_share", contact.length / span if span else 0.0)
-        if contact.length > 0.0:
-            add("peak_normal_force", normal.peak(contact))
-            add("mean_normal_force", normal.mean_over(contact))
-        late = float(t[-1] - STEADY * span), float(t[-1])
-        if len(contact.end) and contact.begin[-1] <= late[0] and contact.end[-1] >= late[1]:
-            sink, push = pen.cut(*late).mean(), normal.cut(*late).mean()
-            drag = trace(frame["tangent"]).cut(*late).mean()
-            add("steady_penetration", sink)
-            add("steady_normal_force", push)
-            add("steady_tangential_force", drag)
-            rendered = trace(frame["push"]).cut(*late).mean() / sink
-            add("rendered_stiffness", rendered)
-            if push != 0.0:  # a device that nobody holds
-                add("tangential_ratio", abs(drag / push))
-            ripple = trace(frame["normal"] - push).cut(*late).mean_square()
-            add("force_ripple", math.sqrt(ripple))
+        add("max_penetration", lambda: max(pen.peak(), 0.0))
+        if not _OF_CONTACT.isdisjoint(names):
+            _add_contact((float(t[0]), float(t[-1])), frame, pen, trace, add)
     currents = [np.asarray(signals[f"imot{j}"]) for j in range(1, scene.joints + 1)]
     both = [trace(sign * current) for current in currents for sign in (1.0, -1.0)]
-    peak = max(each.peak() for each in both)
+
+    @cache
+    def peak() -> float:
+        return max(each.peak() for each in both)
+
+    def over_rated() -> float:
+        if not span or peak() <= constants.i_rated:
+            return 0.0
+        return together([each.above(constants.i_rated) for each in both]).length / span
+
     add("peak_current", peak)
-    add("rated_share", peak / constants.i_rated)
-    over = (
-        together([each.above(constants.i_rated) for each in both]).length if peak > constants.i_rated else 0.0
-    )
-    add("over_rated", over / span if span else 0.0)
-    heat = span * sum(each.mean_square() for each in both[::2])
-    add("heat", heat)
-    add("dac_saturations", float(samples["saturated"].sum()))
-    add("unreachable_samples", float(samples["unsolved"].sum()))
+    add("rated_share", lambda: peak() / constants.i_rated)
+    add("over_rated", over_rated)
+    add("heat", lambda: span * sum(each.mean_square() for each in both[::2]))
+    add("dac_saturations", lambda: float(samples["saturated"].sum()))
+    add("unreachable_samples", lambda: float(samples["unsolved"].sum()))
     tightest = headroom(amplifiers)
     if tightest:
         first = tightest[0]
         used = f"{quantity(first['peak_v'], 'V')} of {quantity(first['swing_v'], 'V')}"
         text = f"{first['path']} ({first['part']}) clips first: {used}"
-        add("headroom", first["headroom"], text)
-    add("ledger_closure", ledger["closure"])
+        add("headroom", lambda: first["headroom"], text)
+    add("ledger_closure", lambda: ledger["closure"])
     return out
+
+
+def _add_contact(
+    run_s: tuple[float, float],
+    frame: Mapping[str, NDArray[np.float64]],
+    pen: Trace,
+    trace: Callable[..., Trace],
+    add: Callable[..., None],
+) -> None:
+    """Add the measures of contact in a run from one time to another; `pen` is the depth in the wall [m]."""
+    begin, end = run_s
+    normal = trace(frame["normal"])
+    contact = pen.above(0.0)
+    add("contact_share", lambda: contact.length / (end - begin) if end > begin else 0.0)
+    if contact.length > 0.0:
+        add("peak_normal_force", lambda: normal.peak(contact))
+        add("mean_normal_force", lambda: normal.mean_over(contact))
+    late = end - STEADY * (end - begin), end
+    if not len(contact.end) or contact.begin[-1] > late[0] or contact.end[-1] < late[1]:
+        return
+
+    def mean(of: Trace) -> float:
+        return of.cut(*late).mean()
+
+    sink, push, drag = mean(pen), mean(normal), mean(trace(frame["tangent"]))
+    add("steady_penetration", lambda: sink)
+    add("steady_normal_force", lambda: push)
+    add("steady_tangential_force", lambda: drag)
+    add("rendered_stiffness", lambda: mean(trace(frame["push"])) / sink)
+    if push != 0.0:  # a device that nobody holds
+        add("tangential_ratio", lambda: abs(drag / push))
+    add("force_ripple", lambda: math.sqrt(trace(frame["normal"] - push).cut(*late).mean_square()))
 
 
 def _tracer(scene: Scene, signals: Signals) -> Callable[..., Trace]:
