@@ -16,7 +16,7 @@ from scipy.linalg import expm
 from support import scene_of, slider
 
 from cosim.circuits.linear_circuit import LinearCircuit
-from cosim.loop.linear.exact_slider import system, transition
+from cosim.loop.linear.exact_matrices import Step, system, transitions
 from cosim.loop.linear.run_linear import prepare
 from cosim.scene import Scene
 
@@ -134,7 +134,8 @@ def test_the_matrix_of_a_ramp_is_that_of_its_two_pieces(tmp_path: Path) -> None:
     early = late + np.array([0.0, 1.0, 1.0, 0.0, 0.0]) / ramp
     there = expm(values * ramp) @ np.concatenate([start, early * change])
     end = expm(values * (h - ramp)) @ np.concatenate([there[: n + 5], late * change])
-    value = transition(state, circuit, gains, h, ramp, nodes=False) @ np.concatenate([start, change])
+    (made,) = transitions([(a, b, c, d)], np.zeros(1, int), [Step(*gains, h, ramp)], nodes=False)
+    value = made @ np.concatenate([start, change])
     assert value[:n] == pytest.approx(end[:n], rel=1e-10)
     assert value[n] == pytest.approx(float(c[0] @ end[:n] + d[0] @ end[n : n + 5]), rel=1e-10)
 

@@ -103,10 +103,12 @@ def test_what_a_killed_process_left_among_the_parts_is_taken_away(tmp_path: Path
     assert not parts.exists()
 
 
-def test_no_circuit_of_an_earlier_sample_stays(monkeypatch) -> None:
+@pytest.mark.parametrize(("measure", "per_sample"), [("max_penetration", 0), ("k_max", 3)])
+def test_no_circuit_of_an_earlier_sample_stays(monkeypatch, measure, per_sample) -> None:
     """A process collects garbage by itself as good as never: 0.35 MB of a sample stayed, 2.1 GB of 3,000.
 
-    Seen to fail without the collection in `measured`.
+    A run leaves none at all: seen to fail with `ctypes.cast` for the address of a callback, and with one that
+    holds its `Recorder`. Of the board's measures something is left: seen to fail without the collection.
     """
     plan = resolve(load_scene(SCENES / "drop.toml", ["duration_s=0.02", 'solver.model="linear"']))
     left: list[int] = []
@@ -122,8 +124,9 @@ def test_no_circuit_of_an_earlier_sample_stays(monkeypatch) -> None:
             gc.enable()
 
     monkeypatch.setattr(Batch, "_call", call)
-    with Batch(plan, ("rsp11",), ("max_penetration",)) as batch:
+    if not per_sample:
+        monkeypatch.setattr(batch_module, "_COLLECTED", 1000)
+    with Batch(plan, ("rsp11",), (measure,)) as batch:
         for count in (1, 2, 34):  # the garbage of one sample is left, the second and the last
             batch.measures(np.linspace(24e3, 25e3, count)[:, None])
-    assert 0 < left[1]
-    assert left[2] < 3 * left[1]
+    assert left[2] - left[1] <= per_sample * left[1]

@@ -17,16 +17,18 @@ import numpy as np
 
 from cosim.catalogue import MEASURES, Need
 from cosim.caution import collected
+from cosim.circuits.design_constants import Stated
 from cosim.circuits.draws.models import Draws
 from cosim.circuits.fitting.rational_fit import FitError
 from cosim.comparisons.board_measures import BoardMeasures, Lacking
 from cosim.comparisons.measure_values import all_measures, check_measures
 from cosim.errors import CosimError, InputError, SimulationError, fail
-from cosim.loop.linear.held_run import held_run, is_compiled
+from cosim.loop.linear.held_run import HeldRuns, is_compiled
 from cosim.ngspice.child import Child
 from cosim.ngspice.placed_values import Placed
 from cosim.plan import Plan
 from cosim.runner import run
+from cosim.scene import Scene
 from cosim.storage.staging import scratch_folder
 from cosim.tolerance.applied_draw import motors, nominal, of_board, with_motors, with_numbers
 from cosim.tolerance.calibration import calibrated
@@ -227,8 +229,8 @@ class _Known:
 
 
 _known: list[_Known] = []
-#: Samples after which their garbage is taken away: circuits refer to themselves, 0.35 MB each, and a process
-#: that looks for garbage as seldom as ours (`collect_seldom`) filled the memory in a study of thousands.
+#: Samples after which their garbage is taken away: a process of ours looks for it seldom (`collect_seldom`).
+#: Runs leave none; measures of the board leave netlists that refer to themselves.
 _COLLECTED = 8
 
 
@@ -248,16 +250,13 @@ def measured(payload: Mapping[str, Any], report: Report) -> tuple[Array, dict[in
     tuple
         measures (n, measures), and sample -> why it failed
     """
-    plan: Plan = payload["plan"]
-    keys, values, names = payload["keys"], payload["values"], payload["names"]
-    draws = _draws(plan, keys, payload["nominal"])
-    drawn = motors(plan, keys)
+    values, device = payload["values"], _Device(payload)
     report({"time_s": 0.0})
-    table = np.full((len(values), len(names)), np.nan)
+    table = np.full((len(values), len(payload["names"])), np.nan)
     failed: dict[int, str] = {}
     for k, row in enumerate(values):
         try:
-            table[k] = _one(plan, draws, keys, names, row.tolist(), drawn)
+            table[k] = device.measured(row.tolist())
         except FitError as reason:
             failed[k] = _words(SimulationError(f"no `linear` model: {reason}"))
         except CosimError as reason:
@@ -279,42 +278,51 @@ def _draws(plan: Plan, keys: Sequence[str], nominal: Sequence[float]) -> Draws:
     return _known[0].draws
 
 
-def _one(
-    plan: Plan,
-    draws: Draws,
-    keys: Sequence[str],
-    names: Sequence[str],
-    values: Sequence[float],
-    drawn: Mapping[int, int],
-) -> list[float]:
-    """Return the measures of one sample."""
-    scene = with_numbers(plan.scene, keys, values)
-    on_board = [values[k] for k in of_board(keys)]
-    solver = scene.solver
-    runs = [name for name in names if MEASURES[name].needs is Need.RUN]
-    gains = scene.tolerance.calibration == "gains"
-    # of a run on `spice` too: who is unstable is told; a run here has its own, smaller one
-    circuit = draws.at(on_board) if gains or len(runs) < len(names) or not runs else None
-    constants = with_motors(plan.stated(), drawn, values, scene.joints)
-    if gains:
-        assert circuit is not None
-        constants = calibrated(constants, circuit)
-    # what is asked of the plan is the board's design, but for its motors
-    plan = replace(plan, scene=scene, board=draws.deck(on_board), _asked={"stated": constants})
-    values_of: dict[str, float] = {}
-    if runs:
-        from cosim.measures import standard
+class _Device:
+    """The device as designed, and what does not change from sample to sample; see `measured`."""
 
-        small = draws.at(on_board, solver.band_hz, solver.reduction_tolerance)
-        result = held_run(scene, constants, small)
-        rows = standard(scene, constants, result.signals, result.samples, [], result.ledger)
-        values_of |= {name: float(row["value"]) for name, row in rows.items()}
-    if circuit is not None:
-        of = BoardMeasures(plan, _Here(), circuit)
-        for name in names:
-            if name not in runs:
-                try:
-                    values_of[name] = float(of.row(name)["value"])
-                except Lacking:
-                    values_of[name] = np.nan
-    return [values_of.get(name, np.nan) for name in names]
+    def __init__(self, payload: Mapping[str, Any]) -> None:
+        plan: Plan = payload["plan"]
+        self._plan, self._keys, self._names = plan, payload["keys"], payload["names"]
+        self._draws = _draws(plan, self._keys, payload["nominal"])
+        self._board, self._motors = of_board(self._keys), motors(plan, self._keys)
+        self._ran = [name for name in self._names if MEASURES[name].needs is Need.RUN]
+        self._known: HeldRuns | None = None
+
+    def measured(self, values: Sequence[float]) -> list[float]:
+        """Return the measures of one sample."""
+        plan, draws = self._plan, self._draws
+        scene = with_numbers(plan.scene, self._keys, values)
+        on_board = [values[k] for k in self._board]
+        gains, still = scene.tolerance.calibration == "gains", len(self._ran) < len(self._names)
+        # of a run on `spice` too: who is unstable is told; a run here has its own, smaller one
+        circuit = draws.at(on_board) if gains or still or not self._ran else None
+        constants = with_motors(plan.stated(), self._motors, values, scene.joints)
+        if gains:
+            assert circuit is not None
+            constants = calibrated(constants, circuit)
+        values_of: dict[str, float] = {}
+        if self._ran:
+            from cosim.measures import standard
+
+            small = draws.at(on_board, scene.solver.band_hz, scene.solver.reduction_tolerance)
+            result = self._runs(scene, constants).run(small)
+            rows = standard(scene, constants, result.signals, result.samples, [], result.ledger, self._ran)
+            values_of |= {name: float(row["value"]) for name, row in rows.items()}
+        if still:
+            # what is asked of the plan is the board's design, but for its motors
+            drawn = replace(plan, scene=scene, board=draws.deck(on_board), _asked={"stated": constants})
+            of = BoardMeasures(drawn, _Here(), circuit)
+            for name in self._names:
+                if name not in self._ran:
+                    try:
+                        values_of[name] = float(of.row(name)["value"])
+                    except Lacking:
+                        values_of[name] = np.nan
+        return [values_of.get(name, np.nan) for name in self._names]
+
+    def _runs(self, scene: Scene, constants: Stated) -> HeldRuns:
+        """Return the runs of a scene; those of the sample before where it is the same."""
+        if self._known is None or self._known.scene is not scene or self._known.constants is not constants:
+            self._known = HeldRuns(scene, constants)
+        return self._known

@@ -57,6 +57,13 @@ def single(z: complex, out: Array) -> None:
         out[r + 1] = (out[r] - _INVERSE_FACTORIAL[r]) / z
 
 
+@entry(ArrayOf(np.complex128, 1), ArrayOf(np.complex128, 2))
+def singles(z: Array, out: Array) -> None:
+    """Fill each row of `out` with what `single` makes of one of `z`."""
+    for i in range(len(z)):
+        single(z[i], out[i])
+
+
 @entry(complex, complex, ArrayOf(np.complex128, 1), ArrayOf(np.complex128, 1), ArrayOf(np.complex128, 1))
 def double(a: complex, b: complex, of_a: Array, of_b: Array, out: Array) -> None:
     """Fill `out[r]` with G_r(a, b), r = 0 .. TOP; `of_a` and `of_b` as `single` fills them."""

@@ -8,24 +8,23 @@ for each set of gains and each length of time takes it from event to event.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from cosim.circuits.linear_circuit import LinearCircuit
-from cosim.loop.linear.matrix_phi import phi_functions
+from cosim.loop.linear.exact_matrices import INPUTS, Step, System, system, transitions
 from cosim.loop.linear.step_maps import NODES, WEIGHTS, Ints, Matrix, Plan, Vector
 from cosim.loop.linear.step_memory import StepMemory
 from cosim.loop.pin_voltages import grid_noise, volts
 from cosim.loop.state import STATE, Fault
 from cosim.types import Array, Record
+from mech.addresses import address_of
 from mech.compiled import call_plain, inner, inner_inlined, kind_of
 from mech.kernels import dynamics, operator_force
 
-#: Inputs: outer torque [N m], u, cmd [V], noise of the potentiometer [rad] and its rate [rad/s].
-_INPUTS = 5
 #: Columns of a matrix behind the state: outer torque, u and cmd at the start, their changes over the step;
 #: noise and its rate with theirs, which are left out where there is no noise.
 _ORDER = (0, 1, 2, 5, 6, 7, 3, 4, 8, 9)
@@ -74,12 +73,14 @@ def _padded(rows: int) -> int:
 
 
 def exact(
-    state: np.void, circuit: LinearCircuit, knots: Array, failures: list[Exception], *, linear: bool
-) -> tuple[Exact, Callable[[], None]]:
+    state: np.void, circuit: LinearCircuit, knots: Array, failures: list[Exception], asked: list[Step],
+    *, linear: bool, expected: Sequence[Step] = (),
+) -> tuple[Exact, Callable[[], None]]:  # fmt: skip
     """Return the memory of the exact path and the callback that must live as long as it is used.
 
     `knots` are the times inside the run at which the operator's force has a kink. An exception in
     the callback ends the run and is kept in `failures`. `linear`: see `is_linear_between_events`.
+    Steps go to `asked` as they are asked for; those that are `expected` are made together with the first.
     """
     op = state["op"]
     size = 2 + circuit.order
@@ -89,18 +90,32 @@ def exact(
     slots = _SLOTS if linear else 1
     x = Exact(
         on=np.array([int(linear)]), key=np.zeros((slots, 5)), made=np.zeros(2, np.int64),
-        data=np.zeros((slots, size + 2 * _INPUTS, _padded(size + 10))), asked=np.zeros(4),
+        data=np.zeros((slots, size + 2 * INPUTS, _padded(size + 10))), asked=np.zeros(4),
         address=np.zeros(1, np.int64), moving=np.array(moving).reshape(-1, 2),
         outer=outer_torque(state, np.array([0.0, *knots, state["t_end"]])) if linear else np.zeros((2, 2)),
-        now=np.zeros(size + 2 * _INPUTS), then=np.zeros(_padded(size + 10)),
+        now=np.zeros(size + 2 * INPUTS), then=np.zeros(_padded(size + 10)),
     )  # fmt: skip
+
+    order = [*range(size), *(size + i for i in _ORDER)]
+    systems: dict[tuple[float, float], System] = {}
+    known: dict[Step, Array] = {}
+    nodes = bool(state["rows"]["capacity"])
 
     def make() -> None:
         at = x.made[0]
         try:
-            nodes = bool(state["rows"]["capacity"])
-            made = transition(state, circuit, x.asked[:2], float(x.asked[2]), float(x.asked[3]), nodes=nodes)
-            x.data[at, :, : size + 10] = made[:, [*range(size), *(size + i for i in _ORDER)]].T
+            step = Step(*x.asked.tolist())
+            if step not in known:
+                steps = list(dict.fromkeys((step, *(() if asked else expected))))
+                gains = list(dict.fromkeys((each.ksp, each.ksd) for each in steps))
+                for each in gains:
+                    if each not in systems:
+                        systems[each] = system(state, circuit, np.array(each))
+                which = np.array([gains.index((each.ksp, each.ksd)) for each in steps])
+                made = transitions([systems[each] for each in gains], which, steps, nodes=nodes)
+                known.update(zip(steps, made[:, :, order].transpose(0, 2, 1), strict=True))
+            x.data[at, :, : size + 10] = known.pop(step)
+            asked.append(step)
         except Exception as error:  # none may cross the compiled frames above
             failures.append(error)
             state["fault"] = Fault.STOPPED
@@ -108,7 +123,7 @@ def exact(
         x.made[0] += 1
 
     callback = ctypes.CFUNCTYPE(None)(make)
-    x.address[0] = ctypes.cast(callback, ctypes.c_void_p).value or 0
+    x.address[0] = address_of(callback)
     return x, callback
 
 
@@ -122,93 +137,6 @@ def outer_torque(state: np.void, times: Array) -> Array:
     for row, t in zip(out, times, strict=True):
         operator_force(op, t, np.array(p["origin"]), np.zeros(2), force)
         row[:] = t, weight * (np.array(p["gravity"]) @ direction) + radius * (force @ direction)
-    return out
-
-
-def system(state: np.void, circuit: LinearCircuit, gains: Array) -> tuple[Array, Array, Array, Array]:
-    """Return A, B, C and D of x' = A x + B i, current = C x + D i, for a slider with given multiplier gains.
-
-    Inputs are those of `_INPUTS`; the circuit's own offset is left out.
-    """
-    p, op = state["p"], state["op"]
-    before = circuit.a_pre.shape[0]
-    size, m = 2 + circuit.order, len(circuit.gain)
-    z, w = slice(2, 2 + before), slice(2 + before, size)
-    a, b = np.zeros((size, size)), np.zeros((size, _INPUTS))
-    pins, pin_inputs = np.zeros((2, size)), np.zeros((2, _INPUTS))  # pot, u
-    pins[0, 0], pin_inputs[0, 3], pin_inputs[1, 1] = 1.0, 1.0, 1.0
-    a[z], b[z] = circuit.b_pre @ pins, circuit.b_pre @ pin_inputs
-    a[z, z] += circuit.a_pre
-    x, x_inputs = circuit.d_pre @ pins, circuit.d_pre @ pin_inputs
-    x[:, z] += circuit.c_pre
-    x[:, 1] += circuit.e_pre[:, 0]
-    x_inputs[:, 4] += circuit.e_pre[:, 0]
-    held = (circuit.gain * (gains + circuit.y_offset))[:, None]
-    behind, behind_inputs = np.zeros((m + 2, size)), np.zeros((m + 2, _INPUTS))
-    behind[:m], behind_inputs[:m] = held * x, held * x_inputs
-    behind[m + 1, 1], behind_inputs[m, 2] = state["gear"], 1.0
-    a[w], b[w] = circuit.b_post @ behind, circuit.b_post @ behind_inputs
-    a[w, w] += circuit.a_post
-    c, d = circuit.d_post @ behind, circuit.d_post @ behind_inputs
-    c[:, w] += circuit.c_post
-    radius = p["length"][0]
-    inertia = p["couple"][0, 0] + op["mass"] * radius**2 + p["armature"][0]
-    viscous = (p["viscous"][0] if p["viscous_on"] else 0.0) + op["damping"] * radius**2
-    a[0, 1] = 1.0
-    a[1] = state["torque_per_amp"][0] * c[0] / inertia
-    a[1, 0] -= op["stiffness"] * radius**2 / inertia
-    a[1, 1] -= viscous / inertia
-    b[1] = state["torque_per_amp"][0] * d[0] / inertia
-    b[1, 0] += 1.0 / inertia
-    return a, b, c, d
-
-
-def transition(
-    state: np.void, circuit: LinearCircuit, gains: Array, h: float, ramp: float, *, nodes: bool
-) -> Array:
-    """Return the matrix of states and inputs for gains [V at the pins ksp, ksd] and a time `h` [s]; by row.
-
-    Columns are states, inputs at the start and changes of the inputs over the step. With `ramp` [s] the pins
-    u and cmd change within that time, and rest then; other changes, and all without, are even over `h`. Rows
-    are those of `Exact.data`; without `nodes` those of Gauss's nodes stay zero.
-    """
-    a, b, c, d = system(state, circuit, gains)
-    size = len(a)
-    out = np.zeros((size + 10, size + 2 * _INPUTS))
-
-    def risen(t: float) -> Array:
-        """Return the share of each input's change that is over at the time t."""
-        share = np.full(_INPUTS, t / h)
-        if ramp > 0.0:
-            share[1:3] = min(t / ramp, 1.0)
-        return share
-
-    def leg(start: Array, t0: float, t1: float) -> Array:
-        """Take states at t0, by column, to t1, the inputs changing evenly."""
-        e, one, two = phi_functions(a, t1 - t0, 2)
-        out = e @ start
-        out[:, size : size + _INPUTS] += (t1 - t0) * one @ b
-        out[:, size + _INPUTS :] += (t1 - t0) * (one @ b * risen(t0) + two @ b * (risen(t1) - risen(t0)))
-        return np.asarray(out)
-
-    def to(part: float) -> Array:
-        states, t = np.eye(size, size + 2 * _INPUTS), part * h
-        if 0.0 < ramp < t:
-            return leg(leg(states, 0.0, ramp), ramp, t)
-        return leg(states, 0.0, t)
-
-    def current(states: Array, part: float) -> Array:
-        row = c @ states
-        row[:, size : size + _INPUTS] += d
-        row[:, size + _INPUTS :] += risen(part * h) * d
-        return np.asarray(row[0])
-
-    out[:size] = to(1.0)
-    out[size] = current(out[:size], 1.0)
-    for i, x in enumerate(NODES if nodes else ()):
-        states = to(float(x))
-        out[size + 1 + 3 * i : size + 3 + 3 * i] = states[:2]
-        out[size + 3 + 3 * i] = current(states, float(x))
     return out
 
 

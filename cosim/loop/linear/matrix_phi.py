@@ -12,8 +12,9 @@ from functools import lru_cache
 
 import numpy as np
 import scipy  # loads its parts when they are used
+from numpy.typing import NDArray
 
-from cosim.loop.linear.divided_differences import TOP, single
+from cosim.loop.linear.divided_differences import TOP, singles
 from cosim.types import Array
 
 #: Eigenvectors conditioned better than this lose four digits at most, and are the quick way.
@@ -25,25 +26,22 @@ _KEPT = 16
 
 
 class Modes:
-    """A real matrix [N, N], decomposed once for its phi functions at many times."""
+    """A real matrix [N, N], decomposed once for its phi functions at many times.
+
+    Attributes
+    ----------
+    balanced, scale
+        The matrix is `scale` * `balanced`, entry by entry.
+    poles, vectors, inverse
+        Of the balanced matrix; `inverse` is None where the vectors are ill-conditioned.
+    """
 
     def __init__(self, a: Array) -> None:
-        self._balanced, (scale, _) = scipy.linalg.matrix_balance(a, permute=False, separate=True)
-        self._scale = scale[:, None] / scale
-        self._modes, self._vectors = np.linalg.eig(self._balanced)
-        self._well = np.linalg.cond(self._vectors) < _WELL
-        self._inverse = np.linalg.inv(self._vectors) if self._well else None
-
-    def phi_functions(self, h: float, count: int) -> list[Array]:
-        """Return F_0 .. F_count of the matrix times `h` [s], as `phi_functions` does."""
-        if self._well:
-            values = np.zeros((len(self._modes), TOP + 1), complex)
-            for mode, row in zip((self._modes * h).tolist(), values, strict=True):
-                single(complex(mode), row)
-            functions = [np.real((self._vectors * values[:, r]) @ self._inverse) for r in range(count + 1)]
-        else:
-            functions = _functions(self._balanced * h, count)
-        return [self._scale * f for f in functions]
+        self.balanced, _, _, factors, _ = scipy.linalg.lapack.dgebal(a, scale=1)
+        self.scale = factors[:, None] / factors
+        self.poles, self.vectors = np.linalg.eig(self.balanced)
+        well = np.linalg.cond(self.vectors) < _WELL
+        self.inverse = np.linalg.inv(self.vectors) if well else None
 
 
 @lru_cache(maxsize=_KEPT)
@@ -70,9 +68,37 @@ def phi_functions(a: Array, h: float, count: int) -> list[Array]:
     >>> round(float(zero[0, 0]), 6), round(float(one[0, 0]), 6)
     (0.367879, 0.632121)
     """
-    if not len(a):
-        return [np.zeros((0, 0)) for _ in range(count + 1)]
-    return _modes(np.asarray(a, float).tobytes(), len(a)).phi_functions(h, count)
+    one = phi_functions_of(np.asarray(a, float)[None], np.zeros(1, np.int64), np.array([h], float), count)
+    return [f[0] for f in one]
+
+
+def phi_functions_of(matrices: Array, which: NDArray[np.int64], times: Array, count: int) -> Array:
+    """Return what `phi_functions` does for some of `matrices` [K, N, N], `which` [P] at `times` [P] s.
+
+    The shape is [count + 1, P, N, N].
+    """
+    n = matrices.shape[1]
+    out = np.zeros((count + 1, len(times), n, n))
+    if not n:
+        return out
+    every = [_modes(a.tobytes(), n) for a in matrices]
+    well = np.array([modes.inverse is not None for modes in every])[which]
+    if well.any():
+        of, t = which[well], times[well]
+        used = [modes if modes.inverse is not None else every[of[0]] for modes in every]
+        poles, vectors, inverse, scale = (
+            np.array([getattr(modes, name) for modes in used])
+            for name in ("poles", "vectors", "inverse", "scale")
+        )
+        nodes = (t[:, None] * poles[of]).astype(complex)
+        values = np.zeros((*nodes.shape, TOP + 1), complex)
+        singles(nodes.ravel(), values.reshape(-1, TOP + 1))
+        each = values.transpose(2, 0, 1)[: count + 1, :, None, :]
+        out[:, well] = scale[of] * np.real((vectors[of] * each) @ inverse[of])
+    for p in np.flatnonzero(~well):
+        modes = every[which[p]]
+        out[:, p] = [modes.scale * f for f in _functions(modes.balanced * float(times[p]), count)]
+    return out
 
 
 def _functions(z: Array, count: int) -> list[Array]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,7 @@ from cosim.loop.columns import columns, sample_columns
 from cosim.loop.component_noise import ComponentGrid, component_grid
 from cosim.loop.dac_channels import channels, drive
 from cosim.loop.linear import stepper
+from cosim.loop.linear.exact_matrices import Step
 from cosim.loop.linear.exact_slider import Exact, exact
 from cosim.loop.linear.offset_state import shifted
 from cosim.loop.linear.step_layout import plan
@@ -75,6 +76,7 @@ class Propagation:
     exact, callback : memory of the exact path, and what makes its matrices; failures : of that
     first_s : longest step behind a jump; 0 for none
     tables : where compiled code finds all that
+    asked : steps of the exact path, as they are asked for
     """
 
     memory: Memory
@@ -86,6 +88,7 @@ class Propagation:
     failures: list[Exception]
     first_s: float
     tables: stepper.Tables
+    asked: list[Step]
 
     def run(self) -> None:
         """Integrate to the end of the scene, or to a fault (`memory.state['fault']`).
@@ -123,11 +126,27 @@ def prepare(
     component
         Noise of the board's components, where the scene asks for it.
     """
-    n = scene.joints
-    driving = drive(scene)
-    memory = pack(scene, constants, driving, (), (), row_capacity, sample_capacity, component)
+    memory = pack(scene, constants, drive(scene), (), (), row_capacity, sample_capacity, component)
+    return with_circuit(memory, scene, constants, circuit, record=record, dense=dense)
+
+
+def with_circuit(
+    memory: Memory,
+    scene: Scene,
+    constants: DesignConstants,
+    circuit: LinearCircuit,
+    *,
+    record: bool,
+    dense: bool = True,
+    expected: Sequence[Step] = (),
+) -> Propagation:
+    """Put a circuit to the memory of a scene at time 0; see `prepare`.
+
+    `expected` are steps that a run before has asked for (`Propagation.asked`): made together, they cost less.
+    """
+    n, driving, component = scene.joints, memory.drive, memory.component
     state = memory.state[0]
-    state["rows"]["capacity"] = row_capacity if record else 0
+    state["rows"]["capacity"] = len(memory.rows) if record else 0
     if not (record and dense):
         state["steps"]["longest"] = scene.computer.period_s
     state["w"]["mode"]["located"] = any(
@@ -158,10 +177,13 @@ def prepare(
             first *= scene.solver.max_step_s / _USUAL_STEP_S
             state["steps"]["fresh"] = max(float(state["steps"]["fresh"]), scene.computer.period_s)
     failures: list[Exception] = []
-    linear = is_linear_between_events(scene)
-    leaps, callback = exact(state, shifted_circuit, memory.knots, failures, linear=linear)
+    asked: list[Step] = []
+    leaps, callback = exact(
+        state, shifted_circuit, memory.knots, failures, asked,
+        linear=is_linear_between_events(scene), expected=expected,
+    )  # fmt: skip
     tables = stepper.Tables(memory.state, maps, step, leaps)
-    return Propagation(memory, circuit, maps, step, leaps, callback, failures, first, tables)
+    return Propagation(memory, circuit, maps, step, leaps, callback, failures, first, tables, asked)
 
 
 def _slowest(a: NDArray[np.float64]) -> float:

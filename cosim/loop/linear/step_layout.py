@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,8 @@ from cosim.types import Array, Complex
 SLOTS = 512
 #: Eigenvectors are solved with; their condition number times eps is the relative error that this makes.
 _WORST_CONDITION = 1e10
+#: Layouts that are kept: circuits with other values have the same blocks.
+_KEPT = 8
 
 
 @dataclass(frozen=True)
@@ -38,10 +41,15 @@ class Modes:
     condition: float
 
 
-def _parts(a: Array) -> Ints:
-    """Return for each state the number of its part: states of two parts do not reach each other."""
-    joined = (a != 0) | (a.T != 0) | np.eye(len(a), dtype=bool)
-    for _ in range(len(a).bit_length()):
+@lru_cache(maxsize=_KEPT)
+def _parts(coupled: bytes, size: int) -> Ints:
+    """Return for each state the number of its part: states of two parts do not reach each other.
+
+    `coupled` are the bytes of which entries of the state matrix are not zero.
+    """
+    mask = np.frombuffer(coupled, bool).reshape(size, size)
+    joined = mask | mask.T | np.eye(size, dtype=bool)
+    for _ in range(size.bit_length()):
         joined = joined @ joined  # reached over twice as many states
     first = np.array([row.argmax() for row in joined], np.int64)
     return np.unique(first, return_inverse=True)[1].astype(np.int64)
@@ -52,8 +60,11 @@ def modes(a: Array, name: str) -> Modes:
     size = len(a)
     poles, v, w = np.zeros(size, complex), np.zeros((size, size), complex), np.zeros((size, size), complex)
     condition = 1.0
-    part = _parts(a)
-    for k in range(part.max(initial=-1) + 1):
+    part = _parts((a != 0).tobytes(), size)
+    states = np.bincount(part)
+    alone = np.flatnonzero(states[part] == 1)
+    poles[alone], v[alone, alone], w[alone, alone] = a[alone, alone], 1.0, 1.0
+    for k in np.flatnonzero(states > 1):
         at = np.flatnonzero(part == k)
         poles[at], vectors = np.linalg.eig(a[np.ix_(at, at)])
         cond = float(np.linalg.cond(vectors))
@@ -67,7 +78,7 @@ def modes(a: Array, name: str) -> Modes:
             )
         condition = max(condition, cond)
         v[np.ix_(at, at)], w[np.ix_(at, at)] = vectors, np.linalg.inv(vectors)
-    return Modes(poles, v, w, part.astype(np.int64), condition)
+    return Modes(poles, v, w, part, condition)
 
 
 def _slowest(poles: Complex) -> float:
@@ -150,57 +161,86 @@ class _Features:
         return move
 
 
-class _Blocks:
-    """The blocks of a circuit, with the modes `one` before and `two` after the multipliers."""
+class _Pattern:
+    """What the blocks of a circuit depend on: which entries of its matrices are not zero, and its parts.
 
-    def __init__(self, circuit: LinearCircuit, one: Modes, two: Modes, f: _Features) -> None:
-        self._circuit, self._one, self._two, self._f = circuit, one, two, f
+    Attributes
+    ----------
+    b_pre, c_pre, d_pre, e_pre, b_post, c_post, d_post
+        Which entries are not zero.
+    one, two
+        Part of each state before and after the multipliers.
+    in_series
+        [m, sources] which noise voltages stand in series with X of each multiplier.
+    """
+
+    _MATRICES = ("b_pre", "c_pre", "d_pre", "e_pre", "b_post", "c_post", "d_post")
+
+    def __init__(self, circuit: LinearCircuit, one: Ints, two: Ints, in_series: NDArray[np.bool_]) -> None:
+        self.b_pre, self.c_pre, self.d_pre, self.e_pre, self.b_post, self.c_post, self.d_post = (
+            getattr(circuit, name) != 0 for name in self._MATRICES
+        )
+        self.one, self.two, self.in_series = one, two, in_series
+        self._key = tuple((value.shape, value.tobytes()) for value in vars(self).values())
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Pattern) and self._key == other._key
+
+
+class _Blocks:
+    """The blocks of a circuit of a pattern."""
+
+    def __init__(self, pattern: _Pattern, f: _Features) -> None:
+        self._pattern, self._f = pattern, f
         self.all: list[_Block] = []
 
     def _outputs(self, post: list[int], direct: NDArray[np.bool_]) -> tuple[list[int], int]:
-        n, c_post = self._f.n, self._circuit.c_post
-        touched = [o for o in range(n) if direct[o] or (c_post[o, post] != 0).any()]
+        n, c_post = self._f.n, self._pattern.c_post
+        touched = [o for o in range(n) if direct[o] or c_post[o, post].any()]
         nodes = [3 * o + i for o in touched for i in range(3)]
         return nodes + [3 * n + o for o in touched] + [4 * n + s for s in post], len(nodes)
 
     def _post_of(self, column: int) -> list[int]:
-        return _states(self._two.part, self._circuit.b_post[:, column] != 0)
+        return _states(self._pattern.two, self._pattern.b_post[:, column])
 
     def _pre_of(self, channel: int) -> list[int]:
-        return _states(self._one.part, self._circuit.c_pre[channel] != 0)
+        return _states(self._pattern.one, self._pattern.c_pre[channel])
 
-    def add_states(self, channels: list[int], *, bent: bool) -> None:
+    def add_states(self, channels: Sequence[int], *, bent: bool) -> None:
         """Add the parts of the network before the multipliers that `channels` use, and all behind them."""
-        circuit, n, one, two = self._circuit, self._f.n, self._one, self._two
+        n, one, two = self._f.n, self._pattern.one, self._pattern.two
         used = np.zeros(self._f.before, bool)
         for c in channels:
             used[self._pre_of(c)] = True
-        for k in sorted(set(one.part[used].tolist())):
-            at = [int(s) for s in np.flatnonzero(one.part == k)]
-            pins, moving = self._f.inputs((circuit.b_pre[at] != 0).any(axis=0), bent=bent)
+        for k in sorted(set(one[used].tolist())):
+            at = [int(s) for s in np.flatnonzero(one == k)]
+            pins, moving = self._f.inputs(self._pattern.b_pre[at].any(axis=0), bent=bent)
             rows = [4 * n + self._f.after + s for s in at]
             self.all.append(_Block(PRE, -1, rows, 0, at + pins, moving, at, []))
-        for k in sorted(set(two.part.tolist())):
-            at = [int(s) for s in np.flatnonzero(two.part == k)]
+        for k in sorted(set(two.tolist())):
+            at = [int(s) for s in np.flatnonzero(two == k)]
             rows, nodes = self._outputs(at, np.zeros(n, bool))
             self.all.append(_Block(POST, -1, rows, nodes, [self._f.before + s for s in at], 0, [], at))
 
-    def add_channels(self, channels: list[int], in_series: Array, *, bent: bool) -> None:
+    def add_channels(self, channels: Sequence[int], *, bent: bool) -> None:
         """Add the multipliers, each with what leads to it and from it."""
-        circuit, n = self._circuit, self._f.n
+        circuit, n = self._pattern, self._f.n
         for c in channels:
             pre, post = self._pre_of(c), self._post_of(c)
-            touched = (circuit.d_pre[c] != 0) | (circuit.b_pre[pre] != 0).any(axis=0)
-            touched[:n] |= circuit.e_pre[c] != 0
-            pins, moving = self._f.inputs(np.concatenate([touched, in_series[c] != 0]), bent=bent)
-            rows, nodes = self._outputs(post, circuit.d_post[:, c] != 0)
+            touched = circuit.d_pre[c] | circuit.b_pre[pre].any(axis=0)
+            touched[:n] |= circuit.e_pre[c]
+            pins, moving = self._f.inputs(np.concatenate([touched, circuit.in_series[c]]), bent=bent)
+            rows, nodes = self._outputs(post, circuit.d_post[:, c])
             self.all.append(_Block(CHANNEL, c, rows, nodes, pre + pins, moving, pre, post))
 
     def add_pins(self, start: int, width: int, first: int, moving: int) -> None:
         """Add pins that no multiplier stands behind; `first` is the column of the first in b_post."""
         for j in range(self._f.n):
             post = self._post_of(first + j)
-            rows, nodes = self._outputs(post, self._circuit.d_post[:, first + j] != 0)
+            rows, nodes = self._outputs(post, self._pattern.d_post[:, first + j])
             pins = list(range(start + width * j, start + width * (j + 1)))
             self.all.append(_Block(DIRECT, first + j, rows, nodes, pins, moving, [], post))
 
@@ -252,28 +292,52 @@ def plan(
         Whether motors move apart from their joints, as coordinates n to 2 n.
     """
     n, m = circuit.joints, len(circuit.gain)
-    motor = n if shafts else 0
-    moves = 3 * (n + motor)
     one, two = modes(circuit.a_pre, "a_pre"), modes(circuit.a_post, "a_post")
     sources = int(noise.max()) + 1 if noise is not None else 0
-    f = _Features(n, m, len(one.poles), len(two.poles), sources)
     in_series = np.zeros((m, sources))
     if noise is not None:
         in_series[np.arange(m), noise] = 1.0
     channels = [c for c in sorted({*driven, *np.flatnonzero(circuit.y_offset)}) if circuit.gain[c] != 0]
-    parts = _Blocks(circuit, one, two, f)
+    pattern = _Pattern(circuit, one.part, two.part, in_series != 0)
+    laid = _laid_out(
+        pattern, tuple(map(int, channels)), commands=commands, speeds=speeds, bent=bent,
+        motor=n if shafts else 0,
+    )  # fmt: skip
+    return Plan(
+        n=n, before=len(one.poles), after=len(two.poles), bent=int(bent), gear=gear,
+        lag=_slowest(one.poles) + _slowest(two.poles), **laid,
+        poles1=one.poles, v1=one.v, w1=one.w, cv=circuit.c_pre @ one.v,
+        wb=one.w @ np.hstack([circuit.b_pre, np.zeros((len(one.poles), sources))]),
+        poles2=two.poles, v2=two.v, w2=two.w, wb2=two.w @ circuit.b_post, cv2=circuit.c_post @ two.v,
+        c_pre=np.ascontiguousarray(circuit.c_pre), c_post=np.ascontiguousarray(circuit.c_post),
+        d_pre=np.hstack([circuit.d_pre, in_series]), e_pre=np.ascontiguousarray(circuit.e_pre),
+        d_post=np.ascontiguousarray(circuit.d_post), gain=np.ascontiguousarray(circuit.gain),
+        offset=np.ascontiguousarray(circuit.offset), bias=np.ascontiguousarray(circuit.y_offset),
+        limit=np.ascontiguousarray(circuit.limit),
+        data=np.zeros((SLOTS, max(int(laid["data_at"][-1]), 1))), length=np.full(SLOTS, -1.0),
+        slots=np.zeros(2, np.int64),
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=_KEPT)
+def _laid_out(
+    pattern: _Pattern, channels: tuple[int, ...], *, commands: bool, speeds: bool, bent: bool, motor: int
+) -> dict[str, Any]:
+    """Return the fields of a `Plan` that the pattern decides; `motor` as of `_Features.moves`."""
+    m, n = pattern.e_pre.shape
+    moves = 3 * (n + motor)
+    f = _Features(n, m, len(pattern.one), len(pattern.two), pattern.in_series.shape[1])
+    parts = _Blocks(pattern, f)
     parts.add_states(channels, bent=bent)
-    parts.add_channels(channels, in_series, bent=bent)
+    parts.add_channels(channels, bent=bent)
     if commands:
         parts.add_pins(f.cmd, DAC, m, 0)
     if speeds:
         parts.add_pins(f.vel, SPEED, m + n, SPEED - 1)
     blocks = [b for b in parts.all if b.rows]
     size = [len(b.rows) * len(b.columns) for b in blocks]
-    return Plan(
-        n=n, before=f.before, after=f.after, features=f.count, results=4 * n + f.after + f.before,
-        moving=moves + ANGLE * n if bent else moves, bent=int(bent), gear=gear,
-        lag=_slowest(one.poles) + _slowest(two.poles),
+    return dict(
+        features=f.count, results=4 * n + f.after + f.before, moving=moves + ANGLE * n if bent else moves,
         kind=_ints(b.kind for b in blocks), channel=_ints(b.channel for b in blocks),
         row_at=_bounds([b.rows for b in blocks]), node_rows=_ints(b.nodes for b in blocks),
         column_at=_bounds([b.columns for b in blocks]), varying=_ints(b.moving for b in blocks),
@@ -282,13 +346,4 @@ def plan(
         rows=_joined([b.rows for b in blocks]), columns=_joined([b.columns for b in blocks]),
         pre_modes=_joined([b.before for b in blocks]), post_modes=_joined([b.after for b in blocks]),
         what=f.what, which=f.which, power=f.power, move=f.moves(motor, moves, bent=bent),
-        poles1=one.poles, v1=one.v, w1=one.w, cv=circuit.c_pre @ one.v,
-        wb=one.w @ np.pad(circuit.b_pre, ((0, 0), (0, sources))),
-        poles2=two.poles, v2=two.v, w2=two.w, wb2=two.w @ circuit.b_post, cv2=circuit.c_post @ two.v,
-        c_pre=np.ascontiguousarray(circuit.c_pre), c_post=np.ascontiguousarray(circuit.c_post),
-        d_pre=np.hstack([circuit.d_pre, in_series]), e_pre=np.ascontiguousarray(circuit.e_pre),
-        d_post=np.ascontiguousarray(circuit.d_post), gain=np.ascontiguousarray(circuit.gain),
-        offset=np.ascontiguousarray(circuit.offset), bias=np.ascontiguousarray(circuit.y_offset),
-        limit=np.ascontiguousarray(circuit.limit),
-        data=np.zeros((SLOTS, max(sum(size), 1))), length=np.full(SLOTS, -1.0), slots=np.zeros(2, np.int64),
     )  # fmt: skip
