@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cosim.circuits.extraction.swing import SwingFrom, swings
-from cosim.errors import InputError
+from cosim.errors import InputError, SimulationError
 from cosim.ngspice.dialect import Dialect
 from cosim.ngspice.foreign_functions import in_own_words
 from cosim.ngspice.lax_forms import put_right
@@ -213,3 +213,16 @@ def test_a_multiplier_between_its_supplies_makes_a_board_and_is_watched(tmp_path
     for a in vcas:  # 10 V at X, 20 V at the control: 20 V wanted, 15 V of supply less 0.1 Ohm of 10 kOhm
         assert limits[a.path].limit_v == pytest.approx(15.0, rel=2e-5)
         assert limits[a.path].source == SwingFrom.MEASURED
+
+
+def test_a_multiplier_without_a_slope_is_named():
+    # Of V = x y the slopes at x = 0 are y and 0; XSPICE's model takes V/x, 0/0.
+    simulator = Simulator()
+    rows = ["t", "V1 x 0 0 ac 1", "V2 y 0 1", "A1 [x y] o product", ".model product mult", "R1 o 0 1k"]
+    simulator.load("\n".join([*rows, ""]))
+    simulator.command("ac lin 1 1k 1k")
+    with pytest.raises(SimulationError, match="multiplier product has no slope"):
+        simulator.vector("o")
+    simulator.load("\n".join([*rows[:3], "B1 o 0 V=v(x)*v(y)", ""]))
+    simulator.command("ac lin 1 1k 1k")
+    assert simulator.vector("o") == pytest.approx([1.0])

@@ -10,7 +10,9 @@ from collections.abc import Callable, Sequence
 from cosim.errors import InputError, NoOperatingPoint, Problem
 from cosim.ngspice.lines import Line
 
-__all__ = ["is_error", "load_problems", "operating_point_problem", "step_problem", "worth_quoting"]
+__all__ = [
+    "is_error", "load_problems", "operating_point_problem", "step_problem", "without_number", "worth_quoting",
+]  # fmt: skip
 
 _ERROR = re.compile(
     r"^(stdout|stderr)\s+("
@@ -46,6 +48,7 @@ _EXPRESSION = re.compile(r"Expression err: (\S.*\})")
 _INSTANCE = re.compile(r"\(instance: x(\S+)\)", re.IGNORECASE)
 _SINGULAR = re.compile(r"singular matrix:\s*check nodes?\s+(\S+(?:\s+and\s+\S+)?)", re.IGNORECASE)
 _STEP = re.compile(r"timestep too small; time = (\S+), timestep = \S+: (.*)", re.IGNORECASE)
+_PRODUCT = re.compile(r"\.model\s+(\S+)\s+mult\b", re.IGNORECASE)
 _DC_FAILED = re.compile(
     r"(DC|Transient) solution failed|Transient op failed|operating point could not"
     r"|doAnalyses: .*(too many iterations without convergence|iteration limit reached|matrix is singular)",
@@ -111,6 +114,20 @@ def step_problem(output: Sequence[str]) -> tuple[str, float] | None:
     if match is None:
         return None
     return f"the time step became too small, {match[2].strip()}", float(match[1])
+
+
+def without_number(rows: Sequence[str]) -> str:
+    """Return what in the deck `rows` can make ngspice answer with something that is no number, or ``""``.
+
+    XSPICE's multiplier finds its slope to an input as its output over that input, 0/0 where that is zero.
+    """
+    model = next((match[1] for row in rows if (match := _PRODUCT.match(row))), None)
+    if model is None:
+        return ""
+    return (
+        f"; to ngspice the XSPICE multiplier {model} has no slope where an input of it is zero: "
+        "write a B source with the product, V=v(a)*v(b)"
+    )
 
 
 def load_problems(output: Sequence[str], rows: Sequence[str], lines: Sequence[Line]) -> list[Problem]:

@@ -20,7 +20,13 @@ from cosim.ngspice.dcpath import has_dc_path, in_voltage_loop
 from cosim.ngspice.gate import admit
 from cosim.ngspice.library import OLDEST_VERSION, STOP_COMMAND, Init, Source, Sync, opened
 from cosim.ngspice.lines import Line
-from cosim.ngspice.messages import is_error, load_problems, operating_point_problem, step_problem
+from cosim.ngspice.messages import (
+    is_error,
+    load_problems,
+    operating_point_problem,
+    step_problem,
+    without_number,
+)
 
 __all__ = ["OLDEST_VERSION", "STOP_COMMAND", "Simulator"]
 
@@ -181,8 +187,9 @@ class Simulator:
         if not np.isfinite(values).all():
             where = np.argwhere(~np.isfinite(values))[0]
             name = names[where[1]] if len(where) > 1 else names[0]
+            place = f"at point {where[0]} of {len(values)}"
             raise SimulationError(
-                f"{name} is not a number at point {where[0]} of {len(values)}", deck=self._deck
+                f"{name} is not a number {place}{without_number(self._rows)}", deck=self._deck
             )
 
     def constant(self, name: str) -> float:
