@@ -151,6 +151,18 @@ def test_mean_and_deviation_of_a_study_of_two_models(tmp_path):
     assert (tmp_path / "sliders.html").stat().st_size < 500_000
 
 
+def test_another_limit_in_the_same_folder_has_a_border_of_its_own(tmp_path):
+    """Samples chosen at 2.0 were counted for 2.2 as if they were any: strata as in a folder of its own."""
+    measured(formulas(300, two_level=True, limit=2.0), tmp_path / "one")
+    again, fresh = (
+        measured(formulas(300, two_level=True, limit=2.2), tmp_path / name).levels for name in ("one", "two")
+    )
+    (a,), (b,) = again.yields.values(), fresh.yields.values()
+    assert a.by == b.by == "a plane through samples of linear"
+    assert fresh.extra > 0
+    assert (a.weights, a.counted, a.failed, again.extra) == (b.weights, b.counted, b.failed, fresh.extra)
+
+
 def test_what_is_left_of_an_interrupted_study_of_two_models_is_the_same(tmp_path):
     result = measured(formulas(100, two_level=True), tmp_path)
     for name in ("same", "cheap"):

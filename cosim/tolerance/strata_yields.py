@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -128,14 +129,16 @@ def yields_by_strata(
     n = study.sampling.n
     wanted = allocation(weights.mean(axis=0), n - first, n // 2)
     strata = border.strata(work.named(same))
-    chosen = work.decided("chosen", lambda: _chosen(work, border, strata[first:], weights, wanted))
+    # another limit of the same study has a border of its own: what was chosen for this one would bias it
+    of = hashlib.sha256(repr(specs).encode()).hexdigest()[:8]
+    chosen = work.decided(f"chosen-{of}", lambda: _chosen(work, border, strata[first:], weights, wanted, of))
     among = study.sampling
     more = np.array(chosen, dtype=np.int64)
     results = work.own()[first:]
     if len(more):
         points = Chosen(among, tuple(chosen))
-        rows = work.measured("border", points, len(more), study.model)
-        lower = work.measured("border-cheap", points, len(more))
+        rows = work.measured(f"border-{of}", points, len(more), study.model)
+        lower = work.measured(f"border-cheap-{of}", points, len(more))
         results = np.concatenate([results, rows])
         strata = np.concatenate([strata, border.strata(work.named(lower))])
     strata = strata[first:]
@@ -147,7 +150,7 @@ def yields_by_strata(
 
 
 def _chosen(
-    work: Sampled, border: Border, strata: NDArray[np.int64], weights: Array, wanted: Sequence[int]
+    work: Sampled, border: Border, strata: NDArray[np.int64], weights: Array, wanted: Sequence[int], of: str
 ) -> list[int]:
     """Return the numbers of further samples at the border and beyond, as the cheap model finds them."""
     missing = [max(wanted[h] - int(np.sum(strata == h)), 0) for h in range(BORDER + 1)]
@@ -158,7 +161,7 @@ def _chosen(
     if length < 1.0:
         return []
     further = Chosen(work.study.sampling, tuple(range(n, n + math.ceil(length))))
-    table = work.measured("further", further, len(further.numbers))
+    table = work.measured(f"further-{of}", further, len(further.numbers))
     for number, h in zip(further.numbers, border.strata(work.named(table)), strict=True):
         if h <= BORDER and missing[h] > 0:
             missing[h] -= 1
