@@ -94,6 +94,18 @@ def test_a_noisy_run_says_how_far_other_paths_lie(tmp_path):
     assert "peak_force" in printed
 
 
+def test_the_size_of_a_force_about_zero_has_no_interval(tmp_path):
+    """The wall of press pushes along its normal: the tangential force is less than what noise makes of it."""
+    plan = resolve(load_scene(SCENES / "press.toml", ["solver.model=linear", "effects.pot_noise=white"]))
+    with collected(forward=False):
+        child = shared_child()
+        rows = run(plan, tmp_path / "r", formats=(), child=child, errors=estimator(plan, child)).measures
+    assert abs(rows["steady_tangential_force"]["value"]) < 2.0 * rows["steady_tangential_force"]["noise"]
+    assert rows["rendered_stiffness"]["noise"] > 0.0
+    assert rows["tangential_ratio"]["noise"] is None
+    assert "corner" in rows["tangential_ratio"]["no_noise"]
+
+
 @pytest.mark.parametrize(
     ("more", "why"),
     [

@@ -64,21 +64,23 @@ def noise_of(
     """
     if not noisy(plan.scene):
         return {}
-    why = _NOT_LINEAR
     tangents = _tangents(measures, plan)
     halves: dict[str, float] = {}
+    why = dict.fromkeys(measures, _NOT_LINEAR)
     if tangents:
         try:
             covariance = _covariance(measures, plan, circuit, contacts, child)
         except InputError as error:
-            why = error.in_brief
+            why |= dict.fromkeys(tangents, error.in_brief)
         else:
-            halves = {name: _NORMAL * math.sqrt(max(float(row @ covariance @ row), 0.0))
-                      for name, row in tangents.items()}  # fmt: skip
+            for name, row in tangents.items():
+                halves[name] = _NORMAL * math.sqrt(max(float(row @ covariance @ row), 0.0))
+            side = abs(float(measures["steady_tangential_force"]["value"]))
+            if side < _FAR / _NORMAL * halves["steady_tangential_force"]:
+                halves.pop("tangential_ratio", None)
+                why["tangential_ratio"] = "its size has a corner where the tangential force changes its sign"
     return {
-        name: {"noise": halves[name]}
-        if name in halves
-        else {"noise": None, "no_noise": why if name in tangents else _NOT_LINEAR}
+        name: {"noise": halves[name]} if name in halves else {"noise": None, "no_noise": why[name]}
         for name in measures
     }
 

@@ -198,6 +198,7 @@ CASES = (
         "NAND gate, bound of a twin", 61, "error over bound", 0.0, {"spice": 1.0},
         "half the step is a twin as that of a run: its bound is not below the error",
         lambda runner, model: _nand().error_over_bound(runner, 0.02),
+        broken="OWN_MARGIN 1.0 instead of 2.5: 1.36",
     ),
     HardCase(
         "two-bit adding unit, published solution", 61, "largest error, mixed norm", 0.0, {"spice": 1e-5},

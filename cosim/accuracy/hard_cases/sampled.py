@@ -144,6 +144,7 @@ def _quantised(share: float) -> HardCase:
     return HardCase(
         f"quantised wall, K = {share:g} of 2 f_c/D", 31, "cycles for ever (1) or rests (0)",
         float(share > 1.0), dict.fromkeys(ALL, 0.0), "one side of the border is rest, the other is not", find,
+        broken="no encoder counts" if share > 1.0 else "friction a fifth too small",
     )  # fmt: skip
 
 
@@ -152,15 +153,18 @@ CASES = (
     *(HardCase(f"undamped sampled spring, T = {1e3 * T:g} ms", 21, "growth a sample",
                math.sqrt(1 + 1e3 * T**2 / 2), dict.fromkeys(ALL, _IDEAL_GAIN * 3),
                "parabolas between samples are exact; op-amp gains of 1e9 leave 1e-7",
-               partial(_growth, T)) for T in _PERIODS),
+               partial(_growth, T), broken="mass 0.1 % too large") for T in _PERIODS),
     *(HardCase(f"border of the sampled spring, T = {1e3 * T:g} ms", 22,
                "verdict flips at b (1 -+ 1e-6), spice 1e-4", 1.0, dict.fromkeys(ALL, 0.0),
-               "the exact border of the map of one sample", _flips(T)) for T in _PERIODS),
+               "the exact border of the map of one sample", _flips(T),
+               broken="viscosity 0.1 % too large") for T in _PERIODS),
     HardCase("sampled relay", 23, "peak to peak [rad]", 2.0 * (0.1 - 2e-3 * math.log(2)),
-             dict.fromkeys(ALL, 2e-5), "rows 0.2 ms apart miss the top by M h^2/(8 tau), 1e-5", _relay),
+             dict.fromkeys(ALL, 2e-5), "rows 0.2 ms apart miss the top by M h^2/(8 tau), 1e-5", _relay,
+             broken="viscosity 0.1 % too large"),
     HardCase("wall seen at samples", 24, "mean first depth over v T", 0.5, dict.fromkeys(ALL, 1e-9),
-             "free flight at constant speed: rounding", _first_seen),
+             "free flight at constant speed: rounding", _first_seen,
+             broken="wall 1 um off"),
     HardCase("clock of 1000 periods", 29, "samples beside k T", 0.0, dict.fromkeys(ALL, 0.0),
-             "integer ticks: the very float", _ticks),
+             "integer ticks: the very float", _ticks, broken="a period one ulp too long"),
     *(_quantised(share) for share in (0.9, 1.1)),
 )  # fmt: skip
