@@ -30,11 +30,16 @@ _SAME_POLE = 0.05
 
 @dataclass(frozen=True)
 class Slip:
-    """What is wrong with a board: the file of netlists/blocks, what is made of its text, and words for it."""
+    """What is wrong with a board: the file of netlists/blocks, what is made of its text, and words for it.
+
+    Where it is `uneven`, an amplifier weighs angle and equilibrium differently, and a turned arm meets other
+    forces.
+    """
 
     block: str
     change: Callable[[str], str]
     words: str
+    uneven: bool = False
 
     def board(self, name: str, folder: Path) -> Path:
         """Write the shipped board `name` with the slip into a folder; return its file."""
@@ -57,7 +62,7 @@ def slip(rng: np.random.Generator) -> Slip:
     if kind == "positive":
         ohm = f"{10 ** rng.uniform(*_OHM):.4g}"
         return Slip("diffamp", lambda text: text.replace(".ends", f"Rslip out inp {ohm}\n.ends"),
-                    f"diffamp: {ohm} Ohm from the output to the other input")  # fmt: skip
+                    f"diffamp: {ohm} Ohm from the output to the other input", uneven=True)  # fmt: skip
     farad = f"{10 ** rng.uniform(*_FARAD):.4g}"
     rows = f"Rs1 out f1 {_LAG_OHM}\nCs1 f1 0 {farad}\nRs2 f1 f2 {_LAG_OHM}\nCs2 f2 0 {farad}\n"
     return Slip("angle", lambda text: text.replace("xop wiper out", f"{rows}xop wiper f2"),

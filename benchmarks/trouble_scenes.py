@@ -118,6 +118,8 @@ def drawn(seed: int, number: int) -> Drawn:
     changes |= {f"effects.{key}": value for key, value in effects.items()}
     boards = np.random.default_rng([seed, number, 2])  # of its own: the other scenes stay as they were
     wrong = slip(boards) if boards.random() < SLIPS else None
+    if arm and wrong is not None and wrong.uneven:
+        twin = "units"
     return Drawn(ROOT / "scenes" / f"{name}.toml", changes, twin, wrong)
 
 

@@ -95,6 +95,15 @@ def test_a_turned_arm_has_the_same_distance_from_the_wall():
     assert math.dist(tip, turned) > 1e-3
 
 
+def test_an_arm_is_not_turned_whose_board_sees_the_angle_itself():
+    """A resistor from the output of a difference amplifier to one input passes the common mode: the angle."""
+    scenes = [drawn(81130, number) for number in range(700, 900)]
+    uneven = [each for each in scenes if each.slip and each.slip.uneven and each.file.stem != "drop"]
+    assert uneven
+    assert not {each.twin for each in uneven} & {"turned", "mirrored"}
+    assert {each.twin for each in scenes if each.slip and not each.slip.uneven} >= {"turned", "mirrored"}
+
+
 def test_growth_is_that_of_a_sampled_spring():
     """A mass on a sampled and held spring: z^2 - (2 - c/2) z + 1 + c/2 = 0 with c = K T^2/M = 0.25."""
     off = ("rotor_inertia", "viscous", "gravity", "encoder", "dac", "dac_settling")
