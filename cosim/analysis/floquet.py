@@ -12,8 +12,8 @@ import math
 from itertools import pairwise
 
 import numpy as np
+import scipy  # loads its parts when they are used
 from numpy.typing import NDArray
-from scipy.linalg import matrix_balance
 
 from cosim.analysis.period_map import Lifted
 
@@ -58,7 +58,7 @@ def exponents(
     around = np.unique(np.rint(np.abs(lasting) * period / (2.0 * math.pi)).astype(int))
     near = {int(k) + step for k in (0, *around) for step in (-1, 0, 1)}
     shifts = np.array(sorted({sign * k for k in near for sign in (-1, 1)}))
-    scale = np.diag(matrix_balance(system.a, permute=False)[1])
+    scale = np.diag(scipy.linalg.matrix_balance(system.a, permute=False)[1])
     means, power = _content(
         lifted, principal, vectors, shifts, scale, max(_FEWEST, math.ceil(_A_TURN * turns))
     )

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+import scipy  # loads its parts when they are used
 from numpy.typing import NDArray
-from scipy import stats
 
 from cosim.tolerance.intervals import Estimate, clopper_pearson, share
 from cosim.tolerance.monte_carlo import Study
@@ -166,7 +166,7 @@ def best_pair(
                      key=lambda each: each[1].value)  # fmt: skip
     now, then = (_passing(study, surfaces, specs, grades) for grades in ({}, dict.fromkeys(pair, grade)))
     won, lost = int(np.sum(then & ~now)), int(np.sum(now & ~then))
-    sure = won > lost and float(stats.binomtest(won, won + lost).pvalue) < 0.05
+    sure = won > lost and float(scipy.stats.binomtest(won, won + lost).pvalue) < 0.05
     return pair, best, sure
 
 

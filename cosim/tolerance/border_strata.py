@@ -14,8 +14,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # loads its parts when they are used
 from numpy.typing import NDArray
-from scipy import stats
 
 from cosim.tolerance.intervals import CONFIDENCE, Estimate, clopper_pearson
 from cosim.tolerance.spec import Spec
@@ -206,7 +206,9 @@ def _weighted(weights: Array, rates: Array, cheap: int, alpha: float, side: int)
     mean = weights.mean(axis=0)
     counts = mean * cheap
     if cheap - counts.max() >= _FEW:
-        error = float(stats.t.ppf(1.0 - 0.5 * alpha, len(each) - 1) * each.std(ddof=1) / math.sqrt(len(each)))
+        error = float(
+            scipy.stats.t.ppf(1.0 - 0.5 * alpha, len(each) - 1) * each.std(ddof=1) / math.sqrt(len(each))
+        )
         return float(each.mean()) + sign * error
     # too few to tell: exact bounds of each share, which scrambled points keep better than plain ones
     largest = int(np.argmax(mean))

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
-from scipy import special
+import scipy  # loads its parts when they are used
 
 from cosim.types import Array
 
@@ -21,17 +22,23 @@ __all__ = ["SIGMAS", "Histogram", "Kind", "Shape"]
 #: Standard deviations within a tolerance, where nothing else is said.
 SIGMAS = 3.0
 
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(400)
+
+@cache
+def _rule() -> tuple[Array, Array]:
+    """Return nodes within 0 to 1 and weights of Gauss and Legendre's rule: a second, which few need."""
+    nodes, weights = np.polynomial.legendre.leggauss(400)
+    return (nodes + 1.0) / 2.0, weights
+
 
 Kind = Literal["truncated", "gauss", "uniform", "sorted", "limit", "histogram"]
 
 
 def _normal(z: float) -> float:
-    return float(special.ndtr(z))
+    return float(scipy.special.ndtr(z))
 
 
 def _normal_inverse(share: Array) -> Array:
-    return np.asarray(special.ndtri(share))
+    return np.asarray(scipy.special.ndtri(share))
 
 
 @dataclass(frozen=True)
@@ -131,17 +138,19 @@ class Shape:
             low, high = -self.low / self.sigmas, self.high / self.sigmas
             mean = (high - low) / math.sqrt(2.0 * math.pi)
             return mean, math.sqrt(0.5 * (low**2 + high**2) - mean**2)
-        x = self.inverse((_NODES + 1.0) / 2.0)
-        mean = float(_WEIGHTS @ x) / 2.0
-        return mean, math.sqrt(float(_WEIGHTS @ (x - mean) ** 2) / 2.0)
+        nodes, weights = _rule()
+        x = self.inverse(nodes)
+        mean = float(weights @ x) / 2.0
+        return mean, math.sqrt(float(weights @ (x - mean) ** 2) / 2.0)
 
     def standard_moments(self) -> tuple[float, float]:
         """Return third and fourth moment of the standardised deviation: 0 and 3 of a Gaussian."""
         if self.kind == "gauss" and -self.low == self.high:
             return 0.0, 3.0
         middle, sigma = self.moments()
-        z = (self.inverse((_NODES + 1.0) / 2.0) - middle) / sigma
-        return float(_WEIGHTS @ z**3) / 2.0, float(_WEIGHTS @ z**4) / 2.0
+        nodes, weights = _rule()
+        z = (self.inverse(nodes) - middle) / sigma
+        return float(weights @ z**3) / 2.0, float(weights @ z**4) / 2.0
 
     def below(self, deviation: float) -> float:
         """Return the probability of a smaller deviation."""

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # loads its parts when they are used
 from numpy.typing import NDArray
-from scipy import stats
 
 from cosim.tolerance.unit_cube import Sampling
 from cosim.types import Array
@@ -41,8 +41,8 @@ class Estimate:
 def clopper_pearson(hits: int, n: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
     """Return the exact interval of a share."""
     alpha = 0.5 * (1.0 - confidence)
-    low = float(stats.beta.ppf(alpha, hits, n - hits + 1)) if hits > 0 else 0.0
-    high = float(stats.beta.ppf(1.0 - alpha, hits + 1, n - hits)) if hits < n else 1.0
+    low = float(scipy.stats.beta.ppf(alpha, hits, n - hits + 1)) if hits > 0 else 0.0
+    high = float(scipy.stats.beta.ppf(1.0 - alpha, hits + 1, n - hits)) if hits < n else 1.0
     return low, high
 
 
@@ -102,8 +102,8 @@ def quantile(values: Array, share_below: float, how: Sampling) -> Estimate:
     else:
         alpha = 0.5 * (1.0 - CONFIDENCE)
         # P(x_(k) <= quantile) = P(binomial(n, share) >= k): the largest k below, the least k above
-        low = int(stats.binom.ppf(alpha, n, share_below))
-        high = int(stats.binom.ppf(1.0 - alpha, n, share_below)) + 1
+        low = int(scipy.stats.binom.ppf(alpha, n, share_below))
+        high = int(scipy.stats.binom.ppf(1.0 - alpha, n, share_below)) + 1
         words = "order statistics"
     return Estimate(
         estimate,
@@ -140,4 +140,4 @@ def _replicated(
 
 
 def _t(freedom: int) -> float:
-    return float(stats.t.ppf(0.5 * (1.0 + CONFIDENCE), freedom))
+    return float(scipy.stats.t.ppf(0.5 * (1.0 + CONFIDENCE), freedom))

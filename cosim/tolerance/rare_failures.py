@@ -13,8 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # loads its parts when they are used
 from numpy.typing import NDArray
-from scipy import special, stats
 
 from cosim.types import Array
 
@@ -72,7 +72,7 @@ class Places:
     @property
     def first_order(self) -> float:
         """Failure rate if the region were a half space behind the nearest place."""
-        return float(special.ndtr(-self.distance))
+        return float(scipy.special.ndtr(-self.distance))
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class RareEstimate:
         if self.effective < _FEWEST:
             return 0.0, min(3.0 / (_DEFENSIVE * self.samples), 1.0) if self.samples else 1.0
         freedom = max(self.effective - 1.0, 0.1)
-        reach = float(stats.t.ppf(0.975, freedom)) * self.error / self.rate
+        reach = float(scipy.stats.t.ppf(0.975, freedom)) * self.error / self.rate
         return self.rate * math.exp(-min(reach, 700.0)), min(self.rate * math.exp(min(reach, 700.0)), 1.0)
 
 
@@ -239,7 +239,7 @@ def failure_estimate(places: Places, u: Array, failed: NDArray[np.bool_]) -> Rar
     weights, centres = _mixture(places)
     # log of phi(u) / phi(u - c) = c (c / 2 - u)
     ratio = -(u @ centres.T - 0.5 * (centres**2).sum(axis=1))
-    weight = np.where(failed, np.exp(-special.logsumexp(-ratio, b=weights, axis=1)), 0.0)
+    weight = np.where(failed, np.exp(-scipy.special.logsumexp(-ratio, b=weights, axis=1)), 0.0)
     rate = float(weight.mean())
     error = float(weight.std(ddof=1) / math.sqrt(samples))
     share = weight / max(weight.max(), np.finfo(float).tiny)  # squares of far failures would underflow

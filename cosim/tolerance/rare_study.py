@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from scipy import special
+import scipy  # loads its parts when they are used
 
 from cosim.tolerance.engine import Processes
 from cosim.tolerance.intervals import Estimate
@@ -99,7 +99,7 @@ class _Normals:
 
 
 def _uniform(u: Array) -> Array:
-    return np.asarray(np.clip(special.ndtr(u), _END, 1.0 - _END))
+    return np.asarray(np.clip(scipy.special.ndtr(u), _END, 1.0 - _END))
 
 
 def rare_failures(

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import special
+import scipy  # loads its parts when they are used
 
 from cosim.types import Array
 
@@ -22,7 +22,7 @@ __all__ = ["highest_rates"]
 #: that is bounded alone.
 _OF_EACH = 0.04
 #: Probabilities of no more failures of the tie-breaker than were counted: between two the larger ends count.
-_GRID = np.append(special.ndtr(np.linspace(-4.0, 6.0, 251)), 1.0)
+_GRID = np.append(scipy.special.ndtr(np.linspace(-4.0, 6.0, 251)), 1.0)
 _HALVINGS = 45
 
 
@@ -68,7 +68,7 @@ def _rate(failed: int, counted: int, probability: Array) -> Array:
     """Return the rates at which no more than so many fail with each probability; 1 where all failed."""
     if failed >= counted:
         return np.ones(len(probability))
-    return np.asarray(special.betaincinv(failed + 1, counted - failed, 1.0 - probability))
+    return np.asarray(scipy.special.betaincinv(failed + 1, counted - failed, 1.0 - probability))
 
 
 def _mixed(failed: int, counted: int, u: Array, alpha: float) -> Array:
@@ -80,7 +80,7 @@ def _mixed(failed: int, counted: int, u: Array, alpha: float) -> Array:
     low, high = np.zeros(len(u)), np.ones(len(u))
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        fewer, most = (special.bdtr(k, counted, middle) for k in (failed - 1, failed))
+        fewer, most = (scipy.special.bdtr(k, counted, middle) for k in (failed - 1, failed))
         likely = fewer + u * (most - fewer) > alpha
         low, high = np.where(likely, middle, low), np.where(likely, high, middle)
     return high

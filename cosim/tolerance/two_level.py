@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+import scipy  # loads its parts when they are used
 
 from cosim.tolerance.plane import Plane, fit_plane, samples_for
 from cosim.tolerance.unit_cube import REPLICATES, sampling
@@ -255,4 +255,4 @@ def _reach(samples: Array, replicates: Array, n: int, r: int) -> float:
     if a + b == 0.0:
         return 0.0
     freedom = (a + b) ** 2 / (a**2 / (n - 1) + b**2 / (r - 1))
-    return float(stats.t.ppf(0.5 + 0.5 * _LEVEL, freedom) * math.sqrt(a + b))
+    return float(scipy.stats.t.ppf(0.5 + 0.5 * _LEVEL, freedom) * math.sqrt(a + b))

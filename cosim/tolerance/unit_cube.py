@@ -8,8 +8,8 @@ from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
+import scipy  # loads its parts when they are used
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from cosim.types import Array
 
@@ -122,9 +122,9 @@ def _replicate(method: str, each: int, variables: int, seed: int, replicate: int
         return np.empty((each, 0))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(replicate + 1,)))
     if method == "lhs":
-        points = qmc.LatinHypercube(variables, seed=rng).random(each)
+        points = scipy.stats.qmc.LatinHypercube(variables, seed=rng).random(each)
     else:
-        points = qmc.Sobol(variables, scramble=True, seed=rng).random(each)
+        points = scipy.stats.qmc.Sobol(variables, scramble=True, seed=rng).random(each)
     clipped: Array = np.clip(np.asarray(points, dtype=float), _HALF, 1.0 - _HALF)
     clipped.setflags(write=False)
     return clipped

@@ -15,6 +15,7 @@ from multiprocessing.process import BaseProcess
 from typing import Any
 
 from cosim.errors import CosimError
+from cosim.quick_start import defer
 
 __all__ = ["Chunk", "Lost", "pooled"]
 
@@ -86,6 +87,7 @@ def _interrupts_held() -> Iterator[None]:
 def _serve(pipe: Connection, make: Maker) -> None:
     """Work until the parent closes its end, or is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+    defer()
     try:
         work = make()
         while True:

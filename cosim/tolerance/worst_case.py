@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+import scipy  # loads its parts when they are used
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from cosim.types import Array
 
@@ -134,7 +134,7 @@ class _Search:
         """Climb from the best point and from half-way to the middle, within the box."""
         scale = max(abs(self.value), 1e-300)
         for start in (self.best, 0.5 * self.best):
-            minimize(
+            scipy.optimize.minimize(
                 lambda x: -float(self.look(x[None, :])[0]) / scale,
                 start,
                 jac=lambda x: -self.gradient(np.array(x)) / scale,
