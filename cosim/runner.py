@@ -117,7 +117,7 @@ def _run(
     target = Path(out) if out is not None else Path(tempfile.gettempdir()) / f"cosim-run-{uuid.uuid4().hex}"
     with Staging(target, written_files) as stage:  # refuses the place before anything is computed
         judged = _judged(plan, child)
-        told = cache(partial(_told_before, plan))
+        told = cache(partial(_told_before, plan, stage.path))
         done = _simulated(plan, stage.path, child, on_progress, told)
         answer, samples, signals = done.answer, done.samples, done.signals
         constants, ledger, amplifiers = done.constants, answer.ledger, done.amplifiers
@@ -162,8 +162,6 @@ def _run(
                 deck_digest=plan.board.digest,
             ),
         )
-        with disk_errors(stage.path):
-            deck_file.save(plan.board, stage.path)
         result.write_into(stage.path, formats)  # last: it seals what is there
         stage.publish()
     return Run.load(target)
@@ -189,11 +187,13 @@ def _judged(plan: Plan, child: Child | None) -> Verdict:
     return judged
 
 
-def _told_before(plan: Plan) -> dict[str, Any]:
-    """Return what a result tells of its plan, for a process that waits.
+def _told_before(plan: Plan, folder: Path) -> dict[str, Any]:
+    """Keep the board in the result's folder and return what the record tells of the plan, while it waits.
 
     What is slow to look up for its other parts is looked up, too, and kept where it is: 30 ms of a run.
     """
+    with disk_errors(folder):
+        deck_file.save(plan.board, folder)
     packages()
     platform.platform()
     prepare(Record)

@@ -45,6 +45,8 @@ FIRST_ROW_SHARE, _FIRST_OF_FRESH = 2.0**-11, 1.0 / 24.0
 _USUAL_STEP_S = 2e-3
 #: So many of its slowest time constants behind a jump a circuit has settled: rows need not follow it.
 _SETTLED = 3.0
+#: Whether scenes are linear between events, of those whose compiled loop this process has loaded.
+_loaded: set[bool] = set()
 
 
 class Clock:
@@ -258,10 +260,12 @@ def simulate(request: RunRequest, report: Report) -> RunAnswer:
             load_law(where, scene.file, printed), state, recorder.fail, where, scene, constants, printed
         )
         state["law_address"] = law.address
-    # a run of no length, without the user's law, loads the compiled loop before the clock starts
-    warm = prepare(scene, constants, circuit, record=True, component=component)
-    warm.memory.state[0]["t_end"] = 0.0
-    warm.run()
+    if (kind := is_linear_between_events(scene)) not in _loaded:
+        # a run of no length, without the user's law, loads the compiled loop before the clock starts
+        warm = prepare(scene, constants, circuit, record=True, component=component)
+        warm.memory.state[0]["t_end"] = 0.0
+        warm.run()
+        _loaded.add(kind)
     wall, cpu = time.perf_counter(), time.process_time()
     try:
         packed.run()
