@@ -18,6 +18,34 @@ def where(payload: Any, report: Any) -> dict[str, Any]:
     return {"cwd": os.getcwd(), "home": os.environ["HOME"], "files": os.listdir("."), "pid": os.getpid()}
 
 
+def in_a_copy(payload: str, report: Any) -> dict[str, Any]:
+    """Tell what this process is, and what it can do with the folder `payload` and with processes."""
+    from cosim.ngspice.forked import is_copy
+    from cosim.ngspice.sandbox import applied
+
+    def can(act: Any) -> bool:
+        try:
+            act()
+        except OSError:
+            return False
+        return True
+
+    def process() -> None:
+        if os.fork() == 0:
+            os._exit(0)
+
+    return {
+        **where(None, report),
+        "is_copy": is_copy(),
+        "secret": os.environ.get("SECRET"),
+        "descriptors": len(os.listdir("/proc/self/fd")),
+        "landlock": applied().landlock,
+        "made a process": can(process),
+        "wrote": can(lambda: os.close(os.open(f"{payload}/file", os.O_WRONLY | os.O_CREAT))),
+        "read": can(lambda: os.listdir(payload)),
+    }
+
+
 def segfault(payload: Any, report: Any) -> None:
     report({"time_s": 0.125})
     ctypes.string_at(0)

@@ -52,7 +52,10 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     ours = args.model in ("linear", "ideal")  # extraction of a circuit opens the library itself
     early = "cosim.loop.early_linear" if ours else "cosim.loop.early_imports"
     with start_early(
-        early, reads=[Path(args.scene).parent], library=not ours
+        early,
+        reads=[Path(args.scene).parent],
+        library=not ours,
+        shared=("numpy", "cosim.scene") if ours else (),
     ) as child:  # it imports while the scene is read
         from cosim.api.simulation import run
         from cosim.commands.chosen_effects import plan_of

@@ -8,6 +8,7 @@ folder and the caches, and what it sends back is taken for data (`cosim.ngspice.
 """
 
 import contextlib
+import importlib
 import json
 import os
 import pickle
@@ -19,6 +20,7 @@ import sys
 import threading
 import weakref
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -27,8 +29,9 @@ from cosim.caution import warn
 from cosim.errors import SimulationError
 from cosim.ngspice import child_messages
 from cosim.ngspice.child_environment import allowed_files, environment
+from cosim.ngspice.forked import Copy, NeedsNgspice, possible
 from cosim.ngspice.time_limits import MOST_PREPARING_S, Watch
-from cosim.ngspice.worker import HEAD
+from cosim.ngspice.worker import HEAD, serve
 from cosim.quick_start import defer
 from cosim.storage.staging import disk_errors, make_scratch
 
@@ -99,6 +102,8 @@ def call(
     SimulationError
         For any other exception (with its traceback), a crash, an exit, the time limit or the stall limit.
     """
+    if child is not None and reads:  # Python of the user's
+        child.be_no_copy()
     kept = child is not None and child.alive and child.reads_all(reads)
     with contextlib.nullcontext(child) if child is not None and kept else Child(reads=reads) as chosen:
         return chosen.call(
@@ -113,9 +118,18 @@ def call(
         )
 
 
-def start_early(*modules: str, reads: Sequence[Path] = (), library: bool = True) -> "Child":
-    """Start a child now that imports `PREIMPORT` and `modules` while the parent does something else."""
-    child = Child((*PREIMPORT, *([LIBRARY] if library else []), *modules), reads)
+def start_early(
+    *modules: str, reads: Sequence[Path] = (), library: bool = True, shared: Sequence[str] = ()
+) -> "Child":
+    """Start a child now that imports `PREIMPORT` and `modules` while the parent does something else.
+
+    With `shared`, modules that both need are loaded first and the child is a `Copy` where it can be one: for
+    what most likely needs no ngspice.
+    """
+    copies = bool(shared) and possible()
+    for name in shared if copies else ():
+        importlib.import_module(name)
+    child = Child((*PREIMPORT, *([LIBRARY] if library else []), *modules), reads, copies=copies)
     child.start()
     defer()  # meanwhile the parent loads its own modules
     return child
@@ -136,9 +150,14 @@ class Child:
         Modules it imports before the first call.
     reads
         Folders that it may read besides Python's modules and its own.
+    copies
+        Whether to copy this process, until something is asked for that a copy may not do.
     """
 
-    def __init__(self, modules: Sequence[str] = (), reads: Sequence[Path] = ()) -> None:
+    def __init__(
+        self, modules: Sequence[str] = (), reads: Sequence[Path] = (), *, copies: bool = False
+    ) -> None:
+        self._copies = copies
         self._modules, self._reads = tuple(modules), tuple(folder.resolve() for folder in reads)
         self._started = self._closed = False
         self._preparing_s = 0.0
@@ -155,18 +174,7 @@ class Child:
             for name in ("home", "tmp", "out"):
                 (folder / name).mkdir()
             (work / ".spiceinit").write_text("* empty: keeps ngspice from looking further\n")
-            env = environment(folder)
-            with open(folder / "output", "wb") as output:
-                process = subprocess.Popen(
-                    _command(send, self._modules, allowed_files(folder, env, self._reads)),
-                    stdin=subprocess.PIPE,
-                    stdout=output,
-                    stderr=output,
-                    cwd=work,
-                    env=env,
-                    pass_fds=(send,),
-                    start_new_session=True,  # a Ctrl-C at the terminal is the parent's to handle
-                )
+            process = self._copied(folder, send) if self._copies else self._begun(folder, send)
         except BaseException:
             os.close(receive)
             shutil.rmtree(folder, ignore_errors=True)
@@ -177,6 +185,33 @@ class Child:
         self._buffer = bytearray()
         self._close = weakref.finalize(self, _dispose, process, folder, receive)
         self._started = True
+
+    def _begun(self, folder: Path, send: int) -> "subprocess.Popen[bytes]":
+        env = environment(folder)
+        with open(folder / "output", "wb") as output:
+            return subprocess.Popen(
+                _command(send, self._modules, allowed_files(folder, env, self._reads)),
+                stdin=subprocess.PIPE,
+                stdout=output,
+                stderr=output,
+                cwd=folder / "work",
+                env=env,
+                pass_fds=(send,),
+                start_new_session=True,  # a Ctrl-C at the terminal is the parent's to handle
+            )
+
+    def _copied(self, folder: Path, send: int) -> Copy:
+        env = environment(folder)
+        allowed = allowed_files(folder, env, ())
+        served = partial(serve, send, allowed, self._modules, dies_with_parent=True)
+        return Copy(folder, env, send, served)
+
+    def be_no_copy(self) -> None:
+        """Let a process of its own take the place of a copy."""
+        if self._copies and self._started:
+            self._close()
+            self._started, self._preparing_s = False, 0.0
+        self._copies = False
 
     def call(
         self,
@@ -204,6 +239,12 @@ class Child:
                     if collect is not None:
                         self._collect(collect)
                     return content
+                if kind == "error" and isinstance(content[0], NeedsNgspice):
+                    self.be_no_copy()
+                    return self.call(
+                        target, payload, time_limit_s=time_limit_s, stall_limit_s=stall_limit_s,
+                        on_progress=on_progress, deck=deck, collect=collect,
+                    )  # fmt: skip
                 if kind == "error":
                     raise _raised(*content, deck=deck, watch=watch)
                 if kind == "cautions":
@@ -340,7 +381,7 @@ def _raised(
     return SimulationError(message, deck=deck, time_s=watch.time_s, last_words=trace)
 
 
-def _dispose(process: "subprocess.Popen[bytes]", folder: Path, receive: int) -> None:
+def _dispose(process: "subprocess.Popen[bytes] | Copy", folder: Path, receive: int) -> None:
     """End the child, which keeps nothing that it would have to finish, and remove its folder."""
     os.close(receive)
     if process.stdin is not None:

@@ -16,6 +16,7 @@ from collections.abc import Callable
 from typing import Any
 
 from cosim.errors import InputError, SimulationError
+from cosim.ngspice.forked import refuse_ngspice
 from cosim.ngspice.messages import worth_quoting
 
 __all__ = ["OLDEST_VERSION", "STOP_COMMAND", "Init", "Library", "Source", "Sync", "opened"]
@@ -292,6 +293,7 @@ def opened() -> Library:
         PySpice declares its functions once, and a second try would fail for that reason alone.
     """
     global _library, _refused
+    refuse_ngspice()
     if isinstance(_refused, InputError):
         raise InputError(_refused.problems)
     if _refused is not None:

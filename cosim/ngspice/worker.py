@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from queue import SimpleQueue
 from typing import Any, NoReturn
 
@@ -23,7 +23,7 @@ from cosim.ngspice import sandbox
 from cosim.ngspice.child_messages import written
 from cosim.quick_start import collect_seldom, defer
 
-__all__ = ["HEAD", "main"]
+__all__ = ["HEAD", "main", "serve"]
 
 HEAD = struct.Struct("<Q")
 """Every message on the pipes is its length followed by a pickle."""
@@ -163,23 +163,38 @@ def _serve(descriptor: int, request: bytes) -> None:
         _send(descriptor, ("error", (kept, f"{type(error).__name__}: {error}", text)))
 
 
-def main() -> None:
-    """Serve requests until the parent goes."""
+def main() -> NoReturn:
+    """Serve requests until the parent goes, as the command line says."""
+    collect_seldom()
+    descriptor, dies, allowed, *modules = sys.argv[1:]
+    serve(int(descriptor), json.loads(allowed), modules, dies_with_parent=dies == "1")
+
+
+def serve(
+    descriptor: int, allowed: Mapping[str, list[str]], modules: Sequence[str], *, dies_with_parent: bool
+) -> NoReturn:
+    """Serve requests until the parent goes, with answers to a descriptor.
+
+    Parameters
+    ----------
+    allowed
+        What `sandbox.confine` takes.
+    modules
+        Imported before the first request is looked at.
+    """
     import faulthandler
 
     faulthandler.enable(all_threads=False)
-    collect_seldom()
-    descriptor = int(sys.argv[1])
-    if sys.argv[2] == "1":
+    if dies_with_parent:
         _die_with_parent()
-    sandbox.confine(**json.loads(sys.argv[3]))  # before any thread, and before anything of a netlist
+    sandbox.confine(**allowed)  # before any thread, and before anything of a netlist
     requests: SimpleQueue[bytes] = SimpleQueue()
     threading.Thread(target=_receive, args=(requests,), daemon=True).start()
     _preparing.tell = lambda: _send(descriptor, _preparing.message())
     threading.Thread(target=_pulse, args=(descriptor,), daemon=True).start()
-    if sys.argv[4:]:
+    if modules:
         defer()
-    for module in sys.argv[4:]:
+    for module in modules:
         try:
             _import(module)
         except Exception:  # the request will fail for the same reason, and be heard
