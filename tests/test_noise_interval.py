@@ -132,9 +132,14 @@ def test_a_run_without_noise_speaks_of_none(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["held", "press"])
 def test_in_95_of_100_runs_the_interval_holds_the_mean_over_paths(tmp_path, name):
-    """A thousand paths; their own mean stands for the true one, and widens the scatter by 1/2000."""
+    """A thousand paths; their own mean stands for the true one, and widens the scatter by 1/2000.
+
+    With the differentiator's corner: forces of the ideal one jump at every tick of the noise, and what rows
+    miss of the jumps, 3 mN, is more than the noise's 1.5 mN. The bound of the solver's error tells that.
+    """
     if name == "held":
-        scene = scene_of(tmp_path, merge(slider(**HELD), {"duration_s": 10.0, "solver": {"model": "ideal"}}))
+        smooth = {"effects": {"differentiator": "corner"}, "solver": {"model": "linear"}}
+        scene = scene_of(tmp_path, merge(merge(slider(**HELD), smooth), {"duration_s": 5.0}))
     else:
         scene = load_scene(SCENES / "press.toml", ["solver.model=linear", "effects.pot_noise=white"])
     plan = resolve(scene)

@@ -209,5 +209,6 @@ CASES = (
         "two-bit adding unit, bound of a twin", 61, "error over bound", 0.0, {"spice": 1.0},
         "half the step is a twin as that of a run: its bound is not below the error",
         lambda runner, model: _adder().error_over_bound(runner, 0.1), slow=True,
+        broken="OWN_MARGIN 1.0 instead of 2.5: 1.44",
     ),
 )  # fmt: skip

@@ -135,6 +135,6 @@ CASES = (
     HardCase(
         "ring modulator, bound of a twin", 61, "error over bound", 0.0, {"spice": 1.0},
         "half the step is a twin as that of a run: its bound is not below the error", _modulator_bound,
-        slow=True,
+        slow=True, broken="OWN_MARGIN 0.5 instead of 2.5: 1.91",
     ),
 )  # fmt: skip
