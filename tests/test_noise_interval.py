@@ -11,6 +11,7 @@ from support import COMMAND_TRUE, SCENES, SPRING_TRUE, V_NM, merge, scene_of, sh
 from cosim.accuracy.estimate import estimator
 from cosim.accuracy.noise_interval import noise_of
 from cosim.analysis.control_law import resting_pose
+from cosim.analysis.noise_covariance import noise_covariance
 from cosim.analysis.noise_of_means import noise_of_means
 from cosim.caution import collected
 from cosim.commands.run import _estimated
@@ -57,6 +58,22 @@ def test_means_over_long_times_have_the_variance_of_statics(tmp_path, kind, comp
     exact = variance(1e5, discrete) * np.outer(push, push)
     assert np.allclose(made.covariance, exact, rtol=bound, atol=bound * np.abs(exact).max())
     assert made.notes == ()
+
+
+def test_means_over_short_times_scatter_as_their_samples_do(tmp_path):
+    """One second, ten times what noise is remembered: the sum of the depth's correlations at 100 samples.
+
+    A mean over time is not quite one of samples: the depth moves between two by a hundredth of its scatter.
+    """
+    contact = at_wall(scene_of(tmp_path, slider(**HELD)), circuit_of_kind("linear"))
+    exact = noise_covariance(contact)
+    row, seen, lags = exact.rows["penetration"][0], exact.state, []
+    for _ in range(100):
+        lags.append(row @ seen @ row)
+        seen = exact.step @ seen
+    summed = lags[0] + 2.0 * sum(lag * (1.0 - k / 100) for k, lag in enumerate(lags[1:], 1))
+    made = noise_of_means(contact.at(resting_pose(contact)), ("penetration",), 100.0, 1.0)
+    assert made.covariance[0, 0] == pytest.approx(summed / 100, rel=2e-3)
 
 
 def test_an_offset_that_stays_moves_means_as_statics_say(tmp_path):
@@ -130,18 +147,9 @@ def test_a_run_without_noise_speaks_of_none(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["held", "press"])
-def test_in_95_of_100_runs_the_interval_holds_the_mean_over_paths(tmp_path, name):
-    """A thousand paths; their own mean stands for the true one, and widens the scatter by 1/2000.
-
-    With the differentiator's corner: forces of the ideal one jump at every tick of the noise, and what rows
-    miss of the jumps, 3 mN, is more than the noise's 1.5 mN. The bound of the solver's error tells that.
-    """
-    if name == "held":
-        smooth = {"effects": {"differentiator": "corner"}, "solver": {"model": "linear"}}
-        scene = scene_of(tmp_path, merge(merge(slider(**HELD), smooth), {"duration_s": 5.0}))
-    else:
-        scene = load_scene(SCENES / "press.toml", ["solver.model=linear", "effects.pot_noise=white"])
+def test_in_95_of_100_runs_the_interval_holds_the_mean_over_paths():
+    """A thousand paths of press; their own mean stands for the true one, and widens the scatter by 1/2000."""
+    scene = load_scene(SCENES / "press.toml", ["solver.model=linear", "effects.pot_noise=white"])
     plan = resolve(scene)
     values: dict[str, list[float]] = {}
     halves: dict[str, list[float]] = {}

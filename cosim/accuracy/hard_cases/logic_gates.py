@@ -204,6 +204,7 @@ CASES = (
         "two-bit adding unit, published solution", 61, "largest error, mixed norm", 0.0, {"spice": 1e-5},
         "asked of all problems of the set; 7.1e-6 with twice the step",
         lambda runner, model: _adder().error(runner, 0.05), slow=True,
+        broken="0.02 of the channels is read as 0.021: 7.1e-4",
     ),
     HardCase(
         "two-bit adding unit, bound of a twin", 61, "error over bound", 0.0, {"spice": 1.0},

@@ -121,7 +121,7 @@ CASES = (
     HardCase(
         "transistor amplifier, published solution", 61, "largest error, mixed norm", 0.0, {"spice": 1e-5},
         "trapezoids of 2 us on junctions of 80 Ohm and 2 uF: (h/tau)^2/12 = 1.3e-5 of what moves so fast",
-        _amplifier,
+        _amplifier, broken="currents of sources 1 % too large: 6.7e-5",
     ),
     HardCase(
         "transistor amplifier, bound of a twin", 61, "error over bound", 0.0, {"spice": 1.0},
