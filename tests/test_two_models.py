@@ -188,6 +188,18 @@ def test_a_failure_in_40_million_is_counted_by_300_samples(tmp_path):
     assert "Rare failures" in write_monte_carlo(result, tmp_path, "cosim mc --sample", "x").read_text()
 
 
+@pytest.mark.slow
+def test_rare_failures_of_another_limit_in_the_same_folder(tmp_path):
+    """They were refused as another study, after the whole search."""
+    for limit in (4.5, 4.8):
+        rare = measured(formulas(100, limit=limit, rare=True), tmp_path).rare
+        assert rare.rate.low <= truth_at(limit) <= rare.rate.high
+    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "levels").rglob("*.parquet")}
+    assert len(kept) == 2
+    assert measured(formulas(100, limit=4.8, rare=True), tmp_path).rare == rare
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "levels").rglob("*.parquet")} == kept
+
+
 def test_what_cannot_fail_is_the_answer(tmp_path):
     """Cut at three standard deviations the sum ends at 3 sum |a|, here 6.0: a limit of 6.5 is never met."""
     end = 3.0 * float(np.abs(SLOPE).sum())

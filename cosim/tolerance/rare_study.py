@@ -150,7 +150,8 @@ def rare_failures(
     if processes is None:
         table = job.make()(0, len(u))[0]
     else:
-        table = processes.beside("rare").measured(job, on_progress)[0]
+        # another limit of the same study fails elsewhere: its samples stand beside these
+        table = processes.beside(f"rare-{job.digest[:8]}").measured(job, on_progress)[0]
     good = [spec.passed(table[:, prepared.names.index(spec.measure)]) for spec in specs]
     estimate = failure_estimate(places, u, ~np.all(good, axis=0))
     how = f"importance sampling, {estimate.effective:.0f} effective failing samples"
