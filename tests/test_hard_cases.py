@@ -42,6 +42,7 @@ def test_every_case_says_what_it_is() -> None:
         assert 1 <= case.row <= 61
         assert case.what
         assert case.reason
+        assert case.broken
         assert set(case.bound) <= set(ALL)
         assert case.bound
 

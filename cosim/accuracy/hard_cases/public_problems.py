@@ -131,6 +131,7 @@ CASES = (
     HardCase(
         "ring modulator, published solution", 61, "largest error, mixed norm", 0.0, {"spice": 1e-3},
         "the issue's own; trapezoids of 1.2 ns on 3e7 rad/s: (0.04)^2/12 of a phase", _modulator, slow=True,
+        broken="currents of sources 3 % too large: 6.6e-3",
     ),
     HardCase(
         "ring modulator, bound of a twin", 61, "error over bound", 0.0, {"spice": 1.0},
