@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import root
 
 from cosim.analysis.held_contact import HeldContact
 from cosim.circuits.design_constants import DesignConstants
@@ -203,8 +204,6 @@ def resting_pose(contact: HeldContact, t: float | None = None) -> Array:
     InputError
         When there is no pose of rest, or only outside the wall.
     """
-    from scipy.optimize import root  # 0.1 s that limits at the wall's point have no need of
-
     scene = contact.scene
     at = scene.duration_s if t is None else t
     file = scene.file_name

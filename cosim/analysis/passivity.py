@@ -27,8 +27,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy  # loads its parts when they are used
+from scipy.optimize import minimize_scalar
 
-from cosim.analysis.brent import minimum
 from cosim.types import Array, Complex
 
 __all__ = ["Certified", "Device", "Law", "least_damping", "needed_damping", "share_used", "wall"]
@@ -179,9 +179,11 @@ def needed_damping(law: Law) -> Certified:
 def _refined(at: Callable[[Array], Array], grid: Array, best: int) -> tuple[float, float]:
     """Return the maximum near a grid point, and where it is."""
     low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    place, least = minimum(lambda x: -float(at(np.array([x]))[0]), float(low), float(high), xtol=1e-12)
+    minimum = minimize_scalar(
+        lambda x: -float(at(np.array([x]))[0]), bounds=(low, high), method="bounded", options={"xatol": 1e-12}
+    )
     here = float(at(grid[best : best + 1])[0])
-    return (-least, place) if -least > here else (here, float(grid[best]))
+    return (-float(minimum.fun), float(minimum.x)) if -minimum.fun > here else (here, float(grid[best]))
 
 
 def _on_circle(a: Array, b: Array, c: Array, level: float) -> Array:

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from cosim.analysis.board_range import board_range
-from cosim.analysis.brent import root
 from cosim.analysis.closed_form_limits import gil_hulin
 from cosim.analysis.device_passivity import device_of, law_of
 from cosim.analysis.held_contact import HeldContact, with_computer
@@ -200,7 +200,7 @@ def largest_passive(contact: HeldContact) -> float:
         return _largest_passive(contact.scene, device_of(contact))
     if left(high) > 0.0:
         return math.inf
-    return math.exp(root(lambda x: left(math.exp(x)), math.log(low), math.log(high), rtol=1e-12, xtol=2e-12))
+    return math.exp(brentq(lambda x: left(math.exp(x)), math.log(low), math.log(high), rtol=1e-12))
 
 
 def _delay(scene: Scene) -> float:
@@ -223,7 +223,7 @@ def _largest_passive(scene: Scene, device: Device) -> float:
     high = 1.0
     while used(high) < 1.0:
         high *= 4.0
-    return root(lambda k: used(k) - 1.0, 1e-6, high, rtol=1e-6, xtol=2e-12)
+    return float(brentq(lambda k: used(k) - 1.0, 1e-6, high, rtol=1e-6))
 
 
 def locus(contact: HeldContact, values: Array) -> list[NDArray[np.complex128]]:

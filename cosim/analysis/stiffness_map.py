@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
-from cosim.analysis.brent import root
 from cosim.analysis.control_law import law_point
 from cosim.analysis.held_contact import HeldContact, touching
 from cosim.analysis.linearise import linearise
@@ -80,7 +80,7 @@ class Pencil:
 
     def root(self, low: float, high: float) -> float:
         """Return the border between a stable and an unstable value."""
-        return root(lambda k: float(self.over(k)[0]), low, high, rtol=_RTOL, xtol=1e-300)
+        return float(brentq(lambda k: float(self.over(k)[0]), low, high, rtol=_RTOL, xtol=1e-300))
 
 
 def pencil(contact: HeldContact, *, scale: float = 100.0) -> Pencil:
