@@ -45,3 +45,21 @@ def test_a_kick_is_simulated_again_with_wider_tolerances(crossed, monkeypatch, i
     # the follower of the angle with crossed inputs: C s v = g v - v/R, so s = 2 pi f (A - 1)
     rate = 2 * np.pi * POLE_HZ * (GAIN - 1)
     assert max(each.real for each in found.instabilities) == pytest.approx(rate, rel=0.02)
+
+
+@pytest.mark.parametrize(("of_the_phantom", "told"), [(3.9, "true"), (15.0, "phantom"), (1.0, "true")])
+def test_the_pole_that_grows_as_fast_as_it_should_is_told(crossed, monkeypatch, of_the_phantom, told):
+    """A slower pole makes the kick of what is no pole grow as well, but as t^2 and not by exp(2.5)."""
+    rate = 2 * np.pi * POLE_HZ * (GAIN - 1)
+    phantom = complex(20 * rate, 2e3 * rate)
+    truly = search._poles
+    monkeypatch.setattr(search, "_poles", lambda seen, loop: [(loop[0], phantom), *truly(seen, loop)])
+    monkeypatch.setattr(
+        search._Court,
+        "_growth",
+        lambda self, port, pole, ohms, volts: of_the_phantom if pole == phantom else 12.0,
+    )
+    found = search.judge({"question": Question((crossed,))}, lambda _: None).instabilities
+    expected = phantom.real if told == "phantom" else rate
+    assert all(each.confirmed for each in found)
+    assert max(each.real for each in found) == pytest.approx(expected, rel=0.02)

@@ -165,6 +165,12 @@ def test_an_angle_s_follower_with_two_lags_grows_as_its_characteristic_equation_
 
 
 @pytest.mark.slow
+def test_the_pole_that_is_told_is_the_true_one_where_two_fits_agree_on_a_faster():
+    """568 krad/s by the independent nodal analysis; two fits of the impedance agree on 10 Mrad/s at 4 GHz."""
+    assert trouble.outcome(drawn(81130, 1606), 81130, 1606, None)["outcome"] == "unstable"
+
+
+@pytest.mark.slow
 def test_a_few_scenes_end_to_end(tmp_path, monkeypatch, capsys):
     out = tmp_path / "trouble.jsonl"
     monkeypatch.setattr("sys.argv", ["trouble", "--seed", "1", "-n", "5", "--out", str(out)])
