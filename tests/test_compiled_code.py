@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support import SCENES
 
 from cosim import cli
 from cosim.loop.linear.divided_differences import TOP, single
@@ -280,6 +281,7 @@ def test_warm_compiles_ahead_and_says_where(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv(library_files.FOLDER, str(tmp_path))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     assert not library_files.is_built()
     assert cli.main(["warm"]) == 0
     out, err = capsys.readouterr()
@@ -289,3 +291,6 @@ def test_warm_compiles_ahead_and_says_where(
     assert "in step with ngspice: " in err
     assert cli.main(["warm"]) == 0
     assert "compiling" not in capsys.readouterr().err
+    kept = set((tmp_path / "cache" / "cosim" / "circuits").iterdir())
+    assert cli.main(["run", str(SCENES / "slope.toml"), "-o", str(tmp_path / "run")]) == 0
+    assert set((tmp_path / "cache" / "cosim" / "circuits").iterdir()) == kept  # nothing was left to measure
