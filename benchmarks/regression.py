@@ -25,6 +25,8 @@ BANDS = {
     "growth_exponent": 0.15,
     "memory_100s_mb": 0.10,
     "warm_run_outside_s": 1.0,
+    "warm_linear_outside_s": 1.0,
+    "stability_s": 1.0,
     "extraction_cached_ms": 1.0,
     "border_map": 0.60,
     "batch_vs_single": 1.0,
