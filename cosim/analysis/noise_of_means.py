@@ -30,7 +30,8 @@ class NoiseOfMeans:
     Attributes
     ----------
     covariance
-        [k, k], of the outputs' means, their components in the order asked for.
+        [k, k], of the outputs' means, their components in the order asked for, in the products of their
+        units (N^2, N m, ...).
     notes
         What a linear system at rest leaves out.
     """
