@@ -10,7 +10,8 @@ import threading
 
 def _leave(*_: object) -> None:
     """End at once with one line: nothing has begun yet."""
-    os.write(sys.stderr.fileno(), b"cosim: interrupted\n")
+    with contextlib.suppress(OSError):
+        os.write(2, b"cosim: interrupted\n")
     os._exit(130)
 
 
@@ -34,7 +35,9 @@ def main() -> int:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not where Ctrl-C is to be ignored
         signal.signal(signal.SIGINT, _leave)  # while Python imports; `cosim.cli.main` takes over
     from cosim.quick_start import collect_seldom, frugal
+    from cosim.terminal import open_missing_streams
 
+    open_missing_streams()
     frugal()
     collect_seldom()
     from cosim.cli import main as command_line

@@ -22,7 +22,7 @@ from cosim.commands import verbosity
 from cosim.commands.command import Command, caution_lines
 from cosim.errors import CosimError, fail
 from cosim.storage.staging import writable_folder
-from cosim.terminal import printable
+from cosim.terminal import print_remark, printable
 
 EXIT_FAILURE = 1
 EXIT_REFUSED = 2
@@ -117,8 +117,10 @@ def _printed(code: int, text: str, stream: TextIO) -> int:
     """Print what a command has to say; return its exit code."""
     try:
         print(printable(text), file=stream, flush=True)
-    except BrokenPipeError:
-        # The reader, for example `head`, went away; Python must not complain again when it flushes at exit.
+    except OSError as error:
+        if stream is not sys.stderr and not isinstance(error, BrokenPipeError):  # a reader such as `head` knows it
+            print_remark(f"cosim: the result cannot be printed: {error.strerror}")
+        # Python must not complain again when it flushes at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
         return code or EXIT_FAILURE
     return code
@@ -129,11 +131,10 @@ def _about() -> int:
     from cosim.commands.version_info import about
 
     try:
-        print(about())
+        text = about()
     except CosimError as error:
-        print(f"cosim --version: {error}", file=sys.stderr)
-        return error.exit_code
-    return 0
+        return _printed(error.exit_code, f"cosim --version: {error}", sys.stderr)
+    return _printed(0, text, sys.stdout)
 
 
 def _granted(args: argparse.Namespace) -> AbstractContextManager[None]:
@@ -172,7 +173,7 @@ def _outcome(args: argparse.Namespace, interrupts: _Interrupts) -> tuple[int, st
     if args.strict and cautions:
         code = EXIT_REFUSED
         count = f"{len(cautions)} warning{'s' if len(cautions) > 1 else ''}"
-        print(f"cosim {args.command}: {count} with --strict; finished results are kept", file=sys.stderr)
+        print_remark(f"cosim {args.command}: {count} with --strict; finished results are kept")
     if args.json:
         return code, _json(result | _as_dict(cautions)), sys.stdout
     return code, "\n".join([text, *caution_lines(cautions)]), sys.stdout

@@ -252,3 +252,31 @@ def test_a_folder_that_has_vanished_is_reported(tmp_path, monkeypatch, capsys, w
     assert cli.main([word.format(scene=scene) for word in words]) == 2
     printed = capsys.readouterr()
     assert "does not exist any more" in printed.out + printed.err
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-"])
+def test_closed_streams_leave_the_result_whole(closed: str, tmp_path: Path) -> None:
+    """As a daemon starts it. What is opened next must not get a stream's number: prints would land in the result."""
+    command = f'exec "$0" -m cosim run "$1" --model linear --no-estimate -o "$2" {closed}'
+    files = [str(scenes_folder() / "drop.toml"), str(tmp_path / "out")]
+    done = subprocess.run(["sh", "-c", command, sys.executable, *files], check=False)
+    assert done.returncode == 0
+    json.loads((tmp_path / "out/run.json").read_bytes())
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no device that is always full")
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        ("keys >/dev/full", 1, "cosim: the result cannot be printed: No space left on device\n"),
+        ("keys --json >/dev/full", 1, "cosim: the result cannot be printed: No space left on device\n"),
+        ("--version --verbose >/dev/full", 1, "cosim: the result cannot be printed: No space left on device\n"),
+        ("keys --verbose 2>/dev/full >/dev/null", 0, ""),
+        ("keys nonsense 2>/dev/full", 2, ""),
+    ],
+)
+def test_a_full_device_is_one_line(words: str, code: int, message: str) -> None:
+    done = subprocess.run(
+        ["sh", "-c", f'exec "$0" -m cosim {words}', sys.executable], check=False, capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr) == (code, message)

@@ -3,6 +3,8 @@
 import sys
 from enum import Enum
 
+from cosim.terminal import print_remark
+
 __all__ = ["Manner", "bars", "choose", "remark", "verbose"]
 
 
@@ -37,4 +39,4 @@ def remark(text: str, *, detail: bool = False) -> None:
     """Print a remark on standard error; a `detail` only on a terminal or with --verbose."""
     wanted = verbose() or not detail or bars()
     if _manner is not Manner.QUIET and wanted:
-        print(text, file=sys.stderr, flush=True)
+        print_remark(text)
