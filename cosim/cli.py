@@ -118,7 +118,8 @@ def _printed(code: int, text: str, stream: TextIO) -> int:
     try:
         print(printable(text), file=stream, flush=True)
     except OSError as error:
-        if stream is not sys.stderr and not isinstance(error, BrokenPipeError):  # a reader such as `head` knows it
+        # a reader that went away, for example `head`, needs no word
+        if stream is not sys.stderr and not isinstance(error, BrokenPipeError):
             print_remark(f"cosim: the result cannot be printed: {error.strerror}")
         # Python must not complain again when it flushes at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

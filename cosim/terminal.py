@@ -25,7 +25,7 @@ def printable(text: str) -> str:
 def open_missing_streams() -> None:
     """Give standard streams that the caller closed (``>&-``, some daemons) the null device.
 
-    Otherwise the next file that is opened takes the stream's number, and what a library in C prints lands in it.
+    Otherwise the next file that is opened takes the stream's number, and what C code prints lands in it.
     """
     for number in range(3):
         try:
@@ -39,6 +39,6 @@ def open_missing_streams() -> None:
 
 
 def print_remark(text: str) -> None:
-    """Print what no result depends on, on standard error; a stream that takes nothing is no error of the command."""
+    """Print on standard error what no result depends on; no error where nothing can be printed."""
     with suppress(OSError):
         print(text, file=sys.stderr, flush=True)

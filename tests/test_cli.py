@@ -256,7 +256,7 @@ def test_a_folder_that_has_vanished_is_reported(tmp_path, monkeypatch, capsys, w
 
 @pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-"])
 def test_closed_streams_leave_the_result_whole(closed: str, tmp_path: Path) -> None:
-    """As a daemon starts it. What is opened next must not get a stream's number: prints would land in the result."""
+    """As a daemon starts it. No file may get a stream's number: what C code prints would land in it."""
     command = f'exec "$0" -m cosim run "$1" --model linear --no-estimate -o "$2" {closed}'
     files = [str(scenes_folder() / "drop.toml"), str(tmp_path / "out")]
     done = subprocess.run(["sh", "-c", command, sys.executable, *files], check=False)
@@ -264,19 +264,21 @@ def test_closed_streams_leave_the_result_whole(closed: str, tmp_path: Path) -> N
     json.loads((tmp_path / "out/run.json").read_bytes())
 
 
+FULL = "cosim: the result cannot be printed: No space left on device\n"
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no device that is always full")
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
-        ("keys >/dev/full", 1, "cosim: the result cannot be printed: No space left on device\n"),
-        ("keys --json >/dev/full", 1, "cosim: the result cannot be printed: No space left on device\n"),
-        ("--version --verbose >/dev/full", 1, "cosim: the result cannot be printed: No space left on device\n"),
+        ("keys >/dev/full", 1, FULL),
+        ("keys --json >/dev/full", 1, FULL),
+        ("--version --verbose >/dev/full", 1, FULL),
         ("keys --verbose 2>/dev/full >/dev/null", 0, ""),
         ("keys nonsense 2>/dev/full", 2, ""),
     ],
 )
 def test_a_full_device_is_one_line(words: str, code: int, message: str) -> None:
-    done = subprocess.run(
-        ["sh", "-c", f'exec "$0" -m cosim {words}', sys.executable], check=False, capture_output=True, text=True
-    )
+    command = ["sh", "-c", f'exec "$0" -m cosim {words}', sys.executable]
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (code, message)
