@@ -120,6 +120,19 @@ def standard(
     return out
 
 
+def why_none(scene: Scene, model: str, name: str) -> str:
+    """Return why a run on this model has no such measure, one of those that `standard` leaves out."""
+    if name == "headroom":
+        return "no amplifier's output was watched: a run on spice has it, of a board with bounded outputs"
+    if scene.wall is None:
+        return "the scene has no wall"
+    if name in ("peak_normal_force", "mean_normal_force"):
+        return "the tip never touches the wall"
+    if name == "tangential_ratio":
+        return "no normal force throughout the last fifth of the run"
+    return "no contact throughout the last fifth of the run"
+
+
 def _add_contact(
     run_s: tuple[float, float],
     frame: Mapping[str, NDArray[np.float64]],

@@ -15,6 +15,7 @@ from cosim.results import json_text
 from cosim.storage.owned_files import manifest_of
 from cosim.tolerance.bill import grade_text
 from cosim.tolerance.listing import CONVENTION
+from cosim.tolerance.missing import Lack, lacks
 from cosim.tolerance.monte_carlo import worst
 from cosim.tolerance.scene_study import RECORD
 from cosim.tolerance.sensitivity import deviations
@@ -71,7 +72,10 @@ def write_monte_carlo(
         The folder cannot be written.
     """
     with look():
-        sections = [_overview(findings), *(_measure(findings, name, replay) for name in findings.study.names)]
+        sections = [
+            _overview(findings, replay),
+            *(_measure(findings, name, replay) for name in findings.summaries),
+        ]
         sections += [_bill(findings)] if findings.bill else []
         sections += [two_models(findings.levels)] if findings.levels is not None else []
         if findings.rare is not None:
@@ -121,7 +125,7 @@ def sentences(findings: "Findings", *, beside_tables: bool = False) -> list[str]
     return [*lines, *(note if note.endswith(".") else f"{note}." for note in notes)]
 
 
-def _overview(findings: "Findings") -> Section:
+def _overview(findings: "Findings", replay: str) -> Section:
     study = findings.study
     rows = []
     for name, each in findings.summaries.items():
@@ -151,10 +155,32 @@ def _overview(findings: "Findings") -> Section:
         note = "No sample inside the limits lies beyond; those outside them are counted in the last column."
         head = ["measure", "least", "largest", "devices looked at", "samples outside the limits"]
         tables.append(Table("Worst case within all limits", head, rows, note, stacked=True))
+    missing = lacks(study.failures, study.names)
+    if missing:
+        tables.append(_missing(findings, missing, replay))
     pictures = []
-    if len(study.names) > 1:
+    if len(findings.summaries) > 1 and np.isfinite(findings.correlation()).any():
         pictures.append(picture("correlation", "Correlation of the measures", _correlation(findings)))
     return Section("overview", "What the batch does", (), pictures, tables)
+
+
+def _missing(findings: "Findings", missing: Sequence[Lack], replay: str) -> Table:
+    """Return which measures devices lack, why, and what specifications count them as."""
+    rows = []
+    for lack in missing:
+        limits = [spec.text for spec in findings.specs if spec.measure in lack.names]
+        count = "; ".join(f"not passing {text}" for text in limits) or "left out"
+        rows.append(
+            [lack.text, str(lack.samples), count, str(lack.first), lack.why, f"{replay} {lack.first}"]
+        )
+    head = ["measures", "devices without", "counted as", "first of them", "its reason", "replay"]
+    note = (
+        f"Of {findings.study.sampling.n} devices. They are left out of mean, deviation and quantiles; the "
+        "reason of each stands in the file."
+    )
+    return Table(
+        "Measures that devices lack", head, rows, note, "samples.csv", codes=frozenset({5}), stacked=True
+    )
 
 
 def _measure(findings: "Findings", name: str, replay: str) -> Section:
@@ -293,7 +319,7 @@ def _scatter(findings: "Findings", name: str) -> Drawn:
 
 
 def _correlation(findings: "Findings") -> Drawn:
-    names, table = findings.study.names, findings.correlation()
+    names, table = list(findings.summaries), findings.correlation()
     drawing, grid = figure(1.4 + 0.5 * len(names))
     axes = grid[0, 0]
     axes.imshow(table, vmin=-1.0, vmax=1.0, cmap="RdBu_r", aspect="auto")

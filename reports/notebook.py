@@ -103,10 +103,10 @@ def findings_figure(findings: "Findings", part: str, measure: str | None = None)
     """
     from reports.monte_carlo import PARTS, draw
 
-    name = findings.study.names[0] if measure is None else measure
-    if part not in PARTS or name not in findings.study.names:
+    name = next(iter(findings.summaries)) if measure is None else measure
+    if part not in PARTS or name not in findings.summaries:
         raise ValueError(f"no figure {part!r} of {name!r}; there are {', '.join(PARTS)} of "
-                         f"{', '.join(findings.study.names)}")  # fmt: skip
+                         f"{', '.join(findings.summaries)}")  # fmt: skip
     if part in PARTS[2:] and name not in findings.surfaces:
         raise ValueError(f"{name} has no fitted surface: more samples, or a measure that changes")
     with look():
@@ -117,7 +117,7 @@ def findings_html(findings: "Findings") -> str:
     """Return what a batch of devices does: sentences, distribution, and the head of the bill as HTML."""
     from reports.monte_carlo import bill_table, draw, sentences
 
-    name = findings.study.names[0]
+    name = next(iter(findings.summaries))
     with look():
         pictures = [picture(name, f"Distribution of {name}", draw(findings, "distribution", name))]
     head, rows = bill_table(findings, _MOST_ROWS) if findings.surfaces else ([], [])

@@ -39,7 +39,8 @@ def sliders_page(findings: "Findings") -> str:
 def _data(findings: "Findings") -> dict[str, Any]:
     # of each randomisation as many: their intervals are those of the study
     study, surfaces = findings.study.thinned(_SAMPLES), findings.surfaces
-    known = np.flatnonzero(np.isfinite(study.results).all(axis=1))[:_SAMPLES]
+    columns = np.array([study.column(name) for name in surfaces])
+    known = np.flatnonzero(np.isfinite(columns).all(axis=0))[:_SAMPLES]
     weight = np.zeros(len(study.tolerances.variables))
     for surface in surfaces.values():
         weight += (surface.linear / surface.total) ** 2
@@ -86,10 +87,12 @@ def _data(findings: "Findings") -> dict[str, Any]:
     interval = "Clopper and Pearson, for so many independent devices"
     if how.replicates > 1:
         interval = f"Student t over {how.replicates} randomisations"
+    left_out = int(np.sum(~np.isfinite(columns).all(axis=0)))
+    others = f"; {left_out} more lack a measure and are left out here, of a yield too" if left_out else ""
     note = (
-        f"{len(known)} devices, model {study.model}. The error is the standard deviation of what a surface "
-        "leaves unexplained; far from the design, where no device was, it says nothing. Intervals of a "
-        f"yield: 95 %, {interval}."
+        f"{len(known)} devices, model {study.model}{others}. The error is the standard deviation of what a "
+        "surface leaves unexplained; far from the design, where no device was, it says nothing. Intervals of "
+        f"a yield: 95 %, {interval}."
     )
     return {
         "sliders": sliders, "surfaces": shown, "specs": specs, "note": note,

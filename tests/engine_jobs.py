@@ -35,7 +35,9 @@ class Formula:
             time.sleep(self.slow_s)
         with open(self.log, "a", encoding="utf-8") as log:
             log.write(f"{first} {count}\n")
-        failed = {k - first: "no circuit" for k in self.failing if first <= k < first + count}
+        failed = {
+            k - first: dict.fromkeys(NAMES, "no circuit") for k in self.failing if first <= k < first + count
+        }
         table[list(failed)] = np.nan
         return table, failed
 

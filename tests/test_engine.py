@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from engine_jobs import job
+from engine_jobs import NAMES, job
 
 from cosim.errors import InputError
 from cosim.tolerance.engine import Job, merge, run, shard
@@ -46,7 +46,7 @@ def test_workers_and_chunks_leave_the_same_bytes(tmp_path, workers, chunk):
     assert (times_measured(tmp_path / "other") == 1).all()
     assert not (other.folder / "parts").exists()
     measures, failures = samples.read()
-    assert failures == {3: "no circuit", 100: "no circuit"}
+    assert failures == dict.fromkeys((3, 100), dict.fromkeys(NAMES, "no circuit"))
     assert np.isnan(measures[[3, 100]]).all()
     assert np.isfinite(np.delete(measures, [3, 100], axis=0)).all()
 
@@ -56,7 +56,7 @@ def test_a_sample_that_takes_its_process_with_it_fails_alone(tmp_path):
     samples = run(job(tmp_path, 40, deadly=(17,)), tmp_path / "mc", workers=2, chunk=8)
     measures, failures = samples.read()
     assert list(failures) == [17]
-    assert "SIGKILL" in failures[17]
+    assert all("SIGKILL" in failures[17][name] for name in NAMES)
     assert np.flatnonzero(np.isnan(measures).any(axis=1)).tolist() == [17]
 
 
@@ -122,7 +122,7 @@ AT_THE_START = """
 import sys
 from pathlib import Path
 from multiprocessing.context import SpawnProcess
-from engine_jobs import job
+from engine_jobs import NAMES, job
 from cosim.tolerance.engine import run
 start = SpawnProcess.start
 def interrupted(self):

@@ -519,7 +519,7 @@ FORGED_SAMPLES = {
     "a column of words": rewritten(column("sample", lambda c: pa.array(map(str, c.to_pylist())))),
     "numbers of other samples": rewritten(column("sample", lambda c: pa.array([7] * len(c), pa.int64()))),
     "fewer rows": rewritten(lambda t: t.slice(3)),
-    "empty places": rewritten(column("failed", lambda c: pa.array([None] * len(c), pa.string()))),
+    "empty places": rewritten(column("missing", lambda c: pa.array([None] * len(c), pa.string()))),
     "numbers without end": lambda file: rewritten(
         column(pq.read_table(file).column_names[1], lambda c: pa.array([np.inf] * len(c)))
     )(file),

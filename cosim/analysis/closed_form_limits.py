@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 
-from scipy.optimize import brentq
+import scipy  # loads its parts when they are used
 
 __all__ = [
     "abbott_okamura",
@@ -110,4 +110,4 @@ def stiffness_of_cycle(
         return float(
             (4.0 * coulomb * math.sqrt(mass) / (math.pi * amplitude * (0.5 * period + delay))) ** (2.0 / 3.0)
         )
-    return low * (1.0 + math.exp(float(brentq(over, -60.0, 60.0))))
+    return low * (1.0 + math.exp(float(scipy.optimize.brentq(over, -60.0, 60.0))))

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import root
+import scipy  # loads its parts when they are used
 
 from cosim.analysis.held_contact import HeldContact
 from cosim.circuits.design_constants import DesignConstants
@@ -207,7 +207,7 @@ def resting_pose(contact: HeldContact, t: float | None = None) -> Array:
     scene = contact.scene
     at = scene.duration_s if t is None else t
     file = scene.file_name
-    rest = root(lambda q: rests(contact, q, at)[0], contact.q, tol=1e-13)
+    rest = scipy.optimize.root(lambda q: rests(contact, q, at)[0], contact.q, tol=1e-13)
     left, scale, _ = rests(contact, rest.x, at)
     if not (math.isfinite(scale) and np.abs(left).max() <= _BALANCED * max(scale, 1e-9)):
         fail("no pose of rest in contact was found for this scene", file=file)

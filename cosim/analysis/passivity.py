@@ -27,7 +27,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy  # loads its parts when they are used
-from scipy.optimize import minimize_scalar
 
 from cosim.types import Array, Complex
 
@@ -179,7 +178,7 @@ def needed_damping(law: Law) -> Certified:
 def _refined(at: Callable[[Array], Array], grid: Array, best: int) -> tuple[float, float]:
     """Return the maximum near a grid point, and where it is."""
     low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    minimum = minimize_scalar(
+    minimum = scipy.optimize.minimize_scalar(
         lambda x: -float(at(np.array([x]))[0]), bounds=(low, high), method="bounded", options={"xatol": 1e-12}
     )
     here = float(at(grid[best : best + 1])[0])

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # loads its parts when they are used
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from cosim.analysis.floquet import exponents
 from cosim.analysis.held_contact import HeldContact
@@ -204,9 +204,9 @@ def border(at: Callable[[float], Lifted], low: float, high: float, *, rtol: floa
         if begin is None and now < 0.0:
             begin = last if value != values[0] else float(value)
             if value != values[0]:
-                begin = float(brentq(over, last, float(value), rtol=rtol, xtol=1e-300))
+                begin = float(scipy.optimize.brentq(over, last, float(value), rtol=rtol, xtol=1e-300))
         elif begin is not None and now >= 0.0:
-            edge = float(brentq(over, last, float(value), rtol=rtol, xtol=1e-300))
+            edge = float(scipy.optimize.brentq(over, last, float(value), rtol=rtol, xtol=1e-300))
             return Border(edge, begin, stability(at(edge)))
         last = float(value)
     return Border(math.inf, begin, None) if begin is not None else Border(0.0, math.nan, None)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy  # loads its parts when they are used
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from cosim.analysis.board_range import board_range
 from cosim.analysis.closed_form_limits import gil_hulin
@@ -200,7 +200,9 @@ def largest_passive(contact: HeldContact) -> float:
         return _largest_passive(contact.scene, device_of(contact))
     if left(high) > 0.0:
         return math.inf
-    return math.exp(brentq(lambda x: left(math.exp(x)), math.log(low), math.log(high), rtol=1e-12))
+    return math.exp(
+        scipy.optimize.brentq(lambda x: left(math.exp(x)), math.log(low), math.log(high), rtol=1e-12)
+    )
 
 
 def _delay(scene: Scene) -> float:
@@ -223,7 +225,7 @@ def _largest_passive(scene: Scene, device: Device) -> float:
     high = 1.0
     while used(high) < 1.0:
         high *= 4.0
-    return float(brentq(lambda k: used(k) - 1.0, 1e-6, high, rtol=1e-6))
+    return float(scipy.optimize.brentq(lambda k: used(k) - 1.0, 1e-6, high, rtol=1e-6))
 
 
 def locus(contact: HeldContact, values: Array) -> list[NDArray[np.complex128]]:

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy  # loads its parts when they are used
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from cosim.analysis.control_law import law_point
 from cosim.analysis.held_contact import HeldContact, touching
@@ -80,7 +80,9 @@ class Pencil:
 
     def root(self, low: float, high: float) -> float:
         """Return the border between a stable and an unstable value."""
-        return float(brentq(lambda k: float(self.over(k)[0]), low, high, rtol=_RTOL, xtol=1e-300))
+        return float(
+            scipy.optimize.brentq(lambda k: float(self.over(k)[0]), low, high, rtol=_RTOL, xtol=1e-300)
+        )
 
 
 def pencil(contact: HeldContact, *, scale: float = 100.0) -> Pencil:

@@ -56,6 +56,7 @@ def by_distributions(
 
 
 def _as_dict(side: "Side") -> dict[str, Any]:
+    from cosim.tolerance.missing import lacks
     from cosim.tolerance.study_results import estimate_dict, summary_dict
 
     return {
@@ -68,12 +69,15 @@ def _as_dict(side: "Side") -> dict[str, Any]:
             text: {**estimate_dict(each), "change": estimate_dict(side.gains[text])}
             for text, each in side.yields.items()
         },
-        "failures": len(side.study.failures),
+        "missing": {
+            name: lack.samples for lack in lacks(side.study.failures, side.study.names) for name in lack.names
+        },
     }
 
 
 def _text(designs: "Sequence[Side]") -> list[str]:
     from cosim.catalogue import UNITS
+    from cosim.tolerance.missing import lacks
     from cosim.units import quantity
 
     def interval(of: "Estimate", unit: str, digits: int = 5) -> str:
@@ -101,9 +105,12 @@ def _text(designs: "Sequence[Side]") -> list[str]:
             change = "-" if side is designs[0] else _percent(side.gains[text])
             rows.append([side.label, _percent(side.yields[text]), change])
         lines += ["", *_aligned(rows)]
-    failed = [f"{side.label}: {len(side.study.failures)} devices have no measures" for side in designs
-              if side.study.failures]  # fmt: skip
-    return [*lines, *failed]
+    lacking = [
+        f"{side.label}: {lack.samples} of {n} devices have no {lack.text} and pass no specification of it, "
+        f"the first (sample {lack.first}): {lack.why}"
+        for side in designs for lack in lacks(side.study.failures, side.study.names)
+    ]  # fmt: skip
+    return [*lines, *lacking]
 
 
 def _percent(of: "Estimate") -> str:

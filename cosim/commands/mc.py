@@ -233,21 +233,26 @@ def _listed(tolerances: "Tolerances") -> tuple[dict[str, Any], str]:
 def _one(prepared: "Prepared", number: int) -> tuple[dict[str, Any], str]:
     from cosim.catalogue import UNITS
     from cosim.errors import SimulationError
+    from cosim.tolerance.missing import text_of
     from cosim.tolerance.scene_study import one_sample
     from cosim.units import quantity
 
     study, values = one_sample(prepared, number)
-    if study.failures:
-        raise SimulationError(f"sample {number}: {study.failures[number]}")
+    missing = study.failures.get(number, {})
+    if len(missing) == len(study.names):
+        raise SimulationError(f"sample {number}: {text_of(missing)}")
     components = prepared.tolerances.components
     rows = [
         [each.key, quantity(value, each.unit, 6), f"nominal {quantity(each.nominal, each.unit, 6)}"]
         for each, value in zip(components, values, strict=True)
     ]
-    measures = dict(zip(study.names, map(float, study.nominal), strict=True))
+    known = zip(study.names, map(float, study.nominal), strict=True)
+    measures = {name: value for name, value in known if name not in missing}
     lines = [f"{name}: {quantity(value, UNITS.get(name, ''), 6)}" for name, value in measures.items()]
+    lines += [f"{name}: none: {why}" for name, why in missing.items()]
     keyed = dict(zip(prepared.tolerances.keys, map(float, values), strict=True))
-    return {"sample": number, "values": keyed, "measures": measures}, "\n".join([*_aligned(rows), *lines])
+    result = {"sample": number, "values": keyed, "measures": measures, "missing": dict(missing)}
+    return result, "\n".join([*_aligned(rows), *lines])
 
 
 def _text(findings: "Findings") -> list[str]:

@@ -8,8 +8,11 @@ components, has a deck of its own and the ordinary way.
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +23,12 @@ from cosim.caution import collected
 from cosim.circuits.design_constants import Stated
 from cosim.circuits.draws.models import Draws
 from cosim.circuits.fitting.rational_fit import FitError
+from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.comparisons.board_measures import BoardMeasures, Lacking
 from cosim.comparisons.measure_values import all_measures, check_measures
-from cosim.errors import CosimError, InputError, SimulationError, fail
+from cosim.errors import CosimError, InputError, SimulationError, StorageError, fail
 from cosim.loop.linear.held_run import HeldRuns, is_compiled
+from cosim.measures import why_none
 from cosim.ngspice.child import Child
 from cosim.ngspice.placed_values import Placed
 from cosim.plan import Plan
@@ -32,6 +37,7 @@ from cosim.scene import Scene
 from cosim.storage.staging import scratch_folder
 from cosim.tolerance.applied_draw import motors, nominal, of_board, with_motors, with_numbers
 from cosim.tolerance.calibration import calibrated
+from cosim.tolerance.missing import Reasons, words
 from cosim.types import Array
 from mech.library_files import ready
 
@@ -43,8 +49,8 @@ Report = Callable[[dict[str, Any]], None]
 _TOGETHER = 256
 #: A sample that took longer than this belongs to a process that hangs [s].
 _HANGS_S = 60.0
-#: Words of the reason of a failed sample that are kept.
-_MOST_WORDS = 300
+#: How a measure is refused: the device has none, or what it is taken from has no solution.
+_REFUSALS = (CosimError, Lacking, FitError, np.linalg.LinAlgError, ArithmeticError)
 
 
 class Batch:
@@ -67,7 +73,7 @@ class Batch:
     Attributes
     ----------
     failures
-        Sample of the last call -> why it has no measures.
+        Sample of the last call -> measure -> why it has none.
 
     Raises
     ------
@@ -93,7 +99,7 @@ class Batch:
         self.keys, self.names = tuple(keys), tuple(measures)
         self._nominal = [float(v) for v in designed] if designed is not None else nominal(plan, keys)
         self._child: Child | None = None
-        self.failures: dict[int, str] = {}
+        self.failures: dict[int, Reasons] = {}
         with_numbers(plan.scene, keys, self._nominal)
         self._motors = motors(plan, keys)
         self._placed = Placed.of(plan.board, [keys[k] for k in of_board(keys)])
@@ -110,7 +116,7 @@ class Batch:
         Returns
         -------
         ndarray
-            (n, measures); NaN where a sample has failed, `failures` tells why, or lacks the measure.
+            (n, measures); NaN where a sample lacks the measure: `failures` tells why.
         """
         self.failures = {}
         table = np.full((len(values), len(self.names)), np.nan)
@@ -120,46 +126,58 @@ class Batch:
 
     def _some(self, start: int, values: Array, table: Array) -> None:
         alone = bool(self._runs) and (self._plan.model == "spice" or not is_compiled(self._plan.scene))
-        names = tuple(name for name in self.names if not (alone and name in self._runs))
+        self._asked(start, values, self.names, alone, table)
+        for k in range(len(values) if alone else 0):
+            if self._runs[0] not in self.failures.get(start + k, {}):
+                self._run(start + k, values[k], table)
+
+    def _asked(self, start: int, values: Array, names: tuple[str, ...], alone: bool, table: Array) -> None:
+        """Measure samples in ngspice's process; what takes it along is found, and the rest asked again."""
         payload = {
             "plan": self._plan, "keys": self.keys, "nominal": self._nominal, "names": names, "values": values,
+            "alone": alone,
         }  # fmt: skip
-        columns = [self.names.index(name) for name in names]
         try:
-            rows, failed = self._call("cosim.tolerance.batch:measured", payload, len(values))
+            rows, missing = self._call("cosim.tolerance.batch:measured", payload, len(values))
         except SimulationError as reason:
-            if len(values) == 1:
-                self.failures[start] = _words(reason)
-                return
-            for k in range(len(values)):  # one of them has taken the process with it
-                self._some(start + k, values[k : k + 1], table)
+            kinds = [n for n in (tuple(m for m in names if MEASURES[m].needs is need) for need in Need) if n]
+            if len(values) > 1:
+                for k in range(len(values)):
+                    self._asked(start + k, values[k : k + 1], names, alone, table)
+            elif len(kinds) > 1:
+                for some in kinds:
+                    self._asked(start, values, some, alone, table)
+            else:
+                self._lacks(start, dict.fromkeys(names, words(reason)))
             return
-        table[start : start + len(values), columns] = rows
-        self.failures |= {start + k: why for k, why in failed.items()}
-        if alone:
-            for k in range(len(values)):
-                if k not in failed:
-                    self._run(start + k, values[k], table)
+        table[start : start + len(values), [self.names.index(name) for name in names]] = rows
+        for k, reasons in missing.items():
+            self._lacks(start + k, reasons)
+
+    def _lacks(self, sample: int, reasons: Reasons) -> None:
+        self.failures[sample] = {**self.failures.get(sample, {}), **reasons}
 
     def _run(self, sample: int, values: Array, table: Array) -> None:
         """Run one sample the ordinary way; a crash or a hang is given a second chance."""
-        plan = self.plan_of(values)
         for chance in (False, True):
-            try:
-                with scratch_folder("sample") as folder, collected(forward=False):
+            with scratch_folder("sample") as folder, collected(forward=False):
+                try:
+                    plan = self.plan_of(values)
                     result = run(all_measures(plan), folder / "run", formats=(), child=self._alive())
-            except InputError as reason:
-                self.failures[sample] = _words(reason)
-                return
-            except SimulationError as reason:
-                if chance:
-                    self.failures[sample] = _words(reason)
-                    table[sample] = np.nan
-            else:
-                for name in self._runs:
-                    row = result.measures.get(name)
-                    table[sample, self.names.index(name)] = np.nan if row is None else float(row["value"])
-                return
+                except StorageError:  # no device's fault
+                    raise
+                except (InputError, SimulationError) as reason:
+                    if chance or isinstance(reason, InputError):
+                        # the folder's name is another one each time
+                        self._lacks(sample, dict.fromkeys(self._runs, words(reason, without=f"{folder}/")))
+                        return
+                    continue
+            values_of = {name: float(row["value"]) for name, row in result.measures.items()}
+            row, reasons = _finite(self._runs, values_of, {}, partial(why_none, plan.scene, plan.model))
+            table[sample, [self.names.index(name) for name in self._runs]] = row
+            if reasons:
+                self._lacks(sample, reasons)
+            return
 
     def plan_of(self, values: Sequence[float] | Array) -> Plan:
         """Return the plan of one sample."""
@@ -196,8 +214,20 @@ class Batch:
         self.close()
 
 
-def _words(reason: Exception) -> str:
-    return " ".join(str(reason).split())[:_MOST_WORDS]
+def _finite(
+    names: Sequence[str], values: Mapping[str, float], why: Reasons, none: Callable[[str], str]
+) -> tuple[list[float], dict[str, str]]:
+    """Return the measures in their order, NaN where there is none, and why: as known, or as `none` says."""
+    row, reasons = [], {}
+    for name in names:
+        value = values.get(name, math.nan)
+        if not math.isfinite(value):
+            unknown = f"the device's is {value}, no number" if name in values else none(name)
+            if reason := why.get(name) or unknown:
+                reasons[name] = reason
+            value = math.nan
+        row.append(value)
+    return row, reasons
 
 
 class _Here(Child):
@@ -234,37 +264,45 @@ _known: list[_Known] = []
 _COLLECTED = 8
 
 
-def measured(payload: Mapping[str, Any], report: Report) -> tuple[Array, dict[int, str]]:
+@contextmanager
+def _refused(names: Sequence[str], why: dict[str, str]) -> Iterator[None]:
+    """Note what is refused within as the reason why these measures are missing."""
+    try:
+        yield
+    except StorageError:  # no device's fault
+        raise
+    except _REFUSALS as reason:
+        why |= dict.fromkeys(names, words(reason))
+
+
+def measured(payload: Mapping[str, Any], report: Report) -> tuple[Array, dict[int, Reasons]]:
     """Measure samples in ngspice's child process.
 
     Parameters
     ----------
     payload
         'plan': the device as designed; 'keys', 'nominal': its components; 'names': measures; 'values'
-        (n, components)
+        (n, components); 'alone': runs are not made here, but who is unstable is told
     report
         called after each sample
 
     Returns
     -------
     tuple
-        measures (n, measures), and sample -> why it failed
+        measures (n, measures), and sample -> measure -> why it has none
     """
     values, device = payload["values"], _Device(payload)
     report({"time_s": 0.0})
     table = np.full((len(values), len(payload["names"])), np.nan)
-    failed: dict[int, str] = {}
+    missing: dict[int, Reasons] = {}
     for k, row in enumerate(values):
-        try:
-            table[k] = device.measured(row.tolist())
-        except FitError as reason:
-            failed[k] = _words(SimulationError(f"no `linear` model: {reason}"))
-        except CosimError as reason:
-            failed[k] = _words(reason)
+        table[k], reasons = device.measured(row.tolist())
+        if reasons:
+            missing[k] = reasons
         if k % _COLLECTED == 0:
             gc.collect(1)
         report({"time_s": float(k + 1)})
-    return table, failed
+    return table, missing
 
 
 def _draws(plan: Plan, keys: Sequence[str], nominal: Sequence[float]) -> Draws:
@@ -284,42 +322,55 @@ class _Device:
     def __init__(self, payload: Mapping[str, Any]) -> None:
         plan: Plan = payload["plan"]
         self._plan, self._keys, self._names = plan, payload["keys"], payload["names"]
+        self._alone: bool = payload["alone"]
         self._draws = _draws(plan, self._keys, payload["nominal"])
         self._board, self._motors = of_board(self._keys), motors(plan, self._keys)
-        self._ran = [name for name in self._names if MEASURES[name].needs is Need.RUN]
+        by = {need: [name for name in self._names if MEASURES[name].needs is need] for need in Need}
+        self._ran, self._of_contact = by[Need.RUN], by[Need.CONTACT]
+        self._still = [name for name in self._names if name not in self._ran]
         self._known: HeldRuns | None = None
 
-    def measured(self, values: Sequence[float]) -> list[float]:
-        """Return the measures of one sample."""
-        plan, draws = self._plan, self._draws
-        scene = with_numbers(plan.scene, self._keys, values)
-        on_board = [values[k] for k in self._board]
-        gains, still = scene.tolerance.calibration == "gains", len(self._ran) < len(self._names)
-        # of a run on `spice` too: who is unstable is told; a run here has its own, smaller one
-        circuit = draws.at(on_board) if gains or still or not self._ran else None
-        constants = with_motors(plan.stated(), self._motors, values, scene.joints)
-        if gains:
-            assert circuit is not None
-            constants = calibrated(constants, circuit)
-        values_of: dict[str, float] = {}
-        if self._ran:
-            from cosim.measures import standard
-
-            small = draws.at(on_board, scene.solver.band_hz, scene.solver.reduction_tolerance)
-            result = self._runs(scene, constants).run(small)
-            rows = standard(scene, constants, result.signals, result.samples, [], result.ledger, self._ran)
-            values_of |= {name: float(row["value"]) for name, row in rows.items()}
-        if still:
+    def measured(self, values: Sequence[float]) -> tuple[list[float], dict[str, str]]:
+        """Return the measures of one sample, and why it lacks some: what refuses one leaves the others."""
+        plan, on_board = self._plan, [values[k] for k in self._board]
+        got: dict[str, float] = {}
+        why: dict[str, str] = {}
+        constants: Stated | None = None
+        circuit: LinearCircuit | None = None
+        with _refused(self._names, why):
+            scene = with_numbers(plan.scene, self._keys, values)
+            constants = with_motors(plan.stated(), self._motors, values, scene.joints)
+        if constants is None:
+            return _finite(self._names, {}, why, str)
+        gains = scene.tolerance.calibration == "gains"
+        if gains or self._of_contact or (self._ran and self._alone):
+            with _refused([*self._of_contact, *(self._ran if gains or self._alone else ())], why):
+                circuit = self._draws.at(on_board)
+                constants = calibrated(constants, circuit) if gains else constants
+        if self._ran and not self._alone and self._ran[0] not in why:
+            with _refused(self._ran, why):
+                got |= self._run(scene, constants, on_board)
+        if self._still:
             # what is asked of the plan is the board's design, but for its motors
-            drawn = replace(plan, scene=scene, board=draws.deck(on_board), _asked={"stated": constants})
-            of = BoardMeasures(drawn, _Here(), circuit)
-            for name in self._names:
-                if name not in self._ran:
-                    try:
-                        values_of[name] = float(of.row(name)["value"])
-                    except Lacking:
-                        values_of[name] = np.nan
-        return [values_of.get(name, np.nan) for name in self._names]
+            deck = self._draws.deck(on_board)
+            of = BoardMeasures(
+                replace(plan, scene=scene, board=deck, _asked={"stated": constants}), _Here(), circuit
+            )
+            for name in self._still:
+                if name not in why:
+                    with _refused([name], why):
+                        got[name] = float(of.row(name)["value"])
+        none = partial(why_none, scene, plan.model)
+        return _finite(self._names, got, why, none if not self._alone else lambda _: "")
+
+    def _run(self, scene: Scene, constants: Stated, on_board: Sequence[float]) -> dict[str, float]:
+        """Return the measures of a run."""
+        from cosim.measures import standard
+
+        small = self._draws.at(on_board, scene.solver.band_hz, scene.solver.reduction_tolerance)
+        result = self._runs(scene, constants).run(small)
+        rows = standard(scene, constants, result.signals, result.samples, [], result.ledger, self._ran)
+        return {name: float(row["value"]) for name, row in rows.items()}
 
     def _runs(self, scene: Scene, constants: Stated) -> HeldRuns:
         """Return the runs of a scene; those of the sample before where it is the same."""

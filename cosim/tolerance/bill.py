@@ -74,7 +74,9 @@ def bill(
     specs = [spec for spec in specs if spec.measure in surfaces]
     uniforms = study.uniforms()
     z = deviations(study.tolerances, uniforms)
-    known = np.isfinite(study.results).all(axis=1)
+    known = np.ones(len(z), dtype=bool)
+    for spec in specs:
+        known &= np.isfinite(study.column(spec.measure))
     z = z[known]
     base = {spec.measure: study.column(spec.measure)[known] for spec in specs}
     now = _passed(specs, base)

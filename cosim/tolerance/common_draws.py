@@ -20,7 +20,7 @@ from cosim.tolerance import intervals
 from cosim.tolerance.bill import gained
 from cosim.tolerance.engine import Processes, run
 from cosim.tolerance.intervals import Estimate
-from cosim.tolerance.monte_carlo import Study, Summary, passed, summary, yields
+from cosim.tolerance.monte_carlo import Study, Summary, check_nominal, passed, summary, yields
 from cosim.tolerance.preparation import MOST, Asked, Prepared, prepare
 from cosim.tolerance.spec import Spec
 from cosim.tolerance.unit_cube import sampling
@@ -145,6 +145,7 @@ def _measured(prepared: Prepared, n: int, processes: Processes, on_progress: Pro
     points = Named(variables, prepared.seed)
     batch = prepared.batch(prepared.names, prepared.plan.model)
     nominal = batch.measures(prepared.tolerances.nominal[None, :])[0]
+    check_nominal(prepared.names, nominal, batch.failures)
     results, failures = run(prepared.job(points, n), processes.folder, on_progress=on_progress).read()
     # of how it was sampled only the way matters here: intervals are those of plain samples
     how = sampling("plain", n, len(variables), prepared.seed)

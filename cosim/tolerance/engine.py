@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import fcntl
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +18,7 @@ import numpy as np
 from cosim.errors import fail
 from cosim.storage.staging import disk_errors
 from cosim.tolerance.cluster import clustered
+from cosim.tolerance.missing import Missing
 from cosim.tolerance.monte_carlo import Engine
 from cosim.tolerance.sample_store import Samples
 from cosim.tolerance.worker_pool import Chunk, Lost, cores, pooled
@@ -35,8 +36,8 @@ _MOST_TOGETHER = 4096
 _PATIENCE_S, _WORTH_S = 3.0, 10.0
 
 
-#: Measures samples (first, count): measures (count, measures), and row -> why it has none.
-Work = Callable[[int, int], tuple[Array, Mapping[int, str]]]
+#: Measures samples (first, count): measures (count, measures), and row -> measure -> why it has none.
+Work = Callable[[int, int], tuple[Array, Missing]]
 
 
 @dataclass(frozen=True)
@@ -168,7 +169,7 @@ def _pooled(
     for finished, answer in answers:
         if isinstance(answer, Lost):
             lacking = np.full((1, len(job.names)), np.nan)
-            samples.keep(finished.first, lacking, {0: f"the sample {answer.why}"})
+            samples.keep(finished.first, lacking, {0: dict.fromkeys(job.names, f"the sample {answer.why}")})
         else:
             sizes.took(finished.count, answer)
         done += finished.count
@@ -193,14 +194,14 @@ class Processes:
     def of(self, job: Job) -> Engine:
         """Return what measures a job."""
 
-        def engine(on_progress: Progress | None) -> tuple[Array, dict[int, str]]:
+        def engine(on_progress: Progress | None) -> tuple[Array, Missing]:
             if self.shards:
                 return merge(job, self.folder, self.shards).read()
             return self.measured(job, on_progress)
 
         return engine
 
-    def measured(self, job: Job, on_progress: Progress | None = None) -> tuple[Array, dict[int, str]]:
+    def measured(self, job: Job, on_progress: Progress | None = None) -> tuple[Array, Missing]:
         """Measure what of a job is not there yet; return all of it."""
         rows = run(
             job, self.folder, workers=self.workers, chunk=self.chunk, cluster=self.cluster,

@@ -11,16 +11,19 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.caution import Caution, warn
 from cosim.errors import InputError, Problem, fail
 from cosim.tolerance import intervals
 from cosim.tolerance.intervals import Estimate
+from cosim.tolerance.missing import Missing, Reasons
 from cosim.tolerance.random_variables import Tolerances
 from cosim.tolerance.spec import Spec
 from cosim.tolerance.unit_cube import Sampling
 from cosim.types import Array
 
-__all__ = ["QUANTILES", "Engine", "Measurer", "Study", "Summary", "draw", "summary", "yields"]
+__all__ = [
+    "QUANTILES", "Engine", "Measurer", "Study", "Summary", "check_nominal", "draw",
+    "summary", "yields",
+]  # fmt: skip
 
 #: Shares of devices below the quantiles that are reported.
 QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
@@ -30,11 +33,11 @@ _MOST_TOGETHER = 4096
 
 
 class Measurer(Protocol):
-    """What measures devices: values of components (n, components) -> measures (n, measures), NaN: failed."""
+    """What measures devices: values of components (n, components) -> measures (n, measures), NaN: none."""
 
     @property
-    def failures(self) -> Mapping[int, str]:
-        """Sample of the last call -> why it has no measures."""
+    def failures(self) -> Missing:
+        """Sample of the last call -> measure -> why it has none."""
 
     def measures(self, values: Array) -> Array:
         """Return the measures of samples."""
@@ -43,8 +46,8 @@ class Measurer(Protocol):
 class Engine(Protocol):
     """Measures all samples of a study, wherever."""
 
-    def __call__(self, on_progress: Callable[[int, int, str], None] | None) -> tuple[Array, dict[int, str]]:
-        """Return measures (n, measures), and sample -> why it has none."""
+    def __call__(self, on_progress: Callable[[int, int, str], None] | None) -> tuple[Array, Missing]:
+        """Return measures (n, measures), and sample -> measure -> why it has none."""
         ...
 
 
@@ -63,7 +66,7 @@ class Study:
     results
         Measures (n, measures); NaN where there is none.
     failures
-        Sample -> why it has no measures.
+        Sample -> measure -> why it has none.
     seconds
         Wall time.
     """
@@ -74,7 +77,7 @@ class Study:
     names: tuple[str, ...]
     nominal: Array
     results: Array
-    failures: Mapping[int, str] = field(default_factory=dict)
+    failures: Missing = field(default_factory=dict)
     seconds: float = 0.0
 
     def column(self, name: str) -> Array:
@@ -135,21 +138,11 @@ def draw(
             "[tolerance]"
         )
     nominal = batch.measures(tolerances.nominal[None, :])[0]
-    _check_nominal(names, nominal, batch.failures)
+    check_nominal(names, nominal, batch.failures)
     if engine is None:
         results, failures = _one_by_one(tolerances, sampling, len(names), batch, on_progress)
     else:
         results, failures = engine(on_progress)
-    if failures:
-        first = min(failures)
-        warn(
-            Caution(
-                "samples-failed",
-                f"{len(failures)} of {sampling.n} samples have no measures, the first (sample {first}): "
-                f"{failures[first]}",
-                "they count as not passing, and are left out of means and quantiles",
-            )
-        )
     return Study(
         tolerances, sampling, model, tuple(names), nominal, results, failures, time.perf_counter() - begun
     )
@@ -161,9 +154,9 @@ def _one_by_one(
     count: int,
     batch: Measurer,
     on_progress: Callable[[int, int, str], None] | None,
-) -> tuple[Array, dict[int, str]]:
+) -> tuple[Array, Missing]:
     results = np.full((sampling.n, count), np.nan)
-    failures: dict[int, str] = {}
+    failures: dict[int, Reasons] = {}
     at, together = 0, 1
     while at < sampling.n:
         count = min(together, sampling.n - at)
@@ -179,14 +172,18 @@ def _one_by_one(
     return results, failures
 
 
-def _check_nominal(names: Sequence[str], nominal: Array, failures: Mapping[int, str]) -> None:
+def check_nominal(names: Sequence[str], nominal: Array, failures: Missing) -> None:
+    """Refuse measures that the device as designed lacks, each with its own reason; it is sample 0."""
     lacking = [name for name, value in zip(names, nominal, strict=True) if not math.isfinite(value)]
     if lacking:
-        why = failures.get(0, "the scene or its board does not have it")
+        why = failures.get(0, {})
         raise InputError(
-            Problem(f"the device as designed has no such measure: {why}", key="--measure", value=name)
+            Problem(
+                f"the device as designed has no such measure: {why.get(name, 'the scene has none')}",
+                key="--measure", value=name,
+            )
             for name in lacking
-        )
+        )  # fmt: skip
 
 
 def summary(study: Study, name: str) -> Summary:
@@ -194,7 +191,8 @@ def summary(study: Study, name: str) -> Summary:
     column = study.column(name)
     known = column[np.isfinite(column)]
     if len(known) < 2:
-        fail("fewer than two samples have this measure", key="--measure", value=name)
+        why = next((f": {each[name]}" for each in study.failures.values() if name in each), "")
+        fail(f"fewer than two samples have this measure{why}", key="--measure", value=name)
     how = study.sampling
     return Summary(
         name,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -16,7 +16,8 @@ from cosim.plan import Plan, resolve
 from cosim.scene import load_scene
 from cosim.scene.load import SceneLike
 from cosim.tolerance.batch import Batch
-from cosim.tolerance.engine import Job
+from cosim.tolerance.engine import Job, Work
+from cosim.tolerance.missing import Missing, of_measures
 from cosim.tolerance.monte_carlo import Measurer
 from cosim.tolerance.random_variables import Tolerances
 from cosim.tolerance.scene_variables import tolerances
@@ -99,7 +100,7 @@ class Prepared:
         measurer: Measurer = Batch(self.plan, self.tolerances.keys, needed, model, designed)
         for trim in trimmers:
             measurer = Trimmed(measurer, needed, trim, _columns(trim.resistor, self.tolerances))
-        return measurer if needed == tuple(names) else _Some(measurer, len(names))
+        return measurer if needed == tuple(names) else _Some(measurer, tuple(names))
 
     def job(self, points: Points, n: int, model: str | None = None) -> Job:
         """Return samples as the engine takes them; `model` where it is not the study's."""
@@ -128,10 +129,10 @@ class _Work:
     points: Points
     model: str
 
-    def __call__(self) -> Callable[[int, int], tuple[Array, Mapping[int, str]]]:
+    def __call__(self) -> Work:
         batch = self.prepared.batch(self.prepared.names, self.model)
 
-        def work(first: int, count: int) -> tuple[Array, Mapping[int, str]]:
+        def work(first: int, count: int) -> tuple[Array, Missing]:
             values = self.prepared.tolerances.values(self.points.uniforms(first, count))
             return batch.measures(values), dict(batch.failures)
 
@@ -214,14 +215,14 @@ def _columns(name: str, variables: Tolerances) -> tuple[int, ...]:
 
 
 class _Some:
-    """A batch of which the first measures are wanted."""
+    """A batch of which the first measures, `names`, are wanted."""
 
-    def __init__(self, batch: Measurer, count: int) -> None:
-        self._batch, self._count = batch, count
-        self.failures: Mapping[int, str] = {}
+    def __init__(self, batch: Measurer, names: tuple[str, ...]) -> None:
+        self._batch, self._names = batch, names
+        self.failures: Missing = {}
 
     def measures(self, values: Any) -> Any:
         """Return the first measures."""
         rows = self._batch.measures(values)
-        self.failures = self._batch.failures
-        return rows[:, : self._count]
+        self.failures = of_measures(self._batch.failures, self._names)
+        return rows[:, : len(self._names)]

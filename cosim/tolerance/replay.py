@@ -15,6 +15,7 @@ from cosim.errors import fail
 from cosim.scene import load_scene
 from cosim.storage.checksums import read_object
 from cosim.storage.field_types import fits, refuse_code
+from cosim.tolerance.missing import text_of
 from cosim.tolerance.preparation import Asked, Prepared, prepare
 from cosim.tolerance.sample_store import SAMPLES, Samples
 from cosim.tolerance.scene_study import RECORD
@@ -140,9 +141,11 @@ def repeat_samples(
         if on_progress is not None:
             on_progress(done, len(numbers), f"sample {number}")
         table, failed = work(number, 1)
-        if failed.get(0, "") != failures.get(number, ""):
-            states = (failed.get(0) or "has measures", failures.get(number) or "had measures")
-            different.append(f"sample {number}: {states[0]}; kept: {states[1]}")
+        if failed.get(0, {}) != failures.get(number, {}):
+            now, before = (
+                text_of(of) or "all measures" for of in (failed.get(0, {}), failures.get(number, {}))
+            )
+            different.append(f"sample {number}: {now}; kept: {before}")
         for name, now, before in zip(prepared.names, table[0], kept[number], strict=True):
             if now.tobytes() != before.tobytes() and not (math.isnan(now) and math.isnan(before)):
                 different.append(f"sample {number}: {name} = {now!r}, kept {before!r}")

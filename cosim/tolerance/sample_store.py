@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from cosim.errors import fail
 from cosim.storage.checksums import plain_json
 from cosim.storage.field_types import fits
 from cosim.storage.staging import atomic_file, disk_errors, sweep_folder
+from cosim.tolerance.missing import Missing, Reasons, reasons_of, text_of
 from cosim.types import Array
 
 __all__ = ["SAMPLES", "Samples"]
@@ -29,6 +30,8 @@ __all__ = ["SAMPLES", "Samples"]
 
 SAMPLES, STUDY, PARTS = "samples.parquet", "study.json", "parts"
 _PART = re.compile(r"(\d{12})-(\d+)\.parquet")
+#: Column that says which measures a sample lacks, and why: `text_of`.
+_MISSING = "missing"
 #: Samples of a group of rows in the file.
 _GROUP = 1 << 16
 
@@ -89,12 +92,12 @@ class Samples:
         """The file that names the study."""
         return self.folder / STUDY
 
-    def keep(self, first: int, table: Array, failed: Mapping[int, str]) -> None:
-        """Keep measures (n, measures) of samples from `first` on, with row -> why it has none."""
-        words = [failed.get(k, "") for k in range(len(table))]
+    def keep(self, first: int, table: Array, missing: Missing) -> None:
+        """Keep measures (n, measures) of samples from `first` on, with row -> measure -> why it has none."""
+        words = [text_of(missing.get(k, {})) for k in range(len(table))]
         columns: dict[str, Any] = {"sample": np.arange(first, first + len(table), dtype=np.int64)}
         columns |= {name: np.ascontiguousarray(table[:, k]) for k, name in enumerate(self.names)}
-        rows = pa.table(columns | {"failed": pa.array(words, pa.string())}, schema=self._schema())
+        rows = pa.table(columns | {_MISSING: pa.array(words, pa.string())}, schema=self._schema())
         place = self._parts / f"{first:012d}-{len(table)}.parquet"
         with disk_errors(self.folder):
             self._parts.mkdir(exist_ok=True)
@@ -106,7 +109,7 @@ class Samples:
 
     def _schema(self) -> pa.Schema:
         measures = [(name, pa.float64()) for name in self.names]
-        return pa.schema([("sample", pa.int64()), *measures, ("failed", pa.string())])
+        return pa.schema([("sample", pa.int64()), *measures, (_MISSING, pa.string())])
 
     def done(self) -> list[tuple[int, int]]:
         """Return which samples are there, as (first, behind the last) in order; damaged ones are not."""
@@ -225,12 +228,12 @@ class Samples:
             at += len(batch)
         return True
 
-    def read(self) -> tuple[Array, dict[int, str]]:
-        """Return all measures (n, measures) of a finished study, and sample -> why it failed."""
+    def read(self) -> tuple[Array, dict[int, Reasons]]:
+        """Return all measures (n, measures) of a finished study, and sample -> measure -> why it has none."""
         table = pq.read_table(self.folder / SAMPLES)
         measures = np.stack([table[name].to_numpy() for name in self.names], axis=1)
-        words = table["failed"].to_pylist()
-        return measures, {self.first + k: why for k, why in enumerate(words) if why}
+        words = table[_MISSING].to_pylist()
+        return measures, {self.first + k: reasons_of(text) for k, text in enumerate(words) if text}
 
 
 def _regrouped(tables: Iterator[Any]) -> Iterator[Any]:

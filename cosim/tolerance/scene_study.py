@@ -6,17 +6,21 @@ import hashlib
 import math
 import os
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from cosim.catalogue import UNITS
+from cosim.caution import Caution, warn
 from cosim.errors import InputError, fail
 from cosim.storage.checksums import read_object
 from cosim.tolerance.corner_search import Corner, corner
 from cosim.tolerance.engine import Processes, run
+from cosim.tolerance.missing import Missing, lacks
 from cosim.tolerance.model_levels import check, two_levels
 from cosim.tolerance.monte_carlo import Measurer, Study, draw, pilot_size
 from cosim.tolerance.preparation import MOST, Asked, Prepared, prepare
 from cosim.tolerance.rare_study import rare_failures
+from cosim.tolerance.spec import Spec
 from cosim.tolerance.study_results import Findings, find
 from cosim.tolerance.unit_cube import Sampling, sampling
 from cosim.types import Array, Progress
@@ -42,8 +46,9 @@ def measure_shard(
         prepared.job(how, how.n), processes.folder, workers=processes.workers, chunk=processes.chunk,
         part=part, on_progress=on_progress,
     )  # fmt: skip
-    failed = len(summary.read()[1])
-    return f"samples {summary.first} to {summary.last - 1} of {how.n}, {failed} of them without measures"
+    missing = summary.read()[1]
+    some = "; ".join(f"{lack.samples} lack {lack.text}" for lack in lacks(missing, prepared.names))
+    return f"samples {summary.first} to {summary.last - 1} of {how.n}, {some or 'all with all measures'}"
 
 
 def monte_carlo(
@@ -67,6 +72,7 @@ def monte_carlo(
     study = draw(
         prepared.tolerances, how, prepared.names, batch, model, on_progress=on_progress, engine=engine
     )
+    _warn_of_missing(study, asked.specs)
     corners = _corners(prepared, study, on_progress)
     levels = two_levels(prepared, study, processes, on_progress) if asked.two_level else None
     rare = rare_failures(prepared, study, processes, on_progress) if asked.rare else None
@@ -112,7 +118,7 @@ def one_sample(prepared: Prepared, number: int) -> tuple[Study, Array]:
     batch = prepared.batch(prepared.names, prepared.plan.model)
     values = prepared.tolerances.values(how.uniforms(number, 1))
     rows = batch.measures(values)
-    failures = {number: batch.failures[0]} if batch.failures else {}
+    failures: Missing = {number: batch.failures[0]} if batch.failures else {}
     plan = prepared.plan
     return Study(prepared.tolerances, how, plan.model, prepared.names, rows[0], rows, failures), values[0]
 
@@ -134,6 +140,20 @@ def check_folder(folder: Path, digest: str) -> None:
         known = None
     if known != digest:
         fail("holds another study; choose another folder with -o, or remove it", file=str(folder))
+
+
+def _warn_of_missing(study: Study, specs: Sequence[Spec]) -> None:
+    """Say which measures devices lack, why, and what that means for specifications of them."""
+    for lack in lacks(study.failures, study.names):
+        limits = ", ".join(spec.text for spec in specs if spec.measure in lack.names)
+        warn(
+            Caution(
+                "measures-missing",
+                f"{lack.samples} of {study.sampling.n} devices have no {lack.text}, the first (sample "
+                f"{lack.first}): {lack.why}",
+                f"they count as not passing {limits}" if limits else "they are left out of its distribution",
+            )
+        )
 
 
 def _corners(prepared: Prepared, study: Study, on_progress: Progress | None) -> dict[str, Corner]:

@@ -19,6 +19,7 @@ from cosim.tolerance.border_strata import STRATA
 from cosim.tolerance.corner_search import Corner
 from cosim.tolerance.intervals import Estimate
 from cosim.tolerance.listing import CONVENTION, component_rows
+from cosim.tolerance.missing import text_of
 from cosim.tolerance.model_levels import Levels
 from cosim.tolerance.monte_carlo import Study, Summary, passed, summary, worst, yields
 from cosim.tolerance.random_variables import Tolerances
@@ -43,7 +44,7 @@ class Findings:
     study, specs
         What was measured, and what devices must be.
     summaries, surfaces, corners
-        By measure; a surface only where there are samples enough.
+        By measure that two samples have at least; a surface only where there are samples enough.
     yields
         By specification.
     bill
@@ -96,10 +97,13 @@ class Findings:
         return frozenset(lines)
 
     def correlation(self) -> NDArray[np.float64]:
-        """Return the correlation of the measures (measures, measures)."""
-        known = np.isfinite(self.study.results).all(axis=1)
+        """Return the correlation of the measures that are summed up, NaN where too few devices have all."""
+        table = np.array([self.study.column(name) for name in self.summaries])
+        known = np.isfinite(table).all(axis=0)
+        if known.sum() < 2:
+            return np.full((len(table), len(table)), np.nan)
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.atleast_2d(np.corrcoef(self.study.results[known], rowvar=False))
+            return np.atleast_2d(np.corrcoef(table[:, known]))
 
     def as_dict(self) -> dict[str, Any]:
         """Return all numbers, JSON-ready; infinite ends of intervals are None."""
@@ -116,7 +120,7 @@ class Findings:
                 {"measure": s.measure, "low": _finite(s.low), "high": _finite(s.high)} for s in self.specs
             ],
             "yields": {text: estimate_dict(each) for text, each in self.yields.items()},
-            "failures": {str(k): why for k, why in study.failures.items()},
+            "missing": {str(k): dict(each) for k, each in study.failures.items()},
             "surfaces": {name: _surface(each) for name, each in self.surfaces.items()},
             "bill": [_line(line) for line in self.bill],
             "worst_case": {name: asdict(corner) for name, corner in self.corners.items()},
@@ -127,13 +131,15 @@ class Findings:
         }
 
     def samples_csv(self) -> str:
-        """Return all samples: measures, and whether they pass."""
-        columns = ["sample", *(heading(name, UNITS.get(name, "")) for name in self.study.names), "pass"]
+        """Return all samples: measures, whether they pass, and why some are missing."""
+        units = (heading(name, UNITS.get(name, "")) for name in self.study.names)
+        columns = ["sample", *units, "pass", "missing"]
         verdict = passed(self.study, self.specs)
         rows = (
-            [k, *("" if math.isnan(v) else repr(float(v)) for v in row), int(verdict[k])]
+            [k, *("" if math.isnan(v) else repr(float(v)) for v in row), int(verdict[k]),
+             text_of(self.study.failures.get(k, {}))]
             for k, row in enumerate(self.study.results)
-        )
+        )  # fmt: skip
         return _csv(columns, rows)
 
     def bill_csv(self) -> str:
@@ -172,12 +178,14 @@ def find(
     Raises
     ------
     InputError
-        Where fewer than two samples have a measure.
+        Where fewer than two samples have any of the measures.
     """
-    summaries = {name: summary(study, name) for name in study.names}
-    fitted = {name: fit_surface(study, name) for name in study.names}
+    seen = [name for name in study.names if np.isfinite(study.column(name)).sum() > 1] or study.names
+    summaries = {name: summary(study, name) for name in seen}
+    fitted = {name: fit_surface(study, name) for name in seen}
     surfaces = {name: surface for name, surface in fitted.items() if surface is not None}
     notes_of, few = [*notes], study.thinned(MOST_LOOKED_AT)
+    notes_of += [f"{name}: fewer than two devices have it" for name in study.names if name not in seen]
     if few is not study:
         notes_of.append(
             f"sensitivities and the bill look at {few.sampling.n} of the {study.sampling.n} samples, the "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +11,7 @@ from cosim.catalogue import NAMES, UNITS
 from cosim.errors import InputError, Problem, nearest
 from cosim.ngspice.lines import number
 from cosim.scene import Scene
+from cosim.tolerance.missing import Missing, Reasons
 from cosim.tolerance.monte_carlo import Measurer
 from cosim.types import Array
 
@@ -82,36 +82,44 @@ class Trimmed:
     def __init__(self, batch: Measurer, names: tuple[str, ...], trim: Trim, columns: tuple[int, ...]) -> None:
         self._batch, self._trim, self._columns = batch, trim, columns
         self._place = names.index(trim.measure)
-        self.failures: Mapping[int, str] = {}
+        self._names = names
+        self.failures: Missing = {}
 
     def measures(self, values: Array) -> Array:
-        """Return the measures after trimming; a device that cannot be trimmed has failed.
+        """Return the measures after trimming; a device that cannot be trimmed has none.
 
-        The logarithm of the ratio is found by the secant method, all devices together.
+        The logarithm of the ratio is found by the secant method, all devices together; where a setting leaves
+        nothing to trim by, half of that step is tried.
         """
         n = len(values)
         old, new = np.zeros(n), np.full(n, 0.02)
         rows = self._at(values, old)
-        failures = dict(self._batch.failures)
         left_old = rows[:, self._place] / self._trim.target - 1.0
-        best, best_left, best_rows = old.copy(), left_old.copy(), rows.copy()
+        best_left, best_rows = left_old.copy(), rows.copy()
+        missing: dict[int, Reasons] = dict(self._batch.failures)
         for _ in range(_ROUNDS):
             rows = self._at(values, new)
             left = rows[:, self._place] / self._trim.target - 1.0
-            better = ~(np.abs(left) >= np.abs(best_left))
-            best[better], best_left[better], best_rows[better] = new[better], left[better], rows[better]
+            known = np.isfinite(left)
+            better = known & ~(np.abs(left) >= np.abs(best_left))
+            best_left[better], best_rows[better] = left[better], rows[better]
+            for k in np.flatnonzero(better).tolist():
+                missing[k] = self._batch.failures.get(k, {})
             if not np.any(np.abs(best_left) > 0.01 * _CLOSE):
                 break
             slope = (left - left_old) / np.where(new == old, 1.0, new - old)
             with np.errstate(divide="ignore", invalid="ignore"):
                 step = np.where(slope != 0.0, -left / slope, 0.0)
-            old, left_old = new, left
-            new = np.clip(new + np.nan_to_num(step), -np.log(_RANGE), np.log(_RANGE))
-        for k in np.flatnonzero(~(np.abs(best_left) <= _CLOSE)):
+            further = np.clip(new + np.nan_to_num(step), -np.log(_RANGE), np.log(_RANGE))
+            half = 0.5 * (old + new)
+            old, left_old = np.where(known, new, old), np.where(known, left, left_old)
+            new = np.where(known, further, half)
+        for k in np.flatnonzero(~(np.abs(best_left) <= _CLOSE)).tolist():
             reason = f"{self._trim.resistor} does not bring {self._trim.measure} to {self._trim.target:g}"
-            failures.setdefault(int(k), reason)
+            why = missing.get(k, {}).get(self._trim.measure)
+            missing[k] = dict.fromkeys(self._names, f"{reason}: {why}" if why else reason)
             best_rows[k] = np.nan
-        self.failures = failures
+        self.failures = {k: each for k, each in missing.items() if each}
         return best_rows
 
     def _at(self, values: Array, ratio: Array) -> Array:
