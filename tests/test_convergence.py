@@ -116,6 +116,38 @@ def test_a_model_that_stops_at_the_default_tolerance_runs_and_says_why(tmp_path:
     assert "solver.rtol = 0.001" in rows[0].text
 
 
+#: A square beside the amplifier, w = 2 in^2, whose equation atan(w - 2 in^2) = 0 Newton's method solves from
+#: within 1.39 V only and from farther away diverges. No conductance to ground helps, for w is the voltage of
+#: a source, and no stepping of all sources: without supplies v(z) has no value (`NO_POINT`).
+NEAR_ONLY = """\
+.subckt nearonly 1 2 3 4 5
+ga 0 x 1 2 1m
+ra x 0 200meg
+ca x 0 53p
+eo y 0 x 0 1
+ro y 5 100
+rp 3 4 10k
+bw w 0 v=v(w)-atan(v(w)-2*v(1)*v(1))
+rw w 0 1k
+bz z 0 v=u(5-v(3)+v(4))*u(0.5-v(z))
+rz z 0 1meg
+.ends
+"""
+
+
+def test_an_operating_point_that_only_pins_stepped_from_zero_find(tmp_path: Path) -> None:
+    (tmp_path / "nearonly.lib").write_text(NEAR_ONLY)
+    part = {"file": str(tmp_path / "nearonly.lib"), "subckt": "nearonly", "pins": "1 2 3 4 5"}
+    device = {"parts": {"opamp": part}, "start": {"q_rad": [0.5]}}
+    # with a back-EMF: its viscosity is measured first, at external sources that no stepping reaches
+    tables = slider(duration_s=0.05, device=device, effects={"motor": "emf"})
+    run = quick(tmp_path, tables)
+    rows = [caution for caution in run.warnings if caution.code == "convergence-aided"]
+    assert len(rows) == 1
+    assert "stepped from zero" in rows[0].text
+    assert "rtol" not in rows[0].text + rows[0].advice
+
+
 #: As the last one, but it jumps in a quarter of all trial instants, as rounding errors do between gains far
 #: apart (a zero made of gains 1e6 and 1e-6, say): three steps in four double, one fails and is cut to an
 #: eighth, so that the steps neither recover nor vanish.

@@ -50,7 +50,9 @@ class AtRest:
         self._altered = {}
         self._read_again()
 
-    def analyse(self, command: str, ready: Callable[[], object] = lambda: None) -> None:
+    def analyse(
+        self, command: str, ready: Callable[[], object] = lambda: None, *, aided: bool = True
+    ) -> None:
         """Run an analysis.
 
         ngspice starts from its last solution. If it does not converge from there, it starts again
@@ -63,6 +65,8 @@ class AtRest:
             ngspice's.
         ready
             Called before each attempt: what is saved is forgotten when the deck is read.
+        aided
+            Whether there is a second attempt: whoever has another way to ask saves the vain ones.
 
         Raises
         ------
@@ -71,7 +75,7 @@ class AtRest:
         """
         before = self.aid
         first: NoOperatingPoint | None = None
-        for prepare in (None, self._read_again, self._loose, self._stepping):
+        for prepare in (None, *((self._read_again, self._loose, self._stepping) if aided else ())):
             try:
                 if prepare is not None:
                     prepare()

@@ -50,7 +50,7 @@ def extract(payload: dict[str, Any], report: Report) -> LinearCircuit:
     from cosim.circuits.extraction.path_measurement import Session
 
     report({"stage": "load"})
-    circuit = extracted(Session(board), asked)
+    circuit = extracted(Session(board, beat=lambda: report({})), asked)
     if kept:
         cache.store(asked, circuit)
     return circuit

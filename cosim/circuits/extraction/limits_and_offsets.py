@@ -97,13 +97,14 @@ def current_limits(session: Testbench) -> Array:
 def _swept(session: Testbench, pin: str, output: str) -> tuple[Array, Array]:
     """Sweep a command from far below the converters' range to far above it: volts and currents [_STEPS + 1].
 
-    Where ngspice does not find the first point, which is far from rest, it goes from rest to either end, and
-    where vendors' models have no operating point so far out, less far.
+    Where ngspice does not find the first point as it is, since it is far from rest, it goes from rest to
+    either end, and where vendors' models have no operating point so far out, less far.
     """
     full = session.simulator.constant("dac_v")
     try:
         reach = _BEYOND * full
-        return np.linspace(-reach, reach, _STEPS + 1), session.sweep(pin, -reach, reach, _STEPS, output)
+        direct = session.sweep(pin, -reach, reach, _STEPS, output, aided=False)
+        return np.linspace(-reach, reach, _STEPS + 1), direct
     except NoOperatingPoint:
         for share in _NEARER:
             reach = share * full

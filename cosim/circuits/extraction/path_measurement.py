@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,8 +68,10 @@ class Session(Testbench):
         j, and motor i's multipliers only motor i, as far as that was measured.
     """
 
-    def __init__(self, board: Deck, extra: Sequence[str] = ()) -> None:
-        super().__init__(board, extra)
+    def __init__(
+        self, board: Deck, extra: Sequence[str] = (), beat: Callable[[], object] = lambda: None
+    ) -> None:
+        super().__init__(board, extra, beat=beat)
         self.together = self.joints > 1 and bool(self.multipliers)
         before = [self.before(part) for part in self.multipliers]
         #: For each multiplier the first one that is fed by the same node.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -35,6 +35,8 @@ class Testbench(DrivenBoard):
         Further lines of the deck: sources at nodes inside the board.
     multipliers
         Whether to look for them, which takes analyses.
+    beat
+        Called before each attempt at an analysis: a sign of life for whoever waits.
 
     Attributes
     ----------
@@ -44,7 +46,14 @@ class Testbench(DrivenBoard):
         In the order of `channel_names`; empty where a gain pin has no multiplier with probes.
     """
 
-    def __init__(self, board: Deck, extra: Sequence[str] = (), *, multipliers: bool = True) -> None:
+    def __init__(
+        self,
+        board: Deck,
+        extra: Sequence[str] = (),
+        *,
+        multipliers: bool = True,
+        beat: Callable[[], object] = lambda: None,
+    ) -> None:
         joints = range(1, board.joints + 1)
         self.channels = channel_names(board.joints)
         self.signals = [f"{kind}{j}" for kind in ("pot", "u") for j in joints]
@@ -54,6 +63,7 @@ class Testbench(DrivenBoard):
         )
         self._outputs = [f"imot{i}" for i in joints]
         self._saved: tuple[str, ...] = ()
+        self._beat = beat
         self._hz: dict[str, Array] = {}
         super().__init__(
             Simulator(),
@@ -92,10 +102,18 @@ class Testbench(DrivenBoard):
         self.simulator.command("destroy")
         return volts
 
-    def sweep(self, pin: str, begin: float, end: float, steps: int, node: str) -> Array:
-        """Return the DC voltage of `node` [steps + 1] while `pin` goes from `begin` to `end` [V]."""
+    def sweep(
+        self, pin: str, begin: float, end: float, steps: int, node: str, *, aided: bool = True
+    ) -> Array:
+        """Return the DC voltage of `node` [steps + 1] while `pin` goes from `begin` to `end` [V].
+
+        Raises
+        ------
+        NoOperatingPoint
+            Where ngspice finds one of the points neither as it is nor, if it is to be `aided`, with aids.
+        """
         step = (end - begin) / steps
-        self._analyse(f"dc {self._source[pin]} {begin!r} {end!r} {step!r}", [node])
+        self._analyse(f"dc {self._source[pin]} {begin!r} {end!r} {step!r}", [node], aided=aided)
         volts = np.asarray(self.simulator.vector(node), float)
         self.simulator.command("destroy")
         return volts
@@ -156,7 +174,7 @@ class Testbench(DrivenBoard):
     def _ends(self, part: Multiplier) -> tuple[str, str]:
         return next(probe.nodes for probe in self._probes if probe.source == part.x)
 
-    def _analyse(self, command: str, nodes: Sequence[str]) -> None:
+    def _analyse(self, command: str, nodes: Sequence[str], *, aided: bool = True) -> None:
         """Run an analysis and have it hand over these nodes."""
         again = False
 
@@ -165,10 +183,11 @@ class Testbench(DrivenBoard):
             if again:  # the deck was read anew, and what was saved is forgotten
                 self._saved = ()
             again = True
+            self._beat()
             self._save(nodes)
 
         try:
-            self._rest.analyse(command, ready)
+            self._rest.analyse(command, ready, aided=aided)
         except NoOperatingPoint:
             self._saved = ()
             raise

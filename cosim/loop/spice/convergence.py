@@ -3,6 +3,8 @@
 Vendors' models are written for other simulators' tolerances: some stop at a relative tolerance of 1e-4 and
 run at 1e-3. ngspice steps its own sources from zero where Newton's method fails, but not the external ones,
 whose values it gets from outside; so the operating point is also tried with plain sources in their place.
+Where that fails, the pins alone are stepped from zero: each step starts from the last one's solution, which
+no stepping within ngspice does at full supplies.
 
 A model whose gains are far apart leaves rounding errors of the tolerance's size in Newton's method, which
 then fails at random and at any step: the run would end, in hours. An attempt's work is therefore bounded,
@@ -47,6 +49,8 @@ _COST = (
 )
 
 _INTERNAL = re.compile(r"_int\d+$")
+#: Node that scales the voltages at all pins.
+_SCALE = "pinscale"
 
 Result = TypeVar("Result")
 
@@ -147,8 +151,15 @@ def _caution(error: InputError | SimulationError, aid: Aid, asked: Tolerances) -
     return Caution(
         "convergence-aided",
         f"ngspice came to no end as the scene asks ({reason}), and does with {' and '.join(aid.words)}",
-        f"state it in [solver] to save the vain attempt{_COST if aid.tolerances.rtol > asked.rtol else ''}",
+        _advice(aid, asked),
     )
+
+
+def _advice(aid: Aid, asked: Tolerances) -> str:
+    if aid.tolerances == asked:
+        return "nothing is to be done: the run itself is as the scene asks"
+    cost = _COST if aid.tolerances.rtol > asked.rtol else ""
+    return f"state it in [solver] to save the vain attempt{cost}"
 
 
 def _in_vain(error: NoOperatingPoint | StepTooSmall, tried: tuple[str, ...]) -> InputError | SimulationError:
@@ -164,21 +175,25 @@ def _in_vain(error: NoOperatingPoint | StepTooSmall, tried: tuple[str, ...]) -> 
 def plain_start(
     simulator: Simulator, board: Deck, circuit: Drive, volts: Mapping[str, float], aid: Aid
 ) -> list[str]:
-    """Return `.nodeset` lines of the operating point with plain sources of `volts` at the board's pins.
+    """Return `.nodeset` lines of the operating point with plain sources of `volts` [V] at the board's pins.
 
     Raises
     ------
     NoOperatingPoint
         If ngspice finds none so either.
     """
-    sources = {pin: f"dc {volts[f'v{k:02d}']!r}" for k, pin in enumerate(circuit.sources())}
-    rows = ["cosim start", *(line.text for line in board.lines[1:]), *testbench(board, circuit, sources)]
-    rows += [aid.tolerances.line(), *aid.lines, ".end"]
+    rows = ["cosim start", *(line.text for line in board.lines[1:]), *testbench(board, circuit, {})]
+    rows += [f"e{k:02d} {pin} 0 {_SCALE} 0 {volts[f'v{k:02d}']!r}" for k, pin in enumerate(circuit.sources())]
+    rows += [f"v{_SCALE} {_SCALE} 0 1", aid.tolerances.line(), *aid.lines, ".end"]
     simulator.load("\n".join(rows) + "\n", lines=board.lines, name=str(board.path))
     # the board's probes may be external, for noise that begins at zero: ngspice 47 reads them here as well
     simulator.attach(source=lambda name, t: 0.0)
-    simulator.command("op")
+    try:
+        simulator.command("op")
+    except NoOperatingPoint:  # Newton's method starts from zero volts, far away; so the pins go there, too
+        simulator.command(f"dc v{_SCALE} 0 1 0.1")
     # nodes that ngspice itself adds have no name in a deck
-    nodes = [name for name in simulator.vector_names() if "#" not in name and not _INTERNAL.search(name)]
-    by_node = {name: float(np.real(simulator.vector(name)[0])) for name in nodes}
+    names = [name for name in simulator.vector_names() if "#" not in name and not _INTERNAL.search(name)]
+    nodes = [name for name in names if name not in (_SCALE, "v-sweep")]
+    by_node = {name: float(np.real(simulator.vector(name)[-1])) for name in nodes}
     return [f".nodeset v({name})={value!r}" for name, value in by_node.items()]
