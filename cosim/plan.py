@@ -246,14 +246,14 @@ def _resolved(scene: Scene, trust: bool, board: Deck | None) -> Plan:
             value=str(scene.device.board),
         )
     _check_path(scene)
-    warn(*plausibility.of_plan(scene, board, partial(_unedited, scene, trust)))
+    model = effects.circuit_model(scene)
+    warn(*plausibility.of_plan(scene, board, model, partial(_unedited, scene, trust)))
     warn(
         *(
             Caution("key-unused", text, "switch the effect on, state that it is off, or take the key out")
             for text in forgotten(scene, effects.EFFECTS)
         )
     )
-    model = effects.circuit_model(scene)
     _check_stops(scene, model)
     solver = scene.solver
     recorded = _recorded(scene)

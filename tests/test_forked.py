@@ -27,6 +27,8 @@ out = {{"parent": os.getpid()}}
 with early() as child:
     out["copy"] = child.call("ngspice_targets:in_a_copy", {place!r})
     out["volts"] = float(child.call("ngspice_targets:simulate", "t\\nV1 a 0 3\\nR1 a 0 1k\\n")["a"][0])
+with early() as child:
+    out["forgiving"] = child.call("ngspice_targets:forgiving", "t\\nV1 a 0 3\\nR1 a 0 1k\\n")
     out["behind ngspice"] = child.call("ngspice_targets:in_a_copy", {place!r})
 with early() as child:
     out["asked to read"] = call("ngspice_targets:in_a_copy", {place!r}, child=child, reads=[Path({place!r})])
@@ -78,6 +80,11 @@ def test_a_process_of_its_own_runs_ngspice(seen: dict[str, Any]) -> None:
     assert seen["volts"] == 3.0
     assert not seen["behind ngspice"]["is_copy"]
     assert seen["behind ngspice"]["pid"] != seen["copy"]["pid"]
+
+
+def test_what_goes_on_without_a_figure_does_not_go_on_without_ngspice(seen: dict[str, Any]) -> None:
+    """As the verdict on stability. Broken once: it is "not to be had" if `NeedsNgspice` is a `CosimError`."""
+    assert seen["forgiving"] == "3 V"
 
 
 def test_a_process_of_its_own_runs_the_users_python(seen: dict[str, Any]) -> None:

@@ -15,15 +15,16 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NoReturn
 
-from cosim.errors import CosimError
-
 __all__ = ["Copy", "NeedsNgspice", "is_copy", "possible", "refuse_ngspice"]
 
 _copy = False
 
 
-class NeedsNgspice(CosimError):
-    """A copy was asked for what only a process of its own may do."""
+class NeedsNgspice(Exception):
+    """A copy was asked for what only a process of its own may do.
+
+    It is no `CosimError`: what goes on without a figure that cannot be had must not go on without this one.
+    """
 
 
 def is_copy() -> bool:

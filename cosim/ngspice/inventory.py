@@ -25,6 +25,8 @@ class Amplifier:
     swing_param
         Name of the deck's parameter (readable as ``const.<name>`` if it is a ``.csparam``) with the output
         limit [V], or ``None`` if the part states none.
+    supplies
+        Nodes at its pins ``vcc`` and ``vee``, named as `out_node`; empty where the part has no such pins.
     """
 
     path: str
@@ -32,6 +34,7 @@ class Amplifier:
     role: str | None
     out_node: str
     swing_param: str | None
+    supplies: tuple[str, str] = ("", "")
 
 
 def amplifiers(net: Netlist, board: Block, shelf: Shelf) -> list[Amplifier]:
@@ -52,7 +55,8 @@ def amplifiers(net: Netlist, board: Block, shelf: Shelf) -> list[Amplifier]:
             if part is not None and part.out is not None:
                 if part.out not in inner:
                     fail(f"part {part.name} has no pin {part.out}", file=child.header.file, key="out")
-                every.append(Amplifier(here, part.name, part.role, inner[part.out], part.swing))
+                supplies = inner.get("vcc", ""), inner.get("vee", "")
+                every.append(Amplifier(here, part.name, part.role, inner[part.out], part.swing, supplies))
             elif part is None:
                 walk(child, here, inner)
 

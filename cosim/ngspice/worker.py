@@ -21,6 +21,7 @@ from cosim.caution import collected
 from cosim.errors import CosimError
 from cosim.ngspice import sandbox
 from cosim.ngspice.child_messages import written
+from cosim.ngspice.forked import NeedsNgspice
 from cosim.quick_start import collect_seldom, defer
 
 __all__ = ["HEAD", "main", "serve"]
@@ -159,7 +160,7 @@ def _serve(descriptor: int, request: bytes) -> None:
         _send(descriptor, ("result", result))
     except BaseException as error:  # whatever it is, the parent must hear of it
         text = traceback.format_exc()
-        kept = error if isinstance(error, CosimError) else None
+        kept = error if isinstance(error, CosimError | NeedsNgspice) else None
         _send(descriptor, ("error", (kept, f"{type(error).__name__}: {error}", text)))
 
 

@@ -8,7 +8,10 @@ from collections.abc import Callable, Iterator
 from cosim.caution import Caution
 from cosim.ngspice.deck import Deck
 from cosim.plausibility.capacitors import capacitors
+from cosim.plausibility.definitions import definitions
 from cosim.plausibility.resistors import resistors
+from cosim.plausibility.sources import sources
+from cosim.plausibility.supplies import supplies
 from cosim.scene import Chain, Scene, Slider
 
 __all__ = ["of_plan"]
@@ -22,11 +25,13 @@ _MOST_KG_PER_M = 100.0
 _STEEL_KG_PER_M3 = 7850.0
 
 
-def of_plan(scene: Scene, board: Deck, bare: Callable[[], Deck]) -> list[Caution]:
+def of_plan(scene: Scene, board: Deck, model: str, bare: Callable[[], Deck]) -> list[Caution]:
     """Return the cautions about a scene and its flattened board.
 
     Parameters
     ----------
+    model
+        Circuit model that will run.
     bare
         Makes the board without the scene's `device.values`, to tell an edit from the original.
     """
@@ -37,6 +42,9 @@ def of_plan(scene: Scene, board: Deck, bare: Callable[[], Deck]) -> list[Caution
         *_late(scene),
         *resistors(scene.device.values, board, bare),
         *capacitors(scene.device.values, board),
+        *definitions(board),
+        *supplies(board),
+        *sources(model, board),
     ]
 
 
