@@ -2,7 +2,8 @@
 
 A scene's `[measures]` and `[tolerance]`, ``--measure`` of every command, tables and pages know a measure by
 its name here. Those that need a run come from `cosim.measures`, the others from
-`cosim.comparisons.board_measures`, which simulates nothing.
+`cosim.comparisons.board_measures`, which simulates nothing. What a block takes of `eta` has a name for every
+block of a board, ``eta_diffamp``: `find` knows these, too.
 """
 
 from __future__ import annotations
@@ -11,7 +12,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 
-__all__ = ["MEASURES", "NAMES", "OF_A_RUN", "UNITS", "Measure", "Need", "needing_no_run"]
+__all__ = [
+    "ALL_NAMES", "AND", "ETA_OF", "MEASURES", "NAMES", "OF_A_RUN", "UNITS", "Measure", "Need", "by_need", "find",
+    "needing_no_run",
+]  # fmt: skip
 
 
 class Need(Enum):
@@ -82,7 +86,26 @@ UNITS: dict[str, str] = {measure.name: measure.unit for measure in _EVERY}
 #: Those that need a run; a run gives all of them unless some are asked for.
 OF_A_RUN = tuple(measure.name for measure in _EVERY if measure.needs is Need.RUN)
 
+#: Begins the name of a block's share of `eta`, and joins several blocks: ``eta_driver_and_motor``.
+ETA_OF, AND = "eta_", "_and_"
+#: The names, for who mistyped one.
+ALL_NAMES = ", ".join((*NAMES, f"{ETA_OF}BLOCK"))
+
+
+def find(name: str) -> Measure | None:
+    """Return the measure of a name, None where there is none; whether a board has the block is not asked."""
+    block = name.removeprefix(ETA_OF)
+    if name in MEASURES or block in ("", name) or not name.isidentifier():
+        return MEASURES.get(name)
+    return Measure(name, "", f"what the delay of {block.replace(AND, ' and ')} takes of eta", Need.CONTACT)
+
+
+def by_need(names: Iterable[str]) -> dict[Need, tuple[str, ...]]:
+    """Return the names of measures by what they are taken from, in their order."""
+    known = [measure for name in names if (measure := find(name)) is not None]
+    return {need: tuple(of.name for of in known if of.needs is need) for need in Need}
+
 
 def needing_no_run(names: Iterable[str]) -> tuple[str, ...]:
     """Return the names of measures that need no run."""
-    return tuple(name for name in names if name in MEASURES and MEASURES[name].needs is not Need.RUN)
+    return tuple(name for name in names if (of := find(name)) is not None and of.needs is not Need.RUN)

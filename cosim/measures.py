@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.catalogue import MEASURES, NAMES, UNITS
+from cosim.catalogue import ALL_NAMES, MEASURES, NAMES, UNITS, find
 from cosim.circuits.design_constants import DesignConstants
 from cosim.errors import InputError, Problem, nearest
 from cosim.loop.dac_channels import channels
@@ -254,20 +254,20 @@ def tolerances(scene: Scene) -> dict[str, Tolerance]:
     asked, problems = {}, []
     for name, stated in scene.tolerance.measures.items():
         key = f"tolerance.{name}"
-        if name not in UNITS:
+        measure = find(name)
+        if measure is None:
             problems.append(_unknown(scene, key, name))
             continue
-        size = Tolerance(stated, True) if isinstance(stated, float | int) else amount(stated, UNITS[name])
+        size = Tolerance(stated, True) if isinstance(stated, float | int) else amount(stated, measure.unit)
         if size is None:
-            unit = UNITS[name] or "number"
             problems.append(
                 Problem(
                     "is not a change of this measure",
                     file=scene.file_name,
                     key=key,
                     value=stated,
-                    allowed=f'a share such as 0.01 or "1 %", or an amount such as "0.05 {unit}"'
-                    if UNITS[name]
+                    allowed=f'a share such as 0.01 or "1 %", or an amount such as "0.05 {measure.unit}"'
+                    if measure.unit
                     else 'a share such as 0.01 or "1 %", or an amount as text such as "0.05"',
                 )
             )
@@ -305,7 +305,7 @@ def _unknown(scene: Scene, key: str, name: str) -> Problem:
         file=scene.file_name,
         key=key,
         value=name,
-        allowed=", ".join((*CLASSES, *NAMES) if key.startswith("tolerance.") else NAMES),
+        allowed=", ".join((*classes, ALL_NAMES)),
     )
 
 
@@ -315,7 +315,7 @@ def check_names(scene: Scene) -> None:
     problems = [
         _unknown(scene, "measures.names", name)
         for name in scene.measures.names
-        if name not in NAMES and name not in own
+        if find(name) is None and name not in own
     ]
     classes = [name.rpartition(":")[2] for name in own]
     problems += [
@@ -326,7 +326,7 @@ def check_names(scene: Scene) -> None:
             value=name,
         )
         for name, kind in zip(own, classes, strict=True)
-        if kind in NAMES or classes.count(kind) > 1 or not kind.isidentifier()
+        if find(kind) or classes.count(kind) > 1 or not kind.isidentifier()
     ]
     if problems:
         raise InputError(problems)

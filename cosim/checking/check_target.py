@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from cosim.caution import collected
 from cosim.circuits.instability.stability_verdict import Question
 from cosim.errors import InputError, Problem
 from cosim.ngspice.deck import Deck, load_deck
@@ -100,7 +101,9 @@ def _of_scene(
     plain = load_scene(target, [*variant.overrides, *_effects("ideal"), *kind])
     # a vendor's model has no ideal level: the part that it replaces shows the board's own share
     plain = plain.model_copy(update={"device": plain.device.model_copy(update={"parts": {}})})
-    plan, ideal = (resolve(each, trust=trust) for each in (scene, plain))
+    plan = resolve(scene, trust=trust)
+    with collected(forward=False):  # a value that ideal parts leave out is used by those in force
+        ideal = resolve(plain, trust=trust)
     kind_of_drive = scene.effects.driver.value
     return Subject(plan.board, ideal.board, kind_of_drive, scene, question(plan), variant.label)
 

@@ -10,7 +10,8 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.ngspice.child import call, start_early
 
     with start_early("cosim.loop.recordable") as child:
-        from cosim.catalogue import MEASURES
+        from cosim.catalogue import ETA_OF, MEASURES, find
+        from cosim.circuits.extraction.block_delays import groups_of
         from cosim.errors import fail
         from cosim.plan import resolve
         from cosim.units import heading, sample_unit, signal_unit
@@ -29,12 +30,14 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
             deck=str(plan.board.path),
             child=child,
         )
+    shares = (find(f"{ETA_OF}{group}") for group in groups_of(plan.board))
+    every_measure = [*MEASURES.values(), *filter(None, shares)]
     result = {
         "model": plan.model,
         "nodes": names["nodes"],
         "signals": {name: signal_unit(name) for name in names["signals"]},
         "samples": {name: sample_unit(name) for name in names["samples"]},
-        "measures": {name: {"unit": m.unit, "text": m.text} for name, m in MEASURES.items()},
+        "measures": {m.name: {"unit": m.unit, "text": m.text} for m in every_measure},
     }
     where = "" if plan.model == "spice" else f" (not on this scene's model {plan.model}: --model spice)"
     text = [
@@ -45,7 +48,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         "samples of the computer, in every result:",
         *(f"  {heading(name, unit)}" for name, unit in result["samples"].items()),
         "measures, for measures.names, tolerance and --measure:",
-        *(f"  {heading(name, m.unit):30} {m.text}" for name, m in MEASURES.items()),
+        *(f"  {heading(m.name, m.unit):30} {m.text}" for m in every_measure),
     ]
     return result, "\n".join(text)
 

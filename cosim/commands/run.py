@@ -108,7 +108,9 @@ def _without_run(
 ) -> tuple[dict[str, Any], str]:
     """Measure what needs no run: nothing is simulated, nothing is stored."""
     from cosim.comparisons.board_measures import board_measures
+    from cosim.comparisons.measure_values import check_blocks
 
+    check_blocks(args.measure, [plan.board for _, plan in plans])
     rows: list[tuple[str, Mapping[str, Mapping[str, Any]]]] = []
     results, lines = [], ["no run is needed for these measures: nothing was simulated or stored"]
     for variant, plan in plans:

@@ -19,10 +19,10 @@ from cosim.analysis.stability import border, held
 from cosim.analysis.stiffness_limits import RANGE, largest_passive, varied
 from cosim.analysis.stiffness_map import pencil
 from cosim.analysis.tip import Tip, joint_area
-from cosim.catalogue import MEASURES, needing_no_run
+from cosim.catalogue import ETA_OF, MEASURES, Need, find, needing_no_run
 from cosim.checking.board_margins import Standing, standing
 from cosim.circuits.design_constants import DesignConstants
-from cosim.circuits.extraction.block_delays import slowest_s, spring_delays
+from cosim.circuits.extraction.block_delays import SpringDelay, slowest, spring_delays
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.errors import InputError
 from cosim.ngspice.child import Child
@@ -32,7 +32,7 @@ from cosim.scene.mechanism import mechanism
 from cosim.types import Array, Complex
 from mech import Chain
 
-__all__ = ["BoardMeasures", "Lacking", "board_measures"]
+__all__ = ["BoardMeasures", "Lacking", "board_measures", "contact_measures"]
 
 Row = dict[str, Any]
 
@@ -68,8 +68,10 @@ class BoardMeasures:
         InputError
             Where what it is taken from does not exist: no wall, a law in Python, a board without a model.
         """
-        measure = MEASURES[name]
-        return {"value": float(_HOW[name](self)), "unit": measure.unit, "text": measure.text}
+        measure = find(name)
+        assert measure is not None
+        value = _HOW[name](self) if name in _HOW else self.eta_of(name.removeprefix(ETA_OF))
+        return {"value": float(value), "unit": measure.unit, "text": measure.text}
 
     @cached_property
     def _circuit(self) -> tuple[LinearCircuit, DesignConstants]:
@@ -173,11 +175,32 @@ class BoardMeasures:
 
     def eta(self) -> float:
         """Share of the viscosity along the normal that the slowest spring path eats."""
+        return self._eaten(self._slowest.total_s)
+
+    def eta_of(self, group: str) -> float:
+        """Share of the same viscosity that blocks of that path eat, ``a_and_b``; they add up to `eta`."""
+        late = self._slowest.of_group(group)
+        if late is None:
+            known = ", ".join(self.shares_of_eta())
+            raise Lacking(f"delays of the slowest spring path are known by {known}")
+        return self._eaten(late)
+
+    def shares_of_eta(self) -> tuple[str, ...]:
+        """Return the names of the measures that add up to `eta`, in the order of the signal."""
+        return tuple(f"{ETA_OF}{group}" for group in self._slowest.groups)
+
+    @cached_property
+    def _slowest(self) -> SpringDelay:
+        limit = self._scene.solver.time_limit_s
+        return slowest(spring_delays(self._plan.board, self._child, time_limit_s=limit))
+
+    def _eaten(self, late_s: float) -> float:
         c = self._scene.computer
         k = 0.0 if c.method is Method.DISCRETE else c.analog_stiffness_n_per_m
-        limit = self._scene.solver.time_limit_s
-        late = slowest_s(spring_delays(self._plan.board, self._child, time_limit_s=limit))
-        return k * late / self._tip.viscosity()
+        viscosity = self._tip.viscosity()
+        if viscosity == 0.0:
+            raise Lacking("the device has no viscosity along the normal")
+        return k * late_s / viscosity
 
     def curl(self) -> float:
         """dF_y/dx - dF_x/dy of the rendered force F = -K dr, its sign kept [N/m]."""
@@ -245,10 +268,23 @@ def board_measures(
     InputError
         Where something is missing without `lenient`, see `BoardMeasures.row`.
     """
+    return _rows(BoardMeasures(plan, child), needing_no_run(names), lenient)
+
+
+def contact_measures(plan: Plan, child: Child | None = None) -> tuple[dict[str, Row], dict[str, str]]:
+    """Return every measure of the held contact, `eta` by blocks too, and why others are lacking."""
     of = BoardMeasures(plan, child)
+    names = tuple(name for name, each in MEASURES.items() if each.needs is Need.CONTACT)
+    rows, lacking = _rows(of, names, lenient=True)
+    if rows.get("eta", {}).get("value"):
+        rows |= {name: of.row(name) for name in of.shares_of_eta()}
+    return rows, lacking
+
+
+def _rows(of: BoardMeasures, names: Iterable[str], lenient: bool) -> tuple[dict[str, Row], dict[str, str]]:
     rows: dict[str, Row] = {}
     lacking: dict[str, str] = {}
-    for name in needing_no_run(names):
+    for name in names:
         try:
             rows[name] = of.row(name)
         except Lacking as why:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from cosim.catalogue import MEASURES, Need
+from cosim.catalogue import MEASURES
 from cosim.caution import Caution, collected, warn
 from cosim.checking.check import Check, check
 from cosim.checking.check_target import Subject, load_subject
@@ -22,9 +22,9 @@ from cosim.comparisons.board_figures import (
     of_measures,
     of_reduced,
 )
-from cosim.comparisons.board_measures import board_measures
+from cosim.comparisons.board_measures import board_measures, contact_measures
 from cosim.comparisons.dissipation import dissipation
-from cosim.comparisons.measure_values import Measured, measure
+from cosim.comparisons.measure_values import Measured, check_blocks, measure
 from cosim.errors import InputError, fail
 from cosim.measures import Tolerance, tolerances
 from cosim.ngspice import deck_file
@@ -259,9 +259,7 @@ def _prepared(scene_file: SceneLike, asked: Asked, trust: bool) -> tuple[Plan, S
 def _side(label: str, plan: Plan, subject: Subject, result: Run, child: Child | None) -> Side:
     measured = check(subject, child=child)
     stated = plan.stated(child)
-    # of the board's own measures the check tells more
-    held = (name for name, each in MEASURES.items() if each.needs is Need.CONTACT)
-    rows, lacking = board_measures(plan, held, child=child, lenient=True)
+    rows, lacking = contact_measures(plan, child)  # of the board's own measures the check tells more
     figures = [
         *of_measures({**result.measures, **rows}), *of_check(measured),
         *of_dissipation(dissipation(result, stated)),
@@ -297,6 +295,7 @@ def compare_measures(
         For a board that does not fit the scene, and a measure that has nothing to be taken from.
     """
     prepared = [_prepared(scene_file, each, trust) for each in asked]
+    check_blocks(names, [plan.board for plan, _, _ in prepared])
     compared = []
     for number, (each, (plan, _, result)) in enumerate(zip(asked, prepared, strict=True)):
         if on_progress is not None:

@@ -7,17 +7,26 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from cosim.catalogue import NAMES, OF_A_RUN, needing_no_run
+from cosim.catalogue import ALL_NAMES, AND, ETA_OF, NAMES, OF_A_RUN, find, needing_no_run
 from cosim.caution import Caution
 from cosim.errors import InputError, Problem, nearest
 from cosim.measures import own_measures
 from cosim.ngspice.child import Child
+from cosim.ngspice.deck import Deck
 from cosim.plan import Plan
 from cosim.results import Run
 from cosim.runner import Errors, run
 from cosim.storage.staging import scratch_folder
 
-__all__ = ["Measured", "Measurer", "check_measures", "measure", "needs_a_run", "run_with_measures"]
+__all__ = [
+    "Measured",
+    "Measurer",
+    "check_blocks",
+    "check_measures",
+    "measure",
+    "needs_a_run",
+    "run_with_measures",
+]
 
 Row = Mapping[str, Any]
 
@@ -106,6 +115,7 @@ def run_with_measures(plan: Plan, out: str | Path | None, *, child: Child | None
 
     Takes what `runner.run` takes, and raises what it and `measure` raise; what needs no run comes first.
     """
+    check_blocks(plan.scene.measures.names, (plan.board,), "measures.names")
     rows, _ = _without_a_run(plan, plan.scene.measures.names, child)
     return run(plan, out, child=child, more=rows, **more)
 
@@ -124,10 +134,33 @@ def check_measures(names: Iterable[str]) -> None:
             "no such measure" + (f"; nearest is {near}" if (near := nearest(name, NAMES)) else ""),
             key="--measure",
             value=name,
-            allowed=", ".join(NAMES),
+            allowed=ALL_NAMES,
         )
         for name in names
-        if name not in NAMES and ":" not in name  # `resolve` looks at the user's own
+        if find(name) is None and ":" not in name  # `resolve` looks at the user's own
     ]
+    if problems:
+        raise InputError(problems)
+
+
+def check_blocks(names: Iterable[str], boards: Iterable[Deck], key: str = "--measure") -> None:
+    """Raise an `InputError` for every share of `eta` of a block that none of the boards has."""
+    asked = [name for name in names if name not in NAMES and find(name) is not None]
+    if not asked:
+        return
+    from cosim.circuits.extraction.block_delays import groups_of
+
+    groups = tuple(dict.fromkeys(group for board in boards for group in groups_of(board)))
+    problems = []
+    for name in asked:
+        near = [
+            f"{group}; nearest is {nearest(group, groups)}" if nearest(group, groups) else group
+            for group in name.removeprefix(ETA_OF).split(AND)
+            if group not in groups
+        ]
+        if near:
+            allowed = f"{ETA_OF}BLOCK of {', '.join(groups)}, or of several: {ETA_OF}A{AND}B"
+            reason = f"the board has no block {', no '.join(near)}"
+            problems.append(Problem(reason, None, key, name, allowed=allowed))
     if problems:
         raise InputError(problems)

@@ -17,9 +17,9 @@ from typing import Any, NotRequired
 from typing_extensions import TypedDict
 
 import cosim
-from cosim.catalogue import OF_A_RUN, UNITS, needing_no_run
+from cosim.catalogue import OF_A_RUN, UNITS, find, needing_no_run
 from cosim.caution import CautionFields, caution_of, collected, warn
-from cosim.comparisons.measure_values import Measurer, check_measures, measure, needs_a_run
+from cosim.comparisons.measure_values import Measurer, check_blocks, check_measures, measure, needs_a_run
 from cosim.errors import InputError, SimulationError, StorageError, fail
 from cosim.ngspice.child import Child
 from cosim.ngspice.lines import number
@@ -178,8 +178,9 @@ def sweep(
         measures = [name.rpartition(":")[2] for name in measures]
     every = variants(settings)
     plans = _plans(path, overrides, every, trust)
+    check_blocks(measures, [plan.board for plan in plans if not isinstance(plan, InputError)])
     alone = needing_no_run(
-        name for name in measures if name in UNITS
+        name for name in measures if find(name) is not None
     )  # a part of its own: asked for later, it runs nothing again
     parts = [part for part in (OF_A_RUN if own or needs_a_run(measures) else (), alone) if part]
     failed: dict[str, str] = {}

@@ -14,7 +14,8 @@ from cosim.ngspice.syntax import malformed
 from cosim.ngspice.values import as_meant
 
 __all__ = [
-    "LARGEST", "SMALLEST", "apply_overrides", "elements_of", "own_copy", "set_element", "set_param", "shorts",
+    "LARGEST", "SMALLEST", "apply_overrides", "elements_of", "own_copy", "set_element", "set_param",
+    "shared_name", "shorts",
 ]  # fmt: skip
 
 SMALLEST, LARGEST = 1e-30, 1e30
@@ -170,9 +171,10 @@ def _instance(net: Netlist, board: Block, path: list[str], value: str) -> str | 
 
 def own_copy(net: Netlist, block: Block, instance: Instance, child: Block) -> Block:
     """Give an instance in `block` a subcircuit of its own, unless it has one, and return it."""
-    name = f"{child.name}__{block.name}_{instance.name}"
-    if child.name.endswith(f"__{block.name}_{instance.name}"):
+    mark = _mark_of_copy(block, instance)
+    if child.name.endswith(mark):
         return child
+    name = child.name + mark
     words = tokens(child.header.text)
     words[1] = name
     header = child.header.rewritten(join(words))
@@ -180,6 +182,15 @@ def own_copy(net: Netlist, block: Block, instance: Instance, child: Block) -> Bl
     net.blocks[name] = copy
     block.body[instance.index] = instance.rewritten(block=name)
     return copy
+
+
+def _mark_of_copy(block: Block, instance: Instance) -> str:
+    return f"__{block.name}_{instance.name}"
+
+
+def shared_name(block: Block, instance: Instance) -> str:
+    """Return the name of an instance's subcircuit as its netlist spells it, of a copy of its own too."""
+    return instance.block.removesuffix(_mark_of_copy(block, instance))
 
 
 def set_param(net: Netlist, key: str, value: str) -> bool:

@@ -16,7 +16,7 @@ from cosim.analysis.device_passivity import device_of
 from cosim.analysis.passivity import least_damping
 from cosim.analysis.stability import border, held
 from cosim.analysis.tip import Tip, reached, row, tip_of
-from cosim.circuits.extraction.block_delays import SpringDelay, slowest_s, spring_delays
+from cosim.circuits.extraction.block_delays import SpringDelay, slowest, spring_delays
 from cosim.ngspice.child import Child, on_demand
 from cosim.plan import resolve
 from cosim.scene import Method
@@ -156,7 +156,7 @@ def _case(spec: StudyFile, case: Variation, with_poses: bool, child: Child) -> d
         for column, value in zip(spread.values(), (*place, there.viscosity()), strict=True):
             column.append(float(value))
     return {
-        "blocks": block_delays(paths), "total": slowest_s(paths), "b": b,
+        "blocks": block_delays(paths), "total": slowest(paths).total_s, "b": b,
         "active": active if np.isfinite(active) else None,
         "unstable": unstable if np.isfinite(unstable) else None, "workspace": spread,
     }  # fmt: skip

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.catalogue import MEASURES, Need
+from cosim.catalogue import OF_A_RUN, Need, by_need
 from cosim.caution import collected
 from cosim.circuits.design_constants import Stated
 from cosim.circuits.draws.models import Draws
@@ -103,7 +103,7 @@ class Batch:
         with_numbers(plan.scene, keys, self._nominal)
         self._motors = motors(plan, keys)
         self._placed = Placed.of(plan.board, [keys[k] for k in of_board(keys)])
-        self._runs = [name for name in self.names if MEASURES[name].needs is Need.RUN]
+        self._runs = [name for name in self.names if name in OF_A_RUN]
 
     def measures(self, values: Array) -> Array:
         """Return the measures of samples.
@@ -140,7 +140,7 @@ class Batch:
         try:
             rows, missing = self._call("cosim.tolerance.batch:measured", payload, len(values))
         except SimulationError as reason:
-            kinds = [n for n in (tuple(m for m in names if MEASURES[m].needs is need) for need in Need) if n]
+            kinds = [some for some in by_need(names).values() if some]
             if len(values) > 1:
                 for k in range(len(values)):
                     self._asked(start + k, values[k : k + 1], names, alone, table)
@@ -325,7 +325,7 @@ class _Device:
         self._alone: bool = payload["alone"]
         self._draws = _draws(plan, self._keys, payload["nominal"])
         self._board, self._motors = of_board(self._keys), motors(plan, self._keys)
-        by = {need: [name for name in self._names if MEASURES[name].needs is need] for need in Need}
+        by = by_need(self._names)
         self._ran, self._of_contact = by[Need.RUN], by[Need.CONTACT]
         self._still = [name for name in self._names if name not in self._ran]
         self._known: HeldRuns | None = None

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import cosim
 from cosim.caution import Caution, warn
-from cosim.comparisons.measure_values import check_measures, needs_a_run
+from cosim.comparisons.measure_values import check_blocks, check_measures, needs_a_run
 from cosim.errors import InputError, fail
 from cosim.plan import Plan, resolve
 from cosim.scene import load_scene
@@ -163,6 +163,7 @@ def prepare(asked: Asked) -> Prepared:
     scene = load_scene(asked.scene, asked.overrides)
     trims(scene)
     plan = resolve(scene, trust=asked.trust)
+    check_blocks(names, (plan.board,))
     if scene.tolerance.calibration == "gains" and plan.model == "spice" and needs_a_run(names):
         file = str(scene.file) if scene.file else None
         fail("runs on the models linear and ideal only: give --model linear", file=file,

@@ -184,8 +184,9 @@ def _until(asked: Asked) -> tuple[str, float]:
         return what, size / 100.0
     if what not in (*asked.measures, *(spec.measure for spec in asked.specs)):
         fail("is of a measure that is not asked for", key="--until", value=asked.until, allowed=allowed)
-    if unit not in ("", UNITS[what]):
-        fail("is not the measure's unit", key="--until", value=asked.until, allowed=UNITS[what] or "no unit")
+    own = UNITS.get(what, "")
+    if unit not in ("", own):
+        fail("is not the measure's unit", key="--until", value=asked.until, allowed=own or "no unit")
     return what, size
 
 

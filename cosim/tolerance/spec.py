@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.catalogue import NAMES, UNITS
+from cosim.catalogue import ALL_NAMES, NAMES, UNITS, find
 from cosim.errors import InputError, Problem, nearest
 from cosim.measures import PREFIXES
 from cosim.ngspice.lines import number
@@ -38,7 +38,7 @@ class Spec:
     @property
     def text(self) -> str:
         """As it is written."""
-        unit = f" {UNITS[self.measure]}".rstrip()
+        unit = f" {UNITS.get(self.measure, '')}".rstrip()
         if math.isinf(self.low):
             return f"{self.measure} <= {self.high:g}{unit}"
         if math.isinf(self.high):
@@ -76,16 +76,17 @@ def _parsed(text: str) -> Spec | Problem:
     if match is None:
         return Problem("is not a specification", key="--spec", value=text, allowed=_ALLOWED)
     name, sign, written = match[1], match[2], match[3]
-    if name not in NAMES:
+    of = find(name)
+    if of is None:
         near = nearest(name, NAMES)
         reason = "no such measure" + (f"; nearest is {near}" if near else "")
-        return Problem(reason, key="--spec", value=text, allowed=", ".join(NAMES))
-    unit = UNITS[name]
+        return Problem(reason, key="--spec", value=text, allowed=ALL_NAMES)
+    unit = of.unit
     written, scale = _without_unit(written, unit)
     ends = [_number(part, scale) for part in (written.split("..") if sign == "in" else [written])]
     if len(ends) != (2 if sign == "in" else 1) or any(end is None for end in ends):
-        of = f"in {unit}" if unit else "without a unit"
-        reason = f"is not a specification of a measure {of}"
+        which = f"in {unit}" if unit else "without a unit"
+        reason = f"is not a specification of a measure {which}"
         return Problem(reason, key="--spec", value=text, allowed=_ALLOWED)
     low, high = ends[0], ends[-1]
     assert low is not None

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.catalogue import NAMES, UNITS
+from cosim.catalogue import ALL_NAMES, NAMES, find
 from cosim.errors import InputError, Problem, nearest
 from cosim.ngspice.lines import number
 from cosim.scene import Scene
@@ -49,11 +49,11 @@ def trims(scene: Scene) -> tuple[Trim, ...]:
         reason, allowed = "", '"rendered_stiffness to 100 N/m"'
         if match is None or value is None or value == 0.0:
             reason = "is not a trim"
-        elif match[1] not in NAMES:
+        elif (measure := find(match[1])) is None:
             near = nearest(match[1], NAMES)
-            reason, allowed = "no such measure" + (f"; nearest is {near}" if near else ""), ", ".join(NAMES)
-        elif match[3] and match[3] != UNITS[match[1]]:
-            reason, allowed = "is not the measure's unit", UNITS[match[1]] or "no unit"
+            reason, allowed = "no such measure" + (f"; nearest is {near}" if near else ""), ALL_NAMES
+        elif match[3] and match[3] != measure.unit:
+            reason, allowed = "is not the measure's unit", measure.unit or "no unit"
         if reason:
             file = str(scene.file) if scene.file else None
             problems.append(Problem(reason, file, f"tolerance.trim.{name}", text, allowed=allowed))

@@ -13,17 +13,20 @@ together.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from cosim.catalogue import AND
 from cosim.circuits.extraction.testbench import Testbench
 from cosim.errors import InputError, fail
 from cosim.ngspice.child import TIME_LIMIT_S, Child, call
 from cosim.ngspice.deck import Amplifier, Deck
 from cosim.ngspice.netlist import parse
+from cosim.ngspice.overrides import shared_name
 
-__all__ = ["MOTOR", "SpringDelay", "Step", "measure", "slowest_s", "spring_delays"]
+__all__ = ["MOTOR", "SpringDelay", "Step", "groups_of", "measure", "slowest", "spring_delays"]
 
 #: What stands behind the driver's amplifier.
 MOTOR = "motor"
@@ -48,6 +51,15 @@ class Step:
     block: str
     instance: str
     delay_s: float
+
+    @property
+    def group(self) -> str:
+        """Its blocks as one word: ``driver_and_motor``."""
+        return _group(self.block)
+
+
+def _group(block: str) -> str:
+    return re.sub(r"\W", "_", block)
 
 
 @dataclass(frozen=True)
@@ -75,10 +87,28 @@ class SpringDelay:
         """Return what all blocks of a name add [s]."""
         return math.fsum(step.delay_s for step in self.steps if step.block == block)
 
+    def of_group(self, group: str) -> float | None:
+        """Return what the blocks ``a_and_b`` add [s]; None where they are known with others only."""
+        wanted = set(group.split(AND))
+        inside = [step for step in self.steps if wanted.issuperset(step.group.split(AND))]
+        if wanted != {block for step in inside for block in step.group.split(AND)}:
+            return None
+        return math.fsum(step.delay_s for step in inside)
 
-def slowest_s(paths: list[SpringDelay]) -> float:
-    """Return the delay of the slowest path [s]: it eats most of the damping that it acts on."""
-    return max(path.total_s for path in paths)
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """The groups of its steps, in the order of the signal: their delays add up to the total."""
+        return tuple(dict.fromkeys(step.group for step in self.steps))
+
+
+def slowest(paths: list[SpringDelay]) -> SpringDelay:
+    """Return the slowest path: it eats most of the damping that it acts on."""
+    return max(paths, key=lambda path: path.total_s)
+
+
+def groups_of(board: Deck) -> tuple[str, ...]:
+    """Return the names under which a board's blocks can be asked for, in or out of a spring's path."""
+    return tuple(dict.fromkeys((*map(_group, _blocks(board).values()), MOTOR)))
 
 
 def spring_delays(
@@ -268,4 +298,5 @@ def _joined(steps: list[Step]) -> tuple[Step, ...]:
 def _blocks(board: Deck) -> dict[str, str]:
     """Return the subcircuit of every instance on the board; parts that stand there alone keep their name."""
     net = parse(board.lines[1:])
-    return {instance.name: instance.block for instance in net.blocks[board.board].instances()}
+    placed = net.blocks[board.board]
+    return {instance.name: shared_name(placed, instance) for instance in placed.instances()}
