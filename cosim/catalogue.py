@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from enum import Enum
 
 __all__ = [
-    "ALL_NAMES", "AND", "ETA_OF", "MEASURES", "NAMES", "OF_A_RUN", "UNITS", "Measure", "Need", "by_need", "find",
-    "needing_no_run",
+    "ALL_NAMES", "AND", "ETA_OF", "MEASURES", "NAMES", "OF_A_RUN", "UNITS", "Measure", "Need", "by_need",
+    "find", "needing_no_run",
 ]  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 from cosim.ngspice.dialect import Dialect
 from cosim.ngspice.lines import Line, join, number, tokens
+from cosim.ngspice.model_tolerances import as_elements_mean, without_tolerances
 
 __all__ = ["as_meant", "nominal"]
 
@@ -69,6 +70,13 @@ def as_meant(line: Line, dialect: Dialect, functions: Collection[str] = ()) -> L
     text = line.text
     if text.startswith("*@") or line.fault:
         return line
+    if line.keyword == ".model":
+        line = without_tolerances(line)
+    elif text[0] in "rclRCL":
+        line = as_elements_mean(line)
+    if line.fault:
+        return line
+    text = line.text
     if dialect is Dialect.LTSPICE and text[0] in "aA":
         return replace(line, fault="an A device of LTspice's, which no other simulator has")
     if "(" in text:
@@ -77,7 +85,7 @@ def as_meant(line: Line, dialect: Dialect, functions: Collection[str] = ()) -> L
             return replace(line, fault="draws too many values")
         if drawn:
             note = f"{', '.join(drawn)} taken at the nominal value: {text}"
-            line = replace(line, text=text, note=note, drawn=line.text)
+            line = replace(line, text=text, note=note, drawn=line.drawn or line.text)
     if _SUSPECT.search(text) is None:
         return replace(line, fault=_second_value(line) or "")
     text = _MICRO.sub(r"\1\2u", text)

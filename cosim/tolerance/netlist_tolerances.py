@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections import ChainMap
-from collections.abc import Iterator, Mapping, MutableMapping
+from collections.abc import Iterable, Iterator, Mapping, MutableMapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,10 +18,11 @@ from cosim.errors import Problem
 from cosim.ngspice.dialect import Dialect
 from cosim.ngspice.expression import reduce, split
 from cosim.ngspice.lines import Line, assignments, number, tokens
+from cosim.ngspice.model_tolerances import deviations
 from cosim.ngspice.netlist import Block, Instance, Netlist
 from cosim.ngspice.values import as_meant
 from cosim.tolerance.distribution_functions import extracted_calls
-from cosim.tolerance.distributions import Shape
+from cosim.tolerance.distributions import SIGMAS, Shape
 from cosim.tolerance.grammar import Stated, Wrong, begins, parse
 
 __all__ = ["Board", "NetlistComponent", "Param", "Place"]
@@ -90,6 +91,7 @@ class Board:
         self.used: set[str] = set()
         self._net, self._name, self._components = net, name, components
         self.top: dict[str, Param] = {}
+        self._models = _models(net.top)
         for line in net.top:
             if line.keyword in (".param", ".params"):
                 self.top |= self._stated(line, self.top)
@@ -147,26 +149,49 @@ class Board:
             words = tokens(_drawn(line).lower())
             place = _PLACES.get(letter, 0)
             if letter in _PLACES and len(words) > place and not block.local:
-                value = self._element(line, words[place], env, block.name, key)
+                value = self._element(line, words[place:], env, block, key)
                 yield NetlistComponent(key, value, letter, path, block.name)
                 words = [words[0], *words[place + 1 :]]
             rest = [param for param in self._reached(" ".join(words[1:]), env) if param.varies]
             for param in rest:  # in a formula, a temperature coefficient: one draw for the instance
                 yield NetlistComponent(f"{path}:{param.name}", param, ":", path, block.name)
 
-    def _element(self, line: Line, word: str, env: Mapping[str, Param], block: str, key: str) -> Param:
-        text, calls, wrong = extracted_calls(word.removeprefix("r=").removeprefix("c=").removeprefix("l="))
+    def _element(
+        self, line: Line, words: list[str], env: Mapping[str, Param], block: Block, key: str
+    ) -> Param:
+        """Return the value of an element whose words from the value on are given."""
+        bare = words[0].removeprefix("r=").removeprefix("c=").removeprefix("l=")
+        text, calls, wrong = extracted_calls(bare)
         self._problem(wrong, line)
         stated = self._named(key, line.keyword)
         if stated is None:
             stated = self._parse(line)
-        bare = text.strip("{}'")
-        return Param(f"{block}.{line.keyword}", bare, env, _place(line), stated, calls, line.comment)
+        text = text.strip("{}'")
+        model = self._model(line, words, block)
+        if stated is None and model is not None:  # its lot is of all that use the model
+            return Param(_shown(model).lower(), text, env, _place(model), _of_model(model))
+        return Param(f"{block.name}.{line.keyword}", text, env, _place(line), stated, calls, line.comment)
+
+    def _model(self, line: Line, words: list[str], block: Block) -> Line | None:
+        """Return the model with tolerances that an element names behind its value."""
+        if line.keyword[0] not in "rcl":
+            return None
+        models = self._models | _models(block.body)
+        return next((models[word] for word in words[1:] if word in models), None)
 
     def _of_part(
         self, block: Block, path: str, env: Mapping[str, Param], instance: Instance | None
     ) -> Iterator[NetlistComponent]:
-        """Yield the parameters outside subcircuits that a part's elements depend on, varying or not."""
+        """Yield the parameters outside subcircuits that a part's elements depend on, varying or not.
+
+        Of its elements only those whose model has tolerances.
+        """
+        for line in block.body if not block.local else ():
+            words = tokens(_drawn(line).lower())[3:]
+            if words and self._model(line, words, block) is not None:
+                key = f"{path}.{line.keyword}"
+                value = self._element(line, words, env, block, key)
+                yield NetlistComponent(key, value, line.keyword[0], path, block.name)
         body = " ".join(line.text for line in block.body if line.keyword not in (".param", ".params"))
         seen: set[str] = set()
         stated = self._parse(instance.line) if instance is not None and not instance.extra else None
@@ -227,6 +252,24 @@ class Board:
             problem = Problem(message, file=line.file or None, line=line.lineno or None, key=_shown(line))
             if problem not in self.problems:
                 self.problems.append(problem)
+
+
+def _models(lines: Iterable[Line]) -> dict[str, Line]:
+    """Return the models whose elements have tolerances, by name."""
+    return {
+        tokens(line.text)[1].lower(): line for line in lines if line.keyword == ".model" and deviations(line)
+    }
+
+
+def _of_model(line: Line) -> Stated:
+    """Return a model's DEV and LOT; what is GAUSS there is drawn within three standard deviations."""
+    shapes = {
+        each.kind: Shape("uniform", -each.size, each.size)
+        if each.shape == "uniform"
+        else Shape("truncated", -SIGMAS * each.size, SIGMAS * each.size, SIGMAS)
+        for each in deviations(line)
+    }
+    return Stated(shapes.get("dev"), shapes.get("lot"))
 
 
 def _relative(stated: Stated) -> bool:

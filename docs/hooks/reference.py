@@ -133,7 +133,7 @@ def _toml(value: Any) -> str:
 
 def measures() -> str:
     """Write the catalogue of measures, by what they need."""
-    from cosim.catalogue import MEASURES, Need
+    from cosim.catalogue import ETA_OF, MEASURES, Need
 
     text = [
         "# Measures",
@@ -144,6 +144,9 @@ def measures() -> str:
     ]
     for need in Need:
         rows = [[code(m.name), m.unit or "1", m.text] for m in MEASURES.values() if m.needs is need]
+        if need is Need.CONTACT:
+            shown = "what a block takes of eta; `cosim nodes` lists the blocks"
+            rows.append([code(f"{ETA_OF}BLOCK"), "1", shown])
         text += [f"## From {need.value}", "", table(["measure", "unit", "what it is"], rows), ""]
     return "\n".join(text)
 
