@@ -362,6 +362,6 @@ def _bill(findings: "Findings") -> Section:
     )
     if len(findings.bill) > _ROWS:
         note += f" {len(findings.bill)} rows, all of them in the file."
-    table = Table("Tolerance bill", head, rows, note, "bill.csv")
+    table = Table("Tolerance bill", head, rows, note, "bill.csv", stacked=True)
     link = (SLIDERS, "Sliders over the fitted surfaces") if findings.surfaces else None
     return Section("bill", "What to buy better", (), [], [table], link=link)

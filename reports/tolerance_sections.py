@@ -130,7 +130,7 @@ def rare_failures(rare: "Rare", components: Sequence["Component"]) -> Section:
         ]  # fmt: skip
         head = ["component", "value", "as designed", "change"]
         note = "What deviates most, by its own distribution, comes first; all else is near its design."
-        tables.append(Table("The most probable failing device", head, table, note))
+        tables.append(Table("The most probable failing device", head, table, note, stacked=True))
     return Section("rare", "Rare failures", (f"{rare.word}.",) if rare.word else (), [], tables)
 
 

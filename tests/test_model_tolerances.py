@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support import SCENES
-from test_tolerance_variables import SUMMER, board, read, values
+from toleranced_boards import SUMMER, board, read, values
 
 from cosim import cli
 from cosim.ngspice.dialect import Dialect

@@ -112,7 +112,7 @@ def test_the_tables_of_two_models_are_not_told_twice(full: Path) -> None:
 
 @pytest.mark.browser
 def test_all_sections_in_a_browser_and_on_a_telephone(full: Path, tmp_path: Path) -> None:
-    """At 420 px the page does not scroll sideways, and no command has to be scrolled along."""
+    """At 420 px neither the page nor a table scrolls sideways, and no command has to be scrolled along."""
     with Browser(1280, 900) as browser:
         visit = browser.visit(full)
         assert visit.complaints == []
@@ -128,5 +128,9 @@ def test_all_sections_in_a_browser_and_on_a_telephone(full: Path, tmp_path: Path
             browser.screenshot(tmp_path / f"{width}.png")
         stacked = "[...document.querySelectorAll('table.stacked')].map(e => e.clientWidth)"
         assert all(0 < width <= 420 for width in browser.evaluate(stacked))
+        tables = (
+            "[...document.querySelectorAll('.scroll:has(> table)')].map(e => e.scrollWidth - e.clientWidth)"
+        )
+        assert set(browser.evaluate(tables)) == {0}
         ends = "[...document.querySelectorAll('td code')].map(e => e.getBoundingClientRect().right)"
         assert all(0 < end <= 420 for end in browser.evaluate(ends))

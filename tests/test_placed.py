@@ -105,6 +105,15 @@ def test_placed_values_equal_a_netlist_that_was_edited_by_hand(tmp_path):
     assert apart(by_hand, result, 1e8) < UNREDUCED
 
 
+def test_a_number_that_others_are_made_of_changes_these_for_one_part():
+    """15000 x 4.75 V over 13750 and r_ilim, as the part's file has it, and not for the other driver."""
+    deck = Placed.of(shipped(2, "gbw"), ["xdrv1.xop:r_ilim"]).deck([10e3])
+    heads = {line.text.split()[1]: line.text for line in deck.lines if line.text.startswith(".subckt opa548")}
+    (own,) = (text for name, text in heads.items() if name != "opa548")
+    assert own.endswith("ilim={(15000*4.75/(13750+(10000.0)))}")
+    assert "ilim={opa548_ilim}" in heads["opa548"]
+
+
 def test_values_as_designed_change_nothing():
     board = shipped(2, "gbw")
     keys = [*passive(board), "xdiff1.xop:tl072_gbw", "xdrv1.xmotor:motor_r"]

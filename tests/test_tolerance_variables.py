@@ -1,46 +1,21 @@
 """Which component draws what: each placed one its own, lots and networks together, defaults of the scene."""
 
 import json
-import shutil
 import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support import ROOT, SCENES
+from support import ROOT
+from toleranced_boards import DIFFAMP, PRESS, SUMMER, board, read, values
 
 from cosim import cli
 from cosim.errors import InputError
 from cosim.ngspice.deck import load_deck
+from cosim.plan import resolve
 from cosim.scene import load_scene
 from cosim.tolerance.random_variables import Tolerances
 from cosim.tolerance.scene_variables import tolerances
-from cosim.tolerance.unit_cube import sampling
-
-PRESS = SCENES / "press.toml"
-DIFFAMP, SUMMER = "blocks/diffamp.cir", "blocks/summer.cir"
-
-
-def board(folder: Path, *edits: tuple[str, str, str]) -> Path:
-    """The shipped netlists with some lines written otherwise."""
-    there = folder / "netlists"
-    shutil.copytree(ROOT / "netlists", there)
-    for name, old, new in edits:
-        file = there / name
-        text = file.read_text()
-        assert old in text
-        file.write_text(text.replace(old, new))
-    return there / "board2.cir"
-
-
-def read(folder: Path, *edits: tuple[str, str, str], overrides: tuple[str, ...] = ()) -> Tolerances:
-    scene = load_scene(PRESS, [f"device.board={board(folder, *edits)}", *overrides])
-    return tolerances(scene, board=load_deck(scene.device.board, overrides=scene.device.values))
-
-
-def values(drawn_tolerances: Tolerances, n: int = 4000) -> dict[str, np.ndarray]:
-    drawn = drawn_tolerances.values(sampling("plain", n, len(drawn_tolerances.variables), 1).uniforms(0, n))
-    return dict(zip(drawn_tolerances.keys, drawn.T, strict=True))
 
 
 def deviation(drawn_tolerances: Tolerances, key: str) -> np.ndarray:
@@ -65,6 +40,15 @@ def test_four_parts_from_a_bag_are_four_draws(tmp_path: Path) -> None:
     assert (Path(of.file).name, of.line, of.nominal, of.unit) == ("summer.cir", 3, 24300.0, "Ohm")
     # the tolerance is that of the element although its subcircuit hands the value on
     assert result.components[result.keys.index("xdiff1.r11")].nominal == 10e3
+
+
+@pytest.mark.parametrize("named", ["r_ilim", "opa548_ilim"])
+def test_what_follows_from_a_part_s_resistor_is_no_draw_of_its_own(named: str) -> None:
+    """The driver's limit of current follows from r_ilim, which has a tolerance; the scene may give it one."""
+    own = f'tolerance.components."xdrv1.xop:{named}"="5%"'
+    scene = load_scene(PRESS, ["effects.driver_limit=true", own])
+    keys = tolerances(scene, board=resolve(scene).board).keys
+    assert [key for key in keys if "ilim" in key] == [f"xdrv1.xop:{named}", "xdrv2.xop:r_ilim"]
 
 
 def test_lot_is_shared_and_dev_is_not(tmp_path: Path) -> None:

@@ -10,12 +10,15 @@ from dataclasses import dataclass, replace
 
 from cosim.errors import InputError, Problem, nearest
 from cosim.ngspice.deck import Deck
-from cosim.ngspice.lines import Line
+from cosim.ngspice.lines import Line, assignments, tokens
 from cosim.ngspice.netlist import Block, Instance, Netlist, parse
 from cosim.ngspice.overrides import elements_of, own_copy, set_element
 
 __all__ = ["Placed", "board_netlist", "split", "walk"]
 
+_BRACES = "{}'"
+#: Names on the ways from a parameter to others that depend on it: more of them go in a circle.
+_MOST_NAMES = 1000
 #: Stands for the value of a component until it has one.
 _MARK = "cosim_placed_{}"
 _MARKS = re.compile(r"\{cosim_placed_(\d+)\}|cosim_placed_(\d+)")
@@ -142,13 +145,42 @@ def _mark(net: Netlist, board: str, key: str, mark: str) -> str | None:
             near = nearest(element, list(elements_of(block)))
             return f"{block.name} has no element {element}" + (f", nearest is {near}" if near else "")
         return set_element(block, element, f"{{{mark}}}")
-    block.header = block.header.rewritten(_substituted(block.header.text, parameter, mark))
-    block.params = {name: _substituted(text, parameter, mark) for name, text in block.params.items()}
-    block.body = [line.rewritten(_substituted(line.text, parameter, mark)) for line in block.body]
+    for name, text in [*_made_of(net, block, parameter).items(), (parameter, mark)]:
+        block.header = block.header.rewritten(_substituted(block.header.text, name, text))
+        block.params = {each: _substituted(value, name, text) for each, value in block.params.items()}
+        block.body = [line.rewritten(_substituted(line.text, name, text)) for line in block.body]
     used = re.compile(rf"{mark}(?!\d)")
     if not any(used.search(line.text) for each in net.blocks.values() for line in each.lines):
         return f"nothing in {block.name} uses a parameter {parameter}"
     return None
+
+
+def _made_of(net: Netlist, block: Block, parameter: str) -> dict[str, str]:
+    """Return the parameters outside a block that depend on another one, with their expressions.
+
+    What depends on others comes first: put in place one after the other, only `parameter` is left.
+    """
+    outside: dict[str, str] = {}
+    for line in net.top:
+        if line.keyword in (".param", ".params"):
+            outside |= assignments(tokens(line.text)[1:])
+    inside = set(block.params)
+    for line in block.body:
+        if line.keyword in (".param", ".params"):
+            inside |= set(assignments(tokens(line.text)[1:]))
+    found: dict[str, str] = {}
+    names = [parameter]
+    for name in names:  # grows while what depends on it is found
+        for other, text in outside.items() if len(names) < _MOST_NAMES else ():
+            if other not in inside and _uses(text, name):
+                names.append(other)
+                found.pop(other, None)  # again, behind what it depends on
+                found[other] = f"({text.strip(_BRACES)})"
+    return dict(reversed(found.items()))
+
+
+def _uses(text: str, name: str) -> bool:
+    return re.search(rf"(?<![\w.]){re.escape(name)}(?![\w.])", text, re.IGNORECASE) is not None
 
 
 def _substituted(text: str, name: str, mark: str) -> str:

@@ -196,15 +196,23 @@ class Board:
         seen: set[str] = set()
         stated = self._parse(instance.line) if instance is not None and not instance.extra else None
         network = stated if stated is not None and stated.match else None
-        for param in self._reached(body, env):
-            if param.name not in seen and (param.varies or self.top.get(param.name) is param):
+        for param in self._reached(body, env, path):
+            key = f"{path}:{param.name}"
+            known = param.varies or key in self._components
+            if param.name not in seen and (known or self._may_vary(param)):
                 seen.add(param.name)
-                yield NetlistComponent(
-                    f"{path}:{param.name}", param, ":", path, block.origin.partition("__")[0], network
-                )
+                yield NetlistComponent(key, param, ":", path, block.origin.partition("__")[0], network)
 
-    def _reached(self, text: str, env: Mapping[str, Param]) -> Iterator[Param]:
-        """Yield the parameters that a text depends on; what a varying one is made of does not vary again."""
+    def _may_vary(self, param: Param) -> bool:
+        """Whether it is a part's own number: what follows from one that varies is no draw beside it."""
+        made_of = self._reached(param.text.lower(), param.env)
+        return self.top.get(param.name) is param and not any(each.varies for each in made_of)
+
+    def _reached(self, text: str, env: Mapping[str, Param], path: str = "") -> Iterator[Param]:
+        """Yield the parameters that a text depends on; what a varying one is made of does not vary again.
+
+        Of the part at a path those vary, too, that the scene names.
+        """
         seen: set[int] = set()
         waiting = [(name, env) for name in _NAMES.findall(text.lower())]
         while waiting:
@@ -214,7 +222,7 @@ class Board:
                 continue
             seen.add(id(param))
             yield param
-            if not param.varies:
+            if not param.varies and f"{path}:{param.name}" not in self._components:
                 waiting += [(inner, param.env) for inner in _NAMES.findall(param.text.lower())]
 
     def _stated(self, line: Line, env: Mapping[str, Param]) -> dict[str, Param]:
