@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 from engine_jobs import NAMES, job
 
+import cosim
 from cosim.errors import InputError
 from cosim.tolerance.engine import Job, merge, run, shard
+from cosim.tolerance.worker_pool import Chunk, pooled, prepare_pool
 
 HERE = Path(__file__).parent
 N = 203
@@ -103,13 +105,18 @@ def interrupted(folder, kill_after_s, whom):
     process = subprocess.Popen(
         command, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
     )
-    time.sleep(kill_after_s)
-    if whom == "worker":
-        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-        if children:
-            os.kill(int(children[-1]), signal.SIGKILL)
+    if whom in ("worker", "template"):
+        victims = []
+        while not victims and process.poll() is None:
+            time.sleep(0.05)
+            templates = [pid for pid in children(process.pid) if is_template(pid)]
+            victims = [worker for pid in templates for worker in children(pid)]
+        time.sleep(0.2 * kill_after_s)
+        for pid in (templates if whom == "template" else victims)[-1:] if process.poll() is None else []:
+            os.kill(pid, signal.SIGKILL)
         assert process.wait(60) == 0
     else:
+        time.sleep(kill_after_s)
         process.send_signal(whom)
         process.wait(60)
         with suppress(ProcessLookupError):  # workers that outlive their parent end with their chunk
@@ -118,17 +125,26 @@ def interrupted(folder, kill_after_s, whom):
                 time.sleep(0.1)
 
 
+def children(pid):
+    return list(map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split()))
+
+
+def is_template(pid):
+    """Whether this is the process that copies itself for each worker."""
+    return b"forkserver" in Path(f"/proc/{pid}/cmdline").read_bytes()
+
+
 AT_THE_START = """
 import sys
 from pathlib import Path
-from multiprocessing.context import SpawnProcess
+from multiprocessing.context import ForkServerProcess
 from engine_jobs import NAMES, job
 from cosim.tolerance.engine import run
-start = SpawnProcess.start
+start = ForkServerProcess.start
 def interrupted(self):
     start(self)
     {what}
-SpawnProcess.start = interrupted
+ForkServerProcess.start = interrupted
 run(job(sys.argv[1], 20), Path(sys.argv[1]) / "mc", workers=2, chunk=5)
 """
 
@@ -137,7 +153,7 @@ run(job(sys.argv[1], 20), Path(sys.argv[1]) / "mc", workers=2, chunk=5)
     ("what", "code"),
     [
         ("raise KeyboardInterrupt", -signal.SIGINT),
-        ("self.kill(); self.join(); SpawnProcess.start = start", 0),
+        ("self.kill(); self.join(); ForkServerProcess.start = start", 0),
     ],
 )
 def test_a_study_ends_whatever_happens_while_a_process_starts(tmp_path, what, code):
@@ -153,7 +169,7 @@ def test_a_study_ends_whatever_happens_while_a_process_starts(tmp_path, what, co
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize("whom", [signal.SIGKILL, signal.SIGINT, "worker"])
+@pytest.mark.parametrize("whom", [signal.SIGKILL, signal.SIGINT, "worker", "template"])
 def test_an_interrupted_study_goes_on_and_ends_with_the_same_bytes(tmp_path, whom):
     truth, _ = undisturbed(tmp_path / "truth")
     folder = tmp_path / "killed"
@@ -167,3 +183,42 @@ def test_an_interrupted_study_goes_on_and_ends_with_the_same_bytes(tmp_path, who
     for name in kept:
         first, count = map(int, name.removesuffix(".parquet").split("-"))
         assert (counts[first : first + count] == 1).all()
+
+
+def test_workers_have_the_environment_and_the_modules_of_their_parent(tmp_path, monkeypatch):
+    """Their template may have started long before: in another environment, or where other modules lie."""
+    prepare_pool()
+    monkeypatch.setenv("COSIM_TEST_OF_A_POOL", "later")
+    monkeypatch.chdir(tmp_path)
+    got = [answer for _, answer in pooled(Surroundings(), [Chunk(k, 1) for k in range(4)], 2)]
+    assert got == [("later", str(tmp_path), cosim.__file__)] * 4
+
+
+class Surroundings:
+    """Tells of the process that it works in."""
+
+    def __call__(self):
+        return lambda chunk: (os.environ.get("COSIM_TEST_OF_A_POOL"), os.getcwd(), cosim.__file__)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_what_is_copied_for_each_worker_has_one_thread(tmp_path):
+    """A copy of a process with threads may find a lock that nobody opens any more.
+
+    And what it loads is never a file of the folder that it happens to be in.
+    """
+    (tmp_path / "scipy.py").write_text("raise SystemExit('a stranger')")
+    code = "from cosim.tolerance.worker_pool import prepare_pool; prepare_pool(); input()"
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, env=env, cwd=tmp_path) as of:
+        end = time.monotonic() + 60.0
+        loaded = False
+        while not loaded and time.monotonic() < end:
+            time.sleep(0.2)
+            templates = [pid for pid in children(of.pid) if is_template(pid)]
+            loaded = any("pyarrow" in Path(f"/proc/{pid}/maps").read_text() for pid in templates)
+        time.sleep(1.0)
+        threads = [len(os.listdir(f"/proc/{pid}/task")) for pid in templates]
+        of.kill()
+    assert loaded
+    assert threads == [1]

@@ -93,8 +93,11 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from cosim.tolerance.replay import record_of
     from cosim.tolerance.scene_study import check_folder, measure_shard, monte_carlo, prepare
     from cosim.tolerance.spec import parse_specs
+    from cosim.tolerance.worker_pool import prepare_pool
 
     _check_together(args)
+    if (args.workers or 1) > 1:
+        prepare_pool()  # meanwhile the scene is made ready
     prepared = prepare(_asked(args, parse_specs(args.spec)))
     if args.list:
         return _listed(prepared.tolerances)

@@ -21,7 +21,7 @@ from cosim.tolerance.cluster import clustered
 from cosim.tolerance.missing import Missing
 from cosim.tolerance.monte_carlo import Engine
 from cosim.tolerance.sample_store import Samples
-from cosim.tolerance.worker_pool import Chunk, Lost, cores, pooled
+from cosim.tolerance.worker_pool import Chunk, Lost, cores, pooled, prepare_pool
 from cosim.types import Array, Progress
 
 __all__ = ["LEVELS", "Job", "Processes", "Work", "merge", "run", "shard"]
@@ -144,8 +144,10 @@ def _here(
         if on_progress is not None:
             on_progress(total - left + count, total, "samples")
         taken = time.perf_counter() - begun
-        if hand_over and taken > _PATIENCE_S and (left - count) * taken / count > _WORTH_S and cores() > 1:
-            return
+        if hand_over and (left - count) * taken / count > _WORTH_S and cores() > 1:
+            prepare_pool()
+            if taken > _PATIENCE_S:
+                return
 
 
 def _pooled(

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import gc
+import multiprocessing.forkserver
 import os
 import signal
+import sys
+import tempfile
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -15,9 +19,14 @@ from multiprocessing.process import BaseProcess
 from typing import Any
 
 from cosim.errors import CosimError
-from cosim.quick_start import defer
+from cosim.quick_start import FRUGAL, collect_seldom, defer
 
-__all__ = ["Chunk", "Lost", "pooled"]
+__all__ = ["Chunk", "Lost", "cores", "pooled", "prepare_pool"]
+
+#: What a worker needs loaded for a study: a second of imports.
+_LOADED = "cosim.tolerance.worker_modules"
+#: Keeps these modules from starting threads, which no process copies: OpenBLAS, and the memory of Arrow.
+_ONE_THREAD = {**FRUGAL, "JE_ARROW_MALLOC_CONF": "background_thread:false"}
 
 #: Makes what works in a process: called once there, then its result with each chunk.
 Maker = Callable[[], Callable[["Chunk"], Any]]
@@ -45,12 +54,15 @@ class Lost:
 
 class _Worker:
     def __init__(self, make: Maker) -> None:
-        context = get_context("spawn")  # a fork would copy the threads of numerical libraries
+        context = _context()
         self.pipe, theirs = context.Pipe()
         # a daemon: Ctrl-C may come before the pool knows of it, and an interpreter waits for others
-        self.process: BaseProcess = context.Process(target=_serve, args=(theirs, make), daemon=True)
+        self.process: BaseProcess = context.Process(
+            target=_serve, args=(theirs, make, dict(os.environ)), daemon=True
+        )
         # a Ctrl-C waits: it would leave a process half started here, and a traceback of its imports there
         with _interrupts_held(), suppress(BrokenPipeError):  # it died while it started: its pipe says so
+            prepare_pool()
             self.process.start()
         theirs.close()
         self.chunk: Chunk | None = None
@@ -84,9 +96,46 @@ def _interrupts_held() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _serve(pipe: Connection, make: Maker) -> None:
-    """Work until the parent closes its end, or is gone."""
+def _context() -> Any:
+    """Return how processes start; a fork of this one would copy the threads of numerical libraries."""
+    return get_context("forkserver" if sys.platform == "linux" else "spawn")
+
+
+def prepare_pool() -> None:
+    """Start the process, if there is none yet, that loads what workers need and then copies itself for each.
+
+    It loads while this one goes on, has one thread, and ends with this process. Modules are looked for where
+    they are here, and not in the folder that we happen to be in.
+    """
+    if sys.platform != "linux":
+        return
+    _context().set_forkserver_preload([_LOADED])
+    paths = os.pathsep.join(path for path in sys.path if path)
+    with _interrupts_held(), _environment({"PYTHONPATH": paths, "PYTHONSAFEPATH": "1", **_ONE_THREAD}):
+        multiprocessing.forkserver.ensure_running()
+
+
+@contextmanager
+def _environment(more: Mapping[str, str]) -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in more}
+    os.environ.update(more)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _serve(pipe: Connection, make: Maker, environment: Mapping[str, str]) -> None:
+    """Work until the parent closes its end, or is gone; `environment` is the parent's, as it is now."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+    os.environ.clear()
+    os.environ.update(environment)
+    tempfile.tempdir = None  # of an environment before
+    collect_seldom()
     defer()
     try:
         work = make()
@@ -97,6 +146,7 @@ def _serve(pipe: Connection, make: Maker) -> None:
             except CosimError as error:
                 answer = error
             pipe.send(answer)
+            gc.collect(1)
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return
 

@@ -85,12 +85,13 @@ def _local(kind: str, words: list[str], out: Path, folder: Path, wait_s: float) 
     if process.poll() is not None:
         return False
     if kind == "worker":
-        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-        workers = [int(pid) for pid in children if _is_worker(int(pid))]
-        if workers:
-            os.kill(random.Random(wait_s).choice(workers), signal.SIGKILL)
+        pool = [pid for pid in _children(process.pid) if _is_template(pid)]  # which copies itself for each
+        workers = [pid for template in pool for pid in _children(template)]
+        if pool:
+            with suppress(ProcessLookupError):  # it was just done
+                os.kill(random.Random(wait_s).choice([*pool, *workers]), signal.SIGKILL)
         _ended(process, kind, folder)
-        return bool(workers)
+        return bool(pool)
     process.send_signal(signal.SIGKILL if kind == "parent" else signal.SIGINT)
     _wait(process, kind)
     if kind == "Ctrl-C" and process.returncode not in (0, 130):  # 0: it came when all was said
@@ -105,10 +106,15 @@ def _local(kind: str, words: list[str], out: Path, folder: Path, wait_s: float) 
     return True
 
 
-def _is_worker(pid: int) -> bool:
+def _children(pid: int) -> list[int]:
     with suppress(OSError):
-        data = Path(f"/proc/{pid}/cmdline").read_bytes()
-        return b"spawn_main" in data and b"resource_tracker" not in data
+        return list(map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split()))
+    return []
+
+
+def _is_template(pid: int) -> bool:
+    with suppress(OSError):
+        return b"forkserver" in Path(f"/proc/{pid}/cmdline").read_bytes()
     return False
 
 
