@@ -167,7 +167,8 @@ def impact(p: Record, w: Record, v: Vector, side: Any) -> float:
                 wrong = max(wrong, side[i] * ((1.0 + p.restitution) * v[i] + change[i]))
         if wrong < least:
             least = wrong
-            best[:] = change
+            for i in range(n):  # a slice's copy checks its shape with text, which takes seconds to compile
+                best[i] = change[i]
     lost = 0.0
     for i in range(n):
         w.contact.held[i] = 0
