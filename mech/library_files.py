@@ -46,8 +46,8 @@ ROOT = Path(__file__).resolve().parent.parent
 FOLDER = "COSIM_LIBRARIES"
 #: What two processes build at once, in the same time: packages, and a module that has a library of its own.
 _HALVES = (
-    ("mech", "cosim.loop", "cosim.loop.linear"),
-    ("cosim.loop.linear.exact_steps", "cosim.loop.spice"),
+    ("cosim.loop", "cosim.loop.linear"),
+    ("mech", "cosim.loop.linear.exact_steps", "cosim.loop.spice"),
 )
 #: Packages (and that module) with compiled functions.
 PACKAGES = tuple(each for half in _HALVES for each in half)
