@@ -23,7 +23,6 @@ from llvmlite import ir
 from numba import types
 from numba.core import codegen, cpu
 from numba.core.registry import cpu_target
-from numba.core.runtime.context import NRTContext
 
 from mech.library import symbol
 from mech.library_files import file_of, folder, library_of, modules_of, pack, unpack
@@ -102,13 +101,6 @@ def _translate_only() -> None:
 
     cpu.CPUContext.get_executable = executable
     codegen.CPUCodeLibrary.finalize = finalize
-    counted = NRTContext._call_incref_decref
-
-    def count(nrt: Any, builder: Any, kind: Any, value: Any, name: str) -> None:
-        if not isinstance(kind, types.NamedTuple):  # our tables: their arrays are Python's, which keeps them
-            counted(nrt, builder, kind, value, name)
-
-    NRTContext._call_incref_decref = count
 
 
 def _translated(export: Export) -> Any:

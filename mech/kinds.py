@@ -67,7 +67,7 @@ def element_of(hint: Any) -> type[np.generic]:
 def table(record: Any) -> Any:
     """Return a named tuple of numbers and arrays as 64-bit words: numbers, addresses and lengths.
 
-    Of a table compiled code gets one address (`mech.numba_calls.lent`). The tuple must live as long as
+    Of a table compiled code gets one address (`mech.numba_tables.lent`). The tuple must live as long as
     the table is used.
 
     Raises

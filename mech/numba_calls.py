@@ -12,7 +12,8 @@ from numba import carray, from_dtype, njit, types
 from numba.core import types as numba_types
 from numba.extending import intrinsic
 
-from mech.kinds import ArrayOf, PointerTo, fields_of
+from mech.kinds import ArrayOf, PointerTo
+from mech.numba_tables import element_type, kind_of, lent
 
 __all__ = [
     "EXPORTS",
@@ -34,11 +35,13 @@ __all__ = [
 ]
 
 _ALONE: dict[str, Any] = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-inner: Any = njit(**_ALONE)
+#: Stated, because numba lets what is first met in a function copied so be copied so as well: with all that it
+#: calls, and depending on the order of calls.
+inner: Any = njit(forceinline=False, **_ALONE)
 #: The same, copied by LLVM to where it is called.
 inner_inlined: Any = njit(forceinline=True, **_ALONE)
 #: The same, copied before types are inferred.
-inner_spliced: Any = njit(inline="always", **_ALONE)
+inner_spliced: Any = njit(inline="always", forceinline=False, **_ALONE)
 
 
 class Export(NamedTuple):
@@ -76,7 +79,7 @@ def entry(*kinds: Any, result: Any = None, how: Any = None) -> Callable[[Any], A
                 values.append(f"complex({place}, {place}i)")
             elif isinstance(kind, ArrayOf):
                 more = [f"{place}n{k}" for k in range(kind.dimensions)]
-                space[f"k{i}"] = _element(kind.element)
+                space[f"k{i}"] = element_type(kind.element)
                 values.append(f"carray(record_at({place}, k{i}), ({', '.join(more)},))")
             elif isinstance(kind, np.dtype):
                 space[f"k{i}"] = from_dtype(kind)
@@ -106,7 +109,7 @@ def callback(*kinds: Any) -> Callable[[Any], Any]:
     """Mark a function ``int f(...)`` that C calls, and nobody else."""
     signature = types.int32(
         *(
-            types.CPointer(_element(kind.element))
+            types.CPointer(element_type(kind.element))
             if isinstance(kind, PointerTo)
             else types.float64 if kind is float else from_dtype(np.dtype(kind))
             for kind in kinds
@@ -119,23 +122,6 @@ def callback(*kinds: Any) -> Callable[[Any], Any]:
         return compiled
 
     return mark
-
-
-def kind_of(cls: Any) -> Any:
-    """Return numba's type of a structured dtype, or of a named tuple of numbers and arrays."""
-    if isinstance(cls, np.dtype):
-        return from_dtype(cls)
-    return types.NamedTuple([_field(kind) for kind in fields_of(cls)], cls)
-
-
-def _field(kind: Any) -> Any:
-    if kind is int or kind is float:
-        return types.int64 if kind is int else types.float64
-    return types.Array(_element(kind.element), kind.dimensions, "C")
-
-
-def _element(element: Any) -> Any:
-    return from_dtype(np.dtype(element))
 
 
 @intrinsic
@@ -209,62 +195,7 @@ def _record_at(typing_context: Any, address: Any, kind: Any) -> Any:
     return pointer(numba_types.int64, kind), codegen
 
 
-@intrinsic
-def _lent(typing_context: Any, address: Any, kind: Any) -> Any:
-    """Build the named tuple of the type `kind` from its table (`mech.kinds.table`) at an integer address."""
-    result = kind.instance_type
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        word = ir.IntType(64)
-        table = builder.inttoptr(args[0], word.as_pointer())
-        at = 0
-
-        def next_word() -> Any:
-            nonlocal at
-            at += 1
-            return builder.load(builder.gep(table, [ir.Constant(word, at - 1)]))
-
-        values = []
-        for item in result.types:
-            first = next_word()
-            if isinstance(item, numba_types.Float):
-                values.append(builder.bitcast(first, ir.DoubleType()))
-            elif isinstance(item, numba_types.Integer):
-                values.append(first)
-            else:
-                values.append(_array(context, builder, item, first, next_word))
-        return context.make_tuple(builder, result, values)
-
-    return result(numba_types.int64, kind), codegen
-
-
-def _array(context: Any, builder: Any, item: Any, first: Any, next_word: Callable[[], Any]) -> Any:
-    """Return an array that owns nothing: its lengths are the next words of a table."""
-    word = ir.IntType(64)
-    array = context.make_array(item)(context, builder)
-    lengths = [next_word() for _ in range(item.ndim)]
-    size = context.get_abi_sizeof(context.get_data_type(item.dtype))
-    stride = ir.Constant(word, size)
-    strides: list[Any] = []
-    for length in reversed(lengths):
-        strides.insert(0, stride)
-        stride = builder.mul(stride, length)
-    array.data = builder.inttoptr(first, array.data.type)
-    array.shape = numba.core.cgutils.pack_array(builder, lengths)
-    array.strides = numba.core.cgutils.pack_array(builder, strides)
-    array.itemsize = ir.Constant(word, size)
-    count = ir.Constant(word, 1)
-    for length in lengths:
-        count = builder.mul(count, length)
-    array.nitems = count
-    array.meminfo = ir.Constant(array.meminfo.type, None)
-    array.parent = ir.Constant(array.parent.type, None)
-    return array._getvalue()
-
-
 # An intrinsic's first parameter is the compiler's own: callers see it without.
-#: Lent arrays carry no reference counts: counting at every call is atomic, and costs more than a step.
-lent: Any = _lent
 record_at: Any = _record_at
 call_plain: Any = _call_plain
 call_with_time: Any = _call_with_time

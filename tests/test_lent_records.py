@@ -5,9 +5,12 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import pytest
+from numba import njit
+from numba import types as numba_types
 from numpy.typing import NDArray
 
 from mech.kinds import ArrayOf, fields_of, table
+from mech.numba_calls import inner, inner_inlined, kind_of, lent
 
 # What `NDArray[x]` is: expanded (numpy up to 2.4, and any numpy on Python 3.11), or an alias of the language
 EXPANDED: Any = lambda element: np.ndarray[tuple[Any, ...], np.dtype[element]]  # noqa: E731
@@ -47,3 +50,49 @@ def test_a_table_has_numbers_addresses_and_lengths_in_order() -> None:
     for other in (data.astype(np.float32), data.ravel(), data.astype(int)):
         with pytest.raises(TypeError, match="are lent as"):
             table(record(7, 0.5, other))
+
+
+def test_compiled_code_reads_each_field_of_a_table_where_it_stands() -> None:
+    names = ("count", "share", "data", "whole", "roots")
+    kinds = (
+        int,
+        float,
+        *(Annotated[NDArray[each], n] for each, n in ((np.float64, 2), (np.int64, 1), (np.complex128, 1))),
+    )
+    record = NamedTuple("record", list(zip(names, kinds, strict=True)))
+    values = record(7, 0.5, np.arange(6.0).reshape(2, 3), np.array([3, 4]), np.array([1 + 2j, 3.0]))
+    kind = kind_of(record)
+
+    @njit
+    def read(address: int) -> Any:
+        t = lent(address, kind)
+        t.whole[0] += 10
+        return t.count, t.share, t.data[1, 2], t.data.shape, t.whole[-1], t.roots[0], t.data[1].sum()
+
+    words = table(values)
+    assert read(words.ctypes.data) == (7, 0.5, 5.0, (2, 3), 4, 1 + 2j, 12.0)
+    assert values.whole[0] == 13  # lent, not copied
+    # two tuples of one name are two tables
+    other = kind_of(NamedTuple("record", [("share", float)]))
+    assert other != kind
+    assert kind_of(record) == kind
+
+
+def test_only_what_says_so_is_copied_to_its_callers() -> None:
+    """numba hands `forceinline` on to what is first met in a function that has it: half of a library."""
+
+    @inner
+    def called(x: float) -> float:
+        return x + 1.0
+
+    @inner_inlined
+    def copied(x: float) -> float:
+        return float(called(x))
+
+    @inner
+    def outer(x: float) -> float:
+        return float(copied(x))
+
+    outer.compile((numba_types.float64,))
+    forced = [("alwaysinline" in code) for each in (called, copied) for code in each.inspect_llvm().values()]
+    assert forced == [False, True]
