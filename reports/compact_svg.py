@@ -3,6 +3,11 @@
 What goes: blanks, comments and metadata, digits beyond a hundredth of a point, names that nothing refers to,
 groups that say nothing. Repeated styles become classes, and paths are written from point to point. The file
 beside the page stays as matplotlib wrote it.
+
+Why no library: scour 0.38.2 leaves 60 % of the bytes of 16 of our figures where this leaves 48 %, at the same
+picture (in Chromium no pixel in ten thousand differs visibly), in five times the time; a page of four
+measures would not stay below 500 kB. matplotlib has no setting for digits; `path.simplify_threshold = 1`
+saves 10 %, and letters as text, which save more, look as the viewer's fonts do.
 """
 
 import re
