@@ -75,6 +75,8 @@ def test_a_study_its_files_and_one_of_its_devices_again(
         (["--spec", "curll > 3"], "nearest is curl"),
         (["--spec", "curl in 3..3"], "empty range"),
         (["--spec", "curl about 3"], "is not a specification"),
+        (["--spec", "curl < 1e999"], "is not a specification"),
+        (["--until", "curl +- 1e999", "--measure", "curl"], "is not a precision"),
         (["--until", "yield +- 0.5%"], "needs a --spec"),
         (["--until", "k_max +- 5 N/m"], "not asked for"),
         (["--yield", "99"], "is not a yield"),

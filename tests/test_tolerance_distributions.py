@@ -83,7 +83,8 @@ def test_a_histogram_is_drawn_by_its_inverse(tmp_path: Path) -> None:
     "text",
     ["tol=", "tol=foo%", "tol=0%", "tol=-1%", "lot=-5% dev=1%", "tol=1% dev=1%", "tol=1% lot=1%",
      "tol=1% film", "tol=1% sigmas=0", "tol=1% sorted(inner=2%)", "match= dev=1%", "match=a:b tol=1%",
-     "tol=1% uniform gauss", "tol=+1%/+2%", "tol=1% tol=2%", "histogram=none.csv"],
+     "tol=1% uniform gauss", "tol=+1%/+2%", "tol=1% tol=2%", "histogram=none.csv", "tol=1%%",
+     "tol=1e400%", "lot=1e400"],
 )  # fmt: skip
 def test_what_cannot_be_is_refused(text: str, tmp_path: Path) -> None:
     with pytest.raises(Wrong):
@@ -94,6 +95,9 @@ def test_words_for_people_stand_behind_a_semicolon() -> None:
     assert begins("tol=5% ; F, film") == "tol=5%"
     assert begins("Ohm, tol = 1% uniform") == "tol = 1% uniform"
     assert begins("V, 1 V/rad") is None
+    assert begins("Ohm, histogram=lot.csv ; measured") == "histogram=lot.csv"
+    assert parse("tol = -1 %/+2 % uniform").own == Shape("uniform", -0.01, 0.02)
+    assert parse("1 %") == parse("1%")
     assert parse("tol = 1% uniform").own == Shape("uniform", -0.01, 0.01)
     lot = parse("lot=5% dev=1%")
     assert lot.shared == Shape("truncated", -0.05, 0.05)

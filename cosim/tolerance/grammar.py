@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ from cosim.tolerance.distributions import SIGMAS, Histogram, Kind, Shape
 
 __all__ = ["Stated", "Wrong", "begins", "parse"]
 
-_BEGIN = re.compile(r"(?<![\w.])(tol|lot|dev|match)\s*=", re.IGNORECASE)
+_BEGIN = re.compile(r"(?<![\w.])(tol|lot|dev|match|histogram)\s*=", re.IGNORECASE)
 _WORD = re.compile(r"[^\s(=]+\s*\([^)]*\)|[^\s=]+\s*=\s*[^\s]+|\S+")
 _SHAPES: dict[str, Kind] = {
     "gauss": "gauss", "gaussian": "gauss", "normal": "gauss", "truncated": "truncated", "uniform": "uniform",
@@ -144,7 +145,7 @@ def _shape(text: str, key: str, shape: tuple[Kind, float], sigmas: float) -> Sha
 def _limits(text: str, key: str) -> tuple[float, float, bool]:
     """Return least and largest deviation, and whether they are shares."""
     parts = [part.strip() for part in re.split(r"[/,]", text.removeprefix("+-").removeprefix("±"))]
-    read = [(number(part.removesuffix("%")), part.endswith("%")) for part in parts]
+    read = [(_finite(part.removesuffix("%")), part.endswith("%")) for part in parts]
     if len(read) > 2 or any(value is None for value, _ in read) or len({share for _, share in read}) > 1:
         raise Wrong(
             f"{key} = {text} is no tolerance (allowed: 1%, -1%/+2%, or an amount in the value's unit)"
@@ -159,6 +160,11 @@ def _limits(text: str, key: str) -> tuple[float, float, bool]:
     return low, high, relative
 
 
+def _finite(text: str) -> float | None:
+    value = number(text) if "%" not in text else None  # to `number` a sign of per cent is a unit
+    return value if value is not None and math.isfinite(value) else None
+
+
 def _inner(word: str) -> float:
     match = re.fullmatch(r"sorted\s*\(\s*(?:inner\s*=\s*)?([^)\s]+)%\s*\)", word)
     inner = number(match[1]) if match else None
@@ -168,8 +174,8 @@ def _inner(word: str) -> float:
 
 
 def _tight(text: str) -> str:
-    """Take out the blanks around the equals signs and commas of a tolerance."""
-    return re.sub(r"\s*([=,/])\s*", r"\1", text)
+    """Take out the blanks around the equals signs and commas of a tolerance, and before per cent."""
+    return re.sub(r"\s+%", "%", re.sub(r"\s*([=,/])\s*", r"\1", text))
 
 
 def _measured(name: str, folder: Path | None) -> Shape:

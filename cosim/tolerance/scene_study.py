@@ -174,7 +174,7 @@ def _until(asked: Asked) -> tuple[str, float]:
     match = _UNTIL.fullmatch(asked.until.strip())
     size = float(match[2]) if match and re.fullmatch(r"\d*\.?\d+(e[-+]?\d+)?", match[2], re.I) else math.nan
     allowed = '"yield +- 0.5%" with a --spec, or a measure such as "k_max +- 5 N/m"'
-    if match is None or not size > 0.0:
+    if match is None or not 0.0 < size < math.inf:
         fail("is not a precision", key="--until", value=asked.until, allowed=allowed)
     what, unit = match[1], match[3].strip()
     if what == "yield":

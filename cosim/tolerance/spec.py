@@ -111,4 +111,6 @@ def _number(text: str, scale: float) -> float | None:
     """Return a number times `scale`, that of its unit; one with a scale of SPICE's (0.5k) has its own."""
     match = _NUMBER.fullmatch(text.strip())
     value = number(text) if match is not None else None
-    return value if match is None or value is None or match[1] else scale * value
+    if match is None or value is None or not math.isfinite(value):
+        return None  # 1e999 limits nothing
+    return value if match[1] else scale * value

@@ -47,7 +47,7 @@ def trims(scene: Scene) -> tuple[Trim, ...]:
         match = _FORM.fullmatch(text.strip())
         value = number(match[2]) if match else None
         reason, allowed = "", '"rendered_stiffness to 100 N/m"'
-        if match is None or value is None or value == 0.0:
+        if match is None or value is None or value == 0.0 or not np.isfinite(value):
             reason = "is not a trim"
         elif (measure := find(match[1])) is None:
             near = nearest(match[1], NAMES)
