@@ -12,7 +12,7 @@ from cosim.caution import Caution, collected
 from cosim.circuits.decks import Tolerances
 from cosim.circuits.operating_point import LOOSE, STEPPING, AtRest
 from cosim.errors import Crawl, InputError, NoOperatingPoint, Problem, SimulationError, StepTooSmall
-from cosim.loop.spice.convergence import ITERATIONS, Aid, aided
+from cosim.loop.spice.convergence import ITERATIONS, MICROAMPERE, Aid, aided
 from cosim.loop.state import PATIENCE
 from cosim.ngspice.dcpath import has_dc_path, in_voltage_loop
 from cosim.ngspice.messages import operating_point_problem
@@ -32,9 +32,10 @@ def refused(aid: Aid) -> str:
     [
         (lambda aid: True, ""),
         (lambda aid: aid.plain, "plain sources"),
+        (lambda aid: MICROAMPERE in aid.lines, "currents to 1 uA"),
         (lambda aid: aid.tolerances.rtol >= 1e-3, "solver.rtol = 0.001"),
         (lambda aid: aid.tolerances.method == "gear", 'solver.method = "gear"'),
-        (lambda aid: bool(aid.lines), "gmin"),
+        (lambda aid: STEPPING in aid.lines, "gmin"),
     ],
 )
 @pytest.mark.parametrize("kind", [NoOperatingPoint, StepTooSmall, Crawl])
@@ -53,7 +54,9 @@ def test_the_first_step_that_helps_is_reported(enough, note, kind) -> None:
 
 
 def test_what_no_step_helps_is_reported_with_all_that_was_tried() -> None:
-    with pytest.raises(NoOperatingPoint, match=r"here; tried in vain: .*plain sources.*rtol.*gear.*gmin"):
+    with pytest.raises(
+        NoOperatingPoint, match=r"here; tried in vain: .*plain sources.*1 uA.*rtol.*gear.*gmin"
+    ):
         aided(ASKED, refused)
 
 
@@ -114,6 +117,32 @@ def test_a_model_that_stops_at_the_default_tolerance_runs_and_says_why(tmp_path:
     rows = [caution for caution in run.warnings if caution.code == "convergence-aided"]
     assert len(rows) == 1
     assert "solver.rtol = 0.001" in rows[0].text
+
+
+#: An ammeter inside that jumps by 20 nA at each iteration, as the rounding of a volt on a microohm does: that
+#: is at rest where currents count from 1 uA on, and neither at rtol 1e-4 (100 pA) nor at 1e-3 (1 nA).
+LOUD = """\
+.subckt loud 1 2 3 4 5
+ga 0 x 1 2 1m
+ra x 0 200meg
+ca x 0 53p
+eo y 0 x 0 1
+ro y 5 100
+rp 3 4 10k
+vi z 0 0
+bi 0 z i=0.5*i(vi)+10n*(0.5-u(i(vi)))
+.ends
+"""
+
+
+def test_a_model_whose_currents_are_noisy_runs_at_the_tolerance_that_the_scene_asks(tmp_path: Path) -> None:
+    (tmp_path / "loud.lib").write_text(LOUD)
+    part = {"file": str(tmp_path / "loud.lib"), "subckt": "loud", "pins": "1 2 3 4 5"}
+    run = quick(tmp_path, slider(duration_s=0.05, device={"parts": {"opamp": part}}))
+    rows = [caution for caution in run.warnings if caution.code == "convergence-aided"]
+    assert len(rows) == 1
+    assert "currents to 1 uA" in rows[0].text
+    assert "rtol" not in rows[0].text + rows[0].advice
 
 
 #: A square beside the amplifier, w = 2 in^2, whose equation atan(w - 2 in^2) = 0 Newton's method solves from

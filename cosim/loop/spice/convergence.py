@@ -34,6 +34,9 @@ __all__ = ["Aid", "aided", "bound_work", "plain_start"]
 
 #: Relative tolerance at which SPICE's own programs run, and with it the vendors' models.
 LOOSE_RTOL = 1e-3
+#: A microampere is no more than the tolerance asks of the motors' currents, while inside some models a
+#: picovolt on a microohm, which is rounding, is that large.
+MICROAMPERE = ".options abstol=1e-6"
 
 #: Newton iterations a point: two where nothing bends, the second of which confirms the first.
 ITERATIONS = 2.0
@@ -100,6 +103,8 @@ def aids(asked: Tolerances) -> Iterator[Aid]:
     yield aid
     aid = replace(aid, plain=True, words=("the operating point found with plain sources, stepped from zero",))
     yield aid
+    aid = replace(aid, lines=(MICROAMPERE,), words=(*aid.words, "currents to 1 uA (abstol)"))
+    yield aid
     if asked.rtol < LOOSE_RTOL:
         loose = replace(aid.tolerances, rtol=LOOSE_RTOL)
         aid = replace(aid, tolerances=loose, words=(*aid.words, f"solver.rtol = {LOOSE_RTOL:g}"))
@@ -108,7 +113,9 @@ def aids(asked: Tolerances) -> Iterator[Aid]:
         gear = replace(aid.tolerances, method="gear")
         aid = replace(aid, tolerances=gear, words=(*aid.words, 'solver.method = "gear"'))
         yield aid
-    yield replace(aid, lines=(STEPPING,), words=(*aid.words, "gmin = 1e-10 S with gmin and source stepping"))
+    yield replace(
+        aid, lines=(*aid.lines, STEPPING), words=(*aid.words, "gmin = 1e-10 S with gmin and source stepping")
+    )
 
 
 def aided(asked: Tolerances, attempt: Callable[[Aid], Result]) -> Result:
@@ -156,8 +163,8 @@ def _caution(error: InputError | SimulationError, aid: Aid, asked: Tolerances) -
 
 
 def _advice(aid: Aid, asked: Tolerances) -> str:
-    if aid.tolerances == asked:
-        return "nothing is to be done: the run itself is as the scene asks"
+    if (aid.tolerances.rtol, aid.tolerances.method) == (asked.rtol, asked.method):
+        return "nothing is to be done: the run keeps the scene's tolerance and method"
     cost = _COST if aid.tolerances.rtol > asked.rtol else ""
     return f"state it in [solver] to save the vain attempt{cost}"
 
