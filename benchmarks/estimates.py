@@ -14,6 +14,7 @@ for each case, model, setting and measure.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
 import statistics
@@ -81,8 +82,9 @@ def shipped(names: list[str]) -> dict[str, tuple[Path, tuple[str, ...]]]:
 
 
 def random_cases(seed: int, count: int) -> dict[str, tuple[Path, tuple[str, ...]]]:
-    """Return scenes of the random search by seed and number."""
-    return {f"{seed}/{k}": trouble.drawn(seed, k) for k in range(count)}
+    """Return the first scenes of the random search whose board is sound, by seed and number."""
+    sound = ((k, scene) for k in itertools.count() if (scene := trouble.drawn(seed, k)).slip is None)
+    return {f"{seed}/{k}": (s.file, s.overrides({})) for k, s in itertools.islice(sound, count)}
 
 
 def perturbed(

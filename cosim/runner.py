@@ -38,7 +38,7 @@ from cosim.types import Measures
 from cosim.units import quantity
 from mech.library_files import ready
 
-__all__ = ["Errors", "measures_of", "request_of", "resolve", "run"]
+__all__ = ["Errors", "measures_of", "path_of", "request_of", "resolve", "run"]
 
 #: Returns the measures of what was simulated with their errors; see `run`.
 Errors = Callable[["Simulated", Callable[[], object]], Mapping[str, dict[str, Any]]]
@@ -298,6 +298,15 @@ def measures_of(
     with scratch_folder("measures") as folder:
         done = _simulated(plan, folder, child, meanwhile=meanwhile)
         return done.measures, done.contacts
+
+
+def path_of(
+    plan: Plan, child: Child | None, names: Collection[str]
+) -> tuple[dict[str, NDArray[np.float64]], tuple[int, ...]]:
+    """Return signals of a plan's simulation by name, as far as it has them, and contacts as `measures_of`."""
+    with scratch_folder("path") as folder:
+        done = _simulated(plan, folder, child)
+        return {name: np.array(done.signals[name]) for name in names if name in done.signals}, done.contacts
 
 
 def _python_folders(scene: Scene) -> list[Path]:

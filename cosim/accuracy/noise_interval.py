@@ -1,8 +1,9 @@
 """The interval of a noisy run's measures: how far 95 % of all paths of the noise lie from their mean.
 
 A run shows one path. Means over the end of a run that rests in contact are linear in the noise, and its
-exact covariance (`cosim.analysis.noise_of_means`) is carried to them by their tangents. A peak, a share of
-time or an rms is not linear in noise; it gets no interval, and the reason instead.
+exact covariance (`cosim.analysis.noise_of_means`) is carried to them by their tangents. Peaks, heat and rms
+are not: they are taken of paths drawn with that covariance (`cosim.accuracy.noise_by_drawing`). What neither
+carries gets no interval, and the reason instead.
 """
 
 from __future__ import annotations
@@ -12,18 +13,22 @@ from typing import Any
 
 import numpy as np
 
+from cosim.accuracy.noise_by_drawing import DRAWN, drawn_halves, require_one_gain, signals_needed
 from cosim.accuracy.noise_paths import noisy
 from cosim.analysis.control_law import law_point, resting_pose
 from cosim.analysis.extracted import circuit_of
 from cosim.analysis.held_contact import HeldContact
 from cosim.analysis.noise_of_means import noise_of_means
+from cosim.caution import collected
 from cosim.circuits.linear_circuit import LinearCircuit
 from cosim.effects.sampling import COMPUTER
 from cosim.effects.sensing import SENSING
-from cosim.errors import InputError, fail
+from cosim.errors import CosimError, InputError, fail
 from cosim.measures import STEADY
 from cosim.ngspice.child import Child
-from cosim.plan import Plan
+from cosim.plan import Plan, resolve
+from cosim.runner import path_of
+from cosim.scene import PotNoise
 from cosim.types import Array, Measures
 
 __all__ = ["noise_of"]
@@ -40,7 +45,10 @@ _SMALL = (
 )
 #: Outputs whose means are carried: depth, force of the motors along the normal, the operator's force (x, y).
 _OUTPUTS = ("penetration", "motor_normal", "operator_force")
-_NOT_LINEAR = "peaks, shares of time and squares are not linear in noise: other seeds show how far they move"
+#: Those that are drawn of a run's last fifth; the others are of all contacts, and need to be of one.
+_LATE = frozenset({"force_ripple"})
+_NOT_AT_REST = "the run does not end at rest in contact: other seeds show how far noise moves it"
+_NOT_FOLLOWED = "it is no output of the linear contact: other seeds show how far noise moves it"
 
 
 def noise_of(
@@ -59,19 +67,20 @@ def noise_of(
     Returns
     -------
     dict
-        By measure; 'noise' is None where it cannot be linearised, and 'no_noise' says why. Empty for a scene
+        By measure; 'noise' is None where it cannot be had, and 'no_noise' says why. Empty for a scene
         without noise.
     """
     if not noisy(plan.scene):
         return {}
     tangents = _tangents(measures, plan)
+    followed = {*tangents, *DRAWN} & measures.keys()
     halves: dict[str, float] = {}
-    why = dict.fromkeys(measures, _NOT_LINEAR)
+    why = {name: _NOT_AT_REST if name in followed else _NOT_FOLLOWED for name in measures}
     if tangents:
         try:
-            covariance = _covariance(measures, plan, circuit, contacts, child)
+            at_rest, covariance = _at_rest(measures, plan, circuit, contacts, child)
         except InputError as error:
-            why |= dict.fromkeys(tangents, error.in_brief)
+            why |= dict.fromkeys(followed, error.in_brief)
         else:
             for name, row in tangents.items():
                 halves[name] = _NORMAL * math.sqrt(max(float(row @ covariance @ row), 0.0))
@@ -79,10 +88,45 @@ def noise_of(
             if side < _FAR / _NORMAL * halves["steady_tangential_force"]:
                 halves.pop("tangential_ratio", None)
                 why["tangential_ratio"] = "its size has a corner where the tangential force changes its sign"
+            made, reasons = _drawn(plan, at_rest, contacts, child)
+            halves |= made
+            why |= reasons
     return {
         name: {"noise": halves[name]} if name in halves else {"noise": None, "no_noise": why[name]}
         for name in measures
     }
+
+
+def _drawn(
+    plan: Plan, at_rest: HeldContact, contacts: tuple[int, ...], child: Child | None
+) -> tuple[dict[str, float], dict[str, str]]:
+    """Return 'noise' of the measures of `DRAWN`, and why others of them have none."""
+    scene = plan.scene
+    effects = scene.effects.model_copy(update={"pot_noise": PotNoise.NONE})
+    why = "the motors' currents come near their rating"
+    try:
+        with collected(forward=False):
+            quiet = resolve(scene.model_copy(update={"effects": effects}), trust=plan.trust, board=plan.board)
+            path, others = path_of(quiet, child, signals_needed(scene.joints))
+        if not len(others) % 2:
+            fail("without noise the computer sees no contact at the run's end")
+        begin_s = others[-1] * scene.computer.period_s
+        require_one_gain(path, at_rest, scene.duration_s * (1.0 - STEADY))
+        made = drawn_halves(path, at_rest, begin_s)
+    except CosimError as error:
+        return {}, dict.fromkeys(DRAWN, error.in_brief)
+    only_late = ""
+    if len(contacts) > 1:
+        only_late = "contact is lost and made again, which a linear contact does not know"
+    elif others != contacts:
+        only_late = "without noise contact is made at another sample"
+    else:
+        try:
+            require_one_gain(path, at_rest, begin_s)
+        except InputError as error:
+            only_late = error.in_brief
+    kept = _LATE if only_late else made.keys()
+    return {name: made[name] for name in made if name in kept}, dict.fromkeys(DRAWN, only_late or why)
 
 
 def _tangents(measures: Measures, plan: Plan) -> dict[str, Array]:
@@ -102,11 +146,11 @@ def _tangents(measures: Measures, plan: Plan) -> dict[str, Array]:
     return {name: row for name, row in out.items() if name in measures}
 
 
-def _covariance(
+def _at_rest(
     measures: Measures, plan: Plan, circuit: LinearCircuit | None, contacts: tuple[int, ...],
     child: Child | None,
-) -> Array:  # fmt: skip
-    """Return the covariance [4, 4] of the means of `_OUTPUTS` over the last part of the run."""
+) -> tuple[HeldContact, Array]:  # fmt: skip
+    """Return the contact at rest, and the covariance [4, 4] of the means of `_OUTPUTS` over the run's end."""
     scene = plan.scene
     if scene.effects.component_noise:
         fail("the components' noise is not carried to measures", key="effects.component_noise")
@@ -130,4 +174,4 @@ def _covariance(
     if not abs(mean - depth) <= _AT_REST * depth + _FAR * math.sqrt(made.covariance[0, 0]):
         deep = f"{1e3 * mean:.3g} mm deep, {1e3 * depth:.3g} mm at rest"
         fail(f"the run does not rest in its last fifth: {deep}")
-    return made.covariance
+    return at_rest, made.covariance

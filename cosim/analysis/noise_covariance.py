@@ -27,6 +27,7 @@ __all__ = [
     "NoiseCovariance",
     "beyond_linear",
     "covariance",
+    "moments_about",
     "noise_covariance",
     "require_linear",
     "static_covariance",
@@ -222,11 +223,26 @@ def noise_covariance(contact: HeldContact) -> NoiseCovariance:
     InputError
         Where noise or scene are not linear about the contact, with the reason.
     """
-    scene = contact.scene
-    kind = scene.effects.pot_noise
-    require_linear(scene)
+    require_linear(contact.scene)
     at_rest = contact.at(resting_pose(contact))
     lifted = lift(linearise(at_rest), noise=True)
+    moments = moments_about(at_rest, lifted)
+    if contact.scene.effects.pot_noise is PotNoise.STATIC:
+        return moments
+    return _checked(moments, at_rest, lifted)
+
+
+def moments_about(contact: HeldContact, lifted: Lifted | None = None) -> NoiseCovariance:
+    """Return the second moments about the contact's own pose, which need not be one of rest.
+
+    Raises
+    ------
+    InputError
+        When the contact is not stable, or something is free to drift.
+    """
+    scene = contact.scene
+    kind = scene.effects.pot_noise
+    lifted = lifted or lift(linearise(contact), noise=True)
     if kind is PotNoise.STATIC:
         return static_covariance(lifted, scene.device.potentiometer.noise_rad**2)
     grid = noise_grid(scene)
@@ -237,7 +253,7 @@ def noise_covariance(contact: HeldContact) -> NoiseCovariance:
         notes.append(
             f"the noise's bandwidth was shifted by {grid.shift:.2g} of itself, to meet the samples again"
         )
-    return _checked(covariance(lifted, grid, kind.value, tuple(notes)), at_rest, lifted)
+    return covariance(lifted, grid, kind.value, tuple(notes))
 
 
 def _checked(moments: NoiseCovariance, at_rest: HeldContact, lifted: Lifted) -> NoiseCovariance:
