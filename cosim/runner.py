@@ -288,25 +288,18 @@ def measures_of(
 ) -> tuple[dict[str, dict[str, Any]], tuple[int, ...]]:
     """Simulate a plan whose board was judged before, and call `meanwhile` beside it; nothing is kept.
 
-    Returns its measures, and the numbers of the samples at which contact is made or lost.
-
-    Raises
-    ------
-    InputError, SimulationError
-        As `run`.
+    Returns its measures, and the numbers of the samples at which contact is made or lost. Raises as `run`.
     """
     with scratch_folder("measures") as folder:
         done = _simulated(plan, folder, child, meanwhile=meanwhile)
         return done.measures, done.contacts
 
 
-def path_of(
-    plan: Plan, child: Child | None, names: Collection[str]
-) -> tuple[dict[str, NDArray[np.float64]], tuple[int, ...]]:
-    """Return signals of a plan's simulation by name, as far as it has them, and contacts as `measures_of`."""
+def path_of(plan: Plan, child: Child | None) -> tuple[dict[str, NDArray[np.float64]], tuple[int, ...]]:
+    """Return the signals of a plan's simulation by name, and contacts as `measures_of` does."""
     with scratch_folder("path") as folder:
         done = _simulated(plan, folder, child)
-        return {name: np.array(done.signals[name]) for name in names if name in done.signals}, done.contacts
+        return {name: np.array(values) for name, values in done.signals.items()}, done.contacts
 
 
 def _python_folders(scene: Scene) -> list[Path]:

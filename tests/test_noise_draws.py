@@ -7,7 +7,7 @@ import pytest
 from held_scenes import HELD, at_wall, circuit_of_kind
 from support import merge, scene_of, slider
 
-from cosim.accuracy.noise_by_drawing import drawn_halves, signals_needed
+from cosim.accuracy.noise_by_drawing import drawn_halves
 from cosim.analysis.control_law import resting_pose
 from cosim.analysis.noise_covariance import noise_covariance
 from cosim.analysis.noise_draws import WEIGHTS, drawn
@@ -80,7 +80,7 @@ def at_depth(at_rest, *, force_n=2.0, depth_m=0.01):
     (angle,), n = at_rest.q, 200
     t = np.linspace(0.0, END_S, n)
     level = {"y": -depth_m, "fy": -force_n, "q1": angle, "imot1": LEVEL_A, "time": t}
-    return {name: np.zeros(n) + level.get(name, 0.0) for name in signals_needed(1)}
+    return {name: np.zeros(n) + level.get(name, 0.0) for name in ("x", "fx", "fmx", "fmy", *level)}
 
 
 def test_squares_about_a_level_move_as_isserlis_says(tmp_path):

@@ -18,7 +18,7 @@ from cosim.errors import fail
 from cosim.measures import STEADY, wall_frame
 from cosim.types import Array
 
-__all__ = ["DRAWN", "drawn_halves", "require_one_gain", "signals_needed"]
+__all__ = ["DRAWN", "drawn_halves", "require_one_gain"]
 
 #: The measures that are drawn.
 DRAWN = ("peak_force", "max_penetration", "contact_share", "peak_normal_force", "mean_normal_force",
@@ -31,12 +31,6 @@ _DRAWS = 4e6
 _SAME_GAIN = 0.15
 _SHARE = 0.95
 _OUTPUTS = ("penetration", "operator_force", "currents")
-
-
-def signals_needed(joints: int) -> tuple[str, ...]:
-    """Return the names of the signals that `drawn_halves` takes of the run without noise."""
-    each = (f"{name}{j}" for name in ("q", "imot") for j in range(1, joints + 1))
-    return ("time", "x", "y", "fx", "fy", "fmx", "fmy", *each)
 
 
 def drawn_halves(path: Mapping[str, Array], at_rest: HeldContact, begin_s: float) -> dict[str, float]:

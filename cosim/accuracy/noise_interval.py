@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.accuracy.noise_by_drawing import DRAWN, drawn_halves, require_one_gain, signals_needed
+from cosim.accuracy.noise_by_drawing import DRAWN, drawn_halves, require_one_gain
 from cosim.accuracy.noise_paths import noisy
 from cosim.analysis.control_law import law_point, resting_pose
 from cosim.analysis.extracted import circuit_of
@@ -107,7 +107,7 @@ def _drawn(
     try:
         with collected(forward=False):
             quiet = resolve(scene.model_copy(update={"effects": effects}), trust=plan.trust, board=plan.board)
-            path, others = path_of(quiet, child, signals_needed(scene.joints))
+            path, others = path_of(quiet, child)
         if not len(others) % 2:
             fail("without noise the computer sees no contact at the run's end")
         begin_s = others[-1] * scene.computer.period_s
