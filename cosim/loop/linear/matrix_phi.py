@@ -116,11 +116,11 @@ def _functions(z: Array, count: int) -> list[Array]:
             chain[n * r : n * (r + 1), n * (r + 1) : n * (r + 2)] = np.eye(n)
         exponential = _exponential(chain)
         return [exponential[:n, n * r : n * (r + 1)] for r in range(count + 1)]
-    out = [_exponential(z)]
+    out: list[Array] = [_exponential(z)]
     factorial = 1.0
     for r in range(count):
         factorial *= max(r, 1)
-        out.append(np.linalg.solve(z, out[-1] - np.eye(n) / factorial))
+        out.append(np.asarray(np.linalg.solve(z, out[-1] - np.eye(n) / factorial), float))
     return out
 
 
