@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import multiprocessing.forkserver
 import os
+import shutil
 import signal
 import sys
 import tempfile
@@ -16,15 +17,20 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
+from multiprocessing.util import Finalize
+from pathlib import Path
 from typing import Any
 
 from cosim.errors import CosimError
 from cosim.quick_start import FRUGAL, collect_seldom, defer
+from cosim.storage.staging import make_scratch
 
 __all__ = ["Chunk", "Lost", "cores", "pooled", "prepare_pool"]
 
 #: What a worker needs loaded for a study: a second of imports.
 _LOADED = "cosim.tolerance.worker_modules"
+#: Where the template's socket lies.
+_scratch: Path | None = None
 #: Keeps these modules from starting threads, which no process copies: OpenBLAS, and the memory of Arrow.
 _ONE_THREAD = {**FRUGAL, "JE_ARROW_MALLOC_CONF": "background_thread:false"}
 
@@ -54,7 +60,7 @@ class Lost:
 
 class _Worker:
     def __init__(self, make: Maker) -> None:
-        context = _context()
+        context = get_context("forkserver" if prepare_pool() else "spawn")
         self.pipe, theirs = context.Pipe()
         # a daemon: Ctrl-C may come before the pool knows of it, and an interpreter waits for others
         self.process: BaseProcess = context.Process(
@@ -62,7 +68,6 @@ class _Worker:
         )
         # a Ctrl-C waits: it would leave a process half started here, and a traceback of its imports there
         with _interrupts_held(), suppress(BrokenPipeError):  # it died while it started: its pipe says so
-            prepare_pool()
             self.process.start()
         theirs.close()
         self.chunk: Chunk | None = None
@@ -96,23 +101,44 @@ def _interrupts_held() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _context() -> Any:
-    """Return how processes start; a fork of this one would copy the threads of numerical libraries."""
-    return get_context("forkserver" if sys.platform == "linux" else "spawn")
-
-
-def prepare_pool() -> None:
+def prepare_pool() -> bool:
     """Start the process, if there is none yet, that loads what workers need and then copies itself for each.
 
     It loads while this one goes on, has one thread, and ends with this process. Modules are looked for where
-    they are here, and not in the folder that we happen to be in.
+    they are here, and not in the folder that we happen to be in. (A fork of this very process would copy the
+    threads of numerical libraries.)
+
+    Returns
+    -------
+    bool
+        Whether it is there; not where the system has none, or the path of its socket would be too long.
     """
     if sys.platform != "linux":
-        return
-    _context().set_forkserver_preload([_LOADED])
+        return False
+    get_context("forkserver").set_forkserver_preload([_LOADED])
     paths = os.pathsep.join(path for path in sys.path if path)
     with _interrupts_held(), _environment({"PYTHONPATH": paths, "PYTHONSAFEPATH": "1", **_ONE_THREAD}):
-        multiprocessing.forkserver.ensure_running()
+        try:
+            with _socket_in_scratch():
+                multiprocessing.forkserver.ensure_running()
+        except OSError:
+            return False
+    return True
+
+
+@contextmanager
+def _socket_in_scratch() -> Iterator[None]:
+    """Let the template's socket lie in a folder of ours: the next process removes it after a kill."""
+    global _scratch
+    if _scratch is None or not _scratch.is_dir():
+        _scratch = make_scratch("pool")
+        # behind the socket's own end, which has the priority -100
+        Finalize(None, shutil.rmtree, (_scratch, True), exitpriority=-200)
+    before, tempfile.tempdir = tempfile.tempdir, str(_scratch)
+    try:
+        yield
+    finally:
+        tempfile.tempdir = before
 
 
 @contextmanager
