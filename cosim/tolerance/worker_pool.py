@@ -60,7 +60,7 @@ class Lost:
 
 class _Worker:
     def __init__(self, make: Maker) -> None:
-        context = get_context("forkserver" if prepare_pool() else "spawn")
+        context: Any = get_context("forkserver" if prepare_pool() else "spawn")
         self.pipe, theirs = context.Pipe()
         # a daemon: Ctrl-C may come before the pool knows of it, and an interpreter waits for others
         self.process: BaseProcess = context.Process(
