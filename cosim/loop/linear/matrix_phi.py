@@ -21,6 +21,8 @@ from cosim.types import Array
 _WELL = 1e4
 #: Moduli further apart than this are separated; up to this modulus a part counts as slow.
 _GAP, _SLOW = 30.0, 30.0
+#: Poles times the time that differ by less lose digits in a quotient of differences: 1e-16 over this.
+_NEAR = 1e-4
 #: Decompositions that are kept.
 _KEPT = 16
 
@@ -128,9 +130,12 @@ def _exponential(z: Array) -> Array:
     """Return exp(z), z of moderate norm.
 
     SciPy (1.17) divides differences of exponentials where a matrix is triangular, and loses 4e-9 between
-    poles that differ by 1e-8: such a one is turned first, by a reflection.
+    poles that differ by 1e-8: such a one is turned first, by a reflection. Poles that are equal, or well
+    apart, it knows to rounding even where the norm is large, and a reflection would not.
     """
-    if np.triu(z, 1).any() == np.tril(z, -1).any():  # a full one, or a diagonal
+    triangular = np.triu(z, 1).any() != np.tril(z, -1).any()
+    gaps = np.diff(np.sort(np.diag(z)))
+    if not (triangular and ((gaps > 0.0) & (gaps < _NEAR)).any()):
         return np.asarray(scipy.linalg.expm(z))
     along = np.arange(1.0, len(z) + 1.0)
     turn = np.eye(len(z)) - 2.0 / (along @ along) * np.outer(along, along)
