@@ -263,7 +263,7 @@ def test_cache_serves_the_same_board_only(tmp_path, monkeypatch):
     class Measured(Exception):
         pass
 
-    def refuse(*_):
+    def refuse(*_: object, **__: object) -> None:
         raise Measured
 
     first = in_fresh_child(payload)

@@ -123,7 +123,7 @@ def test_values_that_ngspice_would_cut(text: str) -> None:
     "text",
     [
         "Q1 c b e 2n2222", "D1 a k 1n4148", "X1 a b 1k5", "R1 1k5 2k7 10kOhm", "R1 a b 1d3", "R1 a b 10kΩ",
-        "R1 a b rmod 1k", "R1 a b 1k tc=0.001,0.002", "C1 a b 10uF ic=0", "V1 a 0 pwl(0 0,1m 5)",
+        "R1 a b 1k rmod", "R1 a b 1k tc=0.001,0.002", "C1 a b 10uF ic=0", "V1 a 0 pwl(0 0,1m 5)",
         "FB 7 99 POLY(5) VB VC VE VLP VLN 0 522.8E6 -500E6", ".model n npn(bf=100 tref=27C mfg=2n2222)",
         "B1 a 0 v=v(3v3)*2", "e1 a b value={v(3v3)*2.5e3}", "m1 d g s b 2n7000 l=1u", ".func f(a,b) {a+b}",
     ],
