@@ -7,6 +7,7 @@ import socket
 import subprocess
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -130,7 +131,10 @@ def allowed(payload: Any, report: Any) -> dict[str, Any]:
     cache = Path(os.environ["XDG_CACHE_HOME"]) / "cosim" / "circuits"
     (cache / "probe").write_text("x")
     (cache / "probe").unlink()
-    states = [Path(f"/proc/self/task/{task}/status").read_text() for task in os.listdir("/proc/self/task")]
+    states = []
+    for task in os.listdir("/proc/self/task"):
+        with suppress(FileNotFoundError):  # a thread that was joined may be listed a moment longer
+            states.append(Path(f"/proc/self/task/{task}/status").read_text())
     return {"threads": seen, "environment": dict(os.environ), "states": states}
 
 

@@ -63,6 +63,7 @@ CODE = {
             "tests/test_noise_interval.py",
             "def test_in_95_of_100_runs_the_interval_holds_the_mean_over_paths",
         ),
+        "93 to 97 % lie within": ("tests/test_noise_interval.py", "0.93 <= share <= 0.97"),
     },
     "docs/explanation/certificates.md": {
         "a difference above 2 % of rated current": (
