@@ -116,10 +116,11 @@ def prepare_pool() -> bool:
     if sys.platform != "linux":
         return False
     get_context("forkserver").set_forkserver_preload([_LOADED])
-    paths = os.pathsep.join(path for path in sys.path if path)
-    with _interrupts_held(), _environment({"PYTHONPATH": paths, "PYTHONSAFEPATH": "1", **_ONE_THREAD}):
+    paths = [path for path in sys.path if path]
+    variables = {"PYTHONPATH": os.pathsep.join(paths), "PYTHONSAFEPATH": "1", **_ONE_THREAD}
+    with _interrupts_held(), _environment(variables):
         try:
-            with _socket_in_scratch():
+            with _socket_in_scratch(), _module_path(paths):
                 multiprocessing.forkserver.ensure_running()
         except OSError:
             return False
@@ -139,6 +140,17 @@ def _socket_in_scratch() -> Iterator[None]:
         yield
     finally:
         tempfile.tempdir = before
+
+
+@contextmanager
+def _module_path(paths: list[str]) -> Iterator[None]:
+    """Let the template look for modules in these folders: newer Pythons hand it ours as they stand."""
+    before = list(sys.path)
+    sys.path[:] = paths
+    try:
+        yield
+    finally:
+        sys.path[:] = before
 
 
 @contextmanager
