@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from cosim.ngspice.dcpath import has_dc_path, in_voltage_loop
 from cosim.ngspice.messages import operating_point_problem
 from cosim.ngspice.simulator import Simulator
 from cosim.plan import resolve
+from cosim.results import Run
 from cosim.scene import load_scene
 
 ASKED = Tolerances(1e-4, "trap", 1e-9)
@@ -94,110 +96,91 @@ def test_other_errors_are_no_reason_to_try_again(error: Exception) -> None:
     assert count == 1
 
 
-#: An indicator beside the amplifier jumps by 8 uV at each iteration of Newton's method, always away from
-#: where it is: that is at rest at rtol 1e-3 (vntol 10 uV), and not at 1e-4 (1 uV) at voltages below 70 mV.
-JUMPY = """\
-.subckt jumpy 1 2 3 4 5
+#: An amplifier that has no difficulty; what stands beside it in its subcircuit has.
+AMPLIFIER = """\
 ga 0 x 1 2 1m
 ra x 0 200meg
 ca x 0 53p
 eo y 0 x 0 1
 ro y 5 100
 rp 3 4 10k
+"""
+
+
+def with_model(tmp_path: Path, beside: str, **tables: Any) -> dict[str, Any]:
+    """Return the tables of a slider of 0.05 s whose op-amps are `AMPLIFIER` with these elements beside it."""
+    (tmp_path / "model.lib").write_text(f".subckt model 1 2 3 4 5\n{AMPLIFIER}{beside}.ends\n")
+    part = {"file": str(tmp_path / "model.lib"), "subckt": "model", "pins": "1 2 3 4 5"}
+    device = {"parts": {"opamp": part}, **tables.pop("device", {})}
+    return slider(duration_s=0.05, device=device, **tables)
+
+
+def aid_of(run: Run) -> Caution:
+    """Return the one caution that says what helped."""
+    (caution,) = (each for each in run.warnings if each.code == "convergence-aided")
+    return caution
+
+
+#: An indicator beside the amplifier jumps by 8 uV at each iteration of Newton's method, always away from
+#: where it is: that is at rest at rtol 1e-3 (vntol 10 uV), and not at 1e-4 (1 uV) at voltages below 70 mV.
+JUMPY = """\
 bz z 0 v=v(5)+8u*(0.5-u(v(z)-v(5)))
 rz z 0 1meg
-.ends
 """
 
 
 def test_a_model_that_stops_at_the_default_tolerance_runs_and_says_why(tmp_path: Path) -> None:
-    (tmp_path / "jumpy.lib").write_text(JUMPY)
-    part = {"file": str(tmp_path / "jumpy.lib"), "subckt": "jumpy", "pins": "1 2 3 4 5"}
-    run = quick(tmp_path, slider(duration_s=0.05, device={"parts": {"opamp": part}}))
-    rows = [caution for caution in run.warnings if caution.code == "convergence-aided"]
-    assert len(rows) == 1
-    assert "solver.rtol = 0.001" in rows[0].text
+    assert "solver.rtol = 0.001" in aid_of(quick(tmp_path, with_model(tmp_path, JUMPY))).text
 
 
 #: An ammeter inside that jumps by 20 nA at each iteration, as the rounding of a volt on a microohm does: that
 #: is at rest where currents count from 1 uA on, and neither at rtol 1e-4 (100 pA) nor at 1e-3 (1 nA).
 LOUD = """\
-.subckt loud 1 2 3 4 5
-ga 0 x 1 2 1m
-ra x 0 200meg
-ca x 0 53p
-eo y 0 x 0 1
-ro y 5 100
-rp 3 4 10k
 vi z 0 0
 bi 0 z i=0.5*i(vi)+10n*(0.5-u(i(vi)))
-.ends
 """
 
 
 def test_a_model_whose_currents_are_noisy_runs_at_the_tolerance_that_the_scene_asks(tmp_path: Path) -> None:
-    (tmp_path / "loud.lib").write_text(LOUD)
-    part = {"file": str(tmp_path / "loud.lib"), "subckt": "loud", "pins": "1 2 3 4 5"}
-    run = quick(tmp_path, slider(duration_s=0.05, device={"parts": {"opamp": part}}))
-    rows = [caution for caution in run.warnings if caution.code == "convergence-aided"]
-    assert len(rows) == 1
-    assert "currents to 1 uA" in rows[0].text
-    assert "rtol" not in rows[0].text + rows[0].advice
+    aid = aid_of(quick(tmp_path, with_model(tmp_path, LOUD)))
+    assert "currents to 1 uA" in aid.text
+    assert "rtol" not in aid.text + aid.advice
 
 
 #: A square beside the amplifier, w = 2 in^2, whose equation atan(w - 2 in^2) = 0 Newton's method solves from
 #: within 1.39 V only and from farther away diverges. No conductance to ground helps, for w is the voltage of
 #: a source, and no stepping of all sources: without supplies v(z) has no value (`NO_POINT`).
 NEAR_ONLY = """\
-.subckt nearonly 1 2 3 4 5
-ga 0 x 1 2 1m
-ra x 0 200meg
-ca x 0 53p
-eo y 0 x 0 1
-ro y 5 100
-rp 3 4 10k
 bw w 0 v=v(w)-atan(v(w)-2*v(1)*v(1))
 rw w 0 1k
 bz z 0 v=u(5-v(3)+v(4))*u(0.5-v(z))
 rz z 0 1meg
-.ends
 """
 
 
 def test_an_operating_point_that_only_pins_stepped_from_zero_find(tmp_path: Path) -> None:
-    (tmp_path / "nearonly.lib").write_text(NEAR_ONLY)
-    part = {"file": str(tmp_path / "nearonly.lib"), "subckt": "nearonly", "pins": "1 2 3 4 5"}
-    device = {"parts": {"opamp": part}, "start": {"q_rad": [0.5]}}
     # with a back-EMF: its viscosity is measured first, at external sources that no stepping reaches
-    tables = slider(duration_s=0.05, device=device, effects={"motor": "emf"})
-    run = quick(tmp_path, tables)
-    rows = [caution for caution in run.warnings if caution.code == "convergence-aided"]
-    assert len(rows) == 1
-    assert "stepped from zero" in rows[0].text
-    assert "rtol" not in rows[0].text + rows[0].advice
+    tables = with_model(tmp_path, NEAR_ONLY, device={"start": {"q_rad": [0.5]}}, effects={"motor": "emf"})
+    aid = aid_of(quick(tmp_path, tables))
+    assert "stepped from zero" in aid.text
+    assert "rtol" not in aid.text + aid.advice
 
 
 #: As the last one, but it jumps in a quarter of all trial instants, as rounding errors do between gains far
 #: apart (a zero made of gains 1e6 and 1e-6, say): three steps in four double, one fails and is cut to an
 #: eighth, so that the steps neither recover nor vanish.
-CRAWLING = JUMPY.replace("jumpy", "crawling").replace(
-    "8u*(0.5-u(v(z)-v(5)))", "8u*(0.5-u(v(z)-v(5)))*u(sin(1e14*time)-0.7)"
-)
+CRAWLING = JUMPY.replace("8u*(0.5-u(v(z)-v(5)))", "8u*(0.5-u(v(z)-v(5)))*u(sin(1e14*time)-0.7)")
 
 
 def test_a_model_that_crawls_at_the_default_tolerance_runs_from_the_start_and_says_why(
     tmp_path: Path,
 ) -> None:
-    (tmp_path / "crawling.lib").write_text(CRAWLING)
-    part = {"file": str(tmp_path / "crawling.lib"), "subckt": "crawling", "pins": "1 2 3 4 5"}
-    tables = slider(duration_s=0.05, device={"parts": {"opamp": part}})
-    runs = [quick(tmp_path, tables) for _ in range(2)]
+    runs = [quick(tmp_path, with_model(tmp_path, CRAWLING)) for _ in range(2)]
     for run in runs:
-        rows = [caution for caution in run.warnings if caution.code == "convergence-aided"]
-        assert len(rows) == 1
-        assert "crawls" in rows[0].text
-        assert "solver.rtol = 0.001" in rows[0].text
-        assert "0.12 %" in rows[0].advice
+        aid = aid_of(run)
+        assert "crawls" in aid.text
+        assert "solver.rtol = 0.001" in aid.text
+        assert "0.12 %" in aid.advice
     first, second = (np.asarray(run.signals["time"]) for run in runs)
     assert first[0] == 0.0
     assert first[-1] == pytest.approx(0.05)

@@ -110,6 +110,7 @@ def _measures(path: Mapping[str, Array], at_rest: HeldContact, begin_s: float) -
             late, squares = late + weights @ push, squares + weights @ push**2
             late_length += stretch.length_s
     constants = at_rest.constants
+    # no path drawn leaves the wall, so the share of contact is that of the run without noise in each of them
     made = {
         "peak_force": peaks["force"], "max_penetration": peaks["depth"], "contact_share": np.zeros(count),
         "peak_normal_force": peaks["normal"], "mean_normal_force": pushed / held, "heat": heat,
