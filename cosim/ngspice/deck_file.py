@@ -42,7 +42,8 @@ class _Record(TypedDict):
 def save(board: Deck, folder: Path) -> None:
     """Write a board into an existing folder."""
     record = {**vars(board), "path": str(board.path), "digest": board.digest}
-    text = json.dumps(record, indent=1, ensure_ascii=False, default=vars)  # of its lines, amplifiers, parts
+    # no indentation: it is for programs, and would take the encoder in Python, an eighth of a `spice` sample
+    text = json.dumps(record, ensure_ascii=False, default=vars)  # of its lines, amplifiers, parts
     (folder / FILE).write_text(text + "\n", encoding="utf-8")
 
 
