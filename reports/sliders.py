@@ -85,8 +85,11 @@ def _data(findings: "Findings") -> dict[str, Any]:
     ]  # fmt: skip
     how = study.sampling
     interval = "Clopper and Pearson, for so many independent devices"
+    # one without a device that has all measures tells nothing
+    groups = known // how.each if how.replicates > 1 else known[:0]
+    randomisations = len(np.unique(groups))
     if how.replicates > 1:
-        interval = f"Student t over {how.replicates} randomisations"
+        interval = f"Student t over {randomisations} randomisations"
     left_out = int(np.sum(~np.isfinite(columns).all(axis=0)))
     others = f"; {left_out} more lack a measure and are left out here, of a yield too" if left_out else ""
     note = (
@@ -96,8 +99,8 @@ def _data(findings: "Findings") -> dict[str, Any]:
     )
     return {
         "sliders": sliders, "surfaces": shown, "specs": specs, "note": note,
-        "groups": (known // how.each).tolist() if how.replicates > 1 else [],
-        "replicates": how.replicates, "t": float(stats.t.ppf(0.975, max(how.replicates - 1, 1))),
+        "groups": groups.tolist(),
+        "replicates": how.replicates, "t": float(stats.t.ppf(0.975, max(randomisations - 1, 1))),
         "bounds": [
             [float(f"{v:.5g}") for v in clopper_pearson(k, len(known))] for k in range(len(known) + 1)
         ],

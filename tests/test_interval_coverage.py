@@ -71,6 +71,27 @@ def test_of_a_thousand_studies_95_in_a_hundred_hold_the_truth(method: Method) ->
         assert LOWER <= count / REPEATS <= highest, (name, count)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["plain", "lhs", "sobol"])
+def test_of_devices_that_lack_the_measure_the_others_have_intervals_that_hold(method: Method) -> None:
+    """Where z of the second variable is above 0.5 there is none: 31 in 100, unequally many in each.
+
+    E exp(w z) given z < c is exp(w^2/2) Phi(c - w) / Phi(c). Cut into equal pieces again, which held parts of
+    two randomisations, intervals of Sobol points held in 982 studies and were 1.4 times as wide; of Latin
+    hypercubes 975 and 1.2 times.
+    """
+    cut, w = 0.5, WEIGHTS[1]
+    truth = math.exp(VARIANCE / 2) * stats.norm.cdf(cut - w) / stats.norm.cdf(cut)
+    held = 0
+    for seed in range(REPEATS):
+        how = sampling(method, 512, 3, seed)
+        u = how.uniforms(0, how.n)
+        y = np.where(u[:, 1] > stats.norm.cdf(cut), math.nan, measure(u))
+        each = intervals.mean(y, how)
+        held += each.low <= truth <= each.high
+    assert LOWER <= held / REPEATS <= UPPER, held
+
+
 class Known:
     """What measures: the formula above of three components."""
 

@@ -163,6 +163,61 @@ def test_where_all_pass_the_bound_is_not_zero() -> None:
     assert intervals.clopper_pearson(7, 90) == pytest.approx((exact.low, exact.high), rel=1e-9)
 
 
+def by_hand(groups: list[Array], of: Callable[[Array], float]) -> tuple[float, float]:
+    """Middle and half an interval, leaving one group out after the other."""
+    r, every = len(groups), np.concatenate(groups)
+    rest = [np.concatenate(groups[:j] + groups[j + 1 :]) for j in range(r)]
+    pseudo = [r * of(every) - (r - 1) * of(some) for some in rest]
+    return float(np.mean(pseudo)), stats.t.ppf(0.975, r - 1) * float(np.std(pseudo, ddof=1)) / math.sqrt(r)
+
+
+@pytest.mark.parametrize("method", ["lhs", "sobol"])
+def test_what_samples_lack_leaves_the_others_in_their_own_randomisation(method: Method) -> None:
+    """Four samples each, of which some lack the measure: 4, 2, 3, none at all, 1 ... are left of them.
+
+    They were cut into sixteen equal pieces again, which then held parts of two randomisations each.
+    """
+    how = sampling(method, 64, 2, 1)
+    assert how.each == 4
+    values = np.random.default_rng(2).standard_normal(64) + np.repeat(np.arange(16.0), 4)
+    values[[4, 7, 9, *range(12, 16), 17, 18, 19, 63]] = math.nan
+    groups = [row[np.isfinite(row)] for row in values.reshape(16, 4) if np.isfinite(row).any()]
+    assert len(groups) == 15
+    by = "Student t, 15 of 16 randomisations"
+    for of, exact in ((intervals.mean, np.mean), (intervals.spread, lambda x: float(np.std(x, ddof=1)))):
+        result, (middle, half) = of(values, how), by_hand(groups, exact)
+        assert (result.value, result.high) == pytest.approx((middle, middle + half), rel=1e-12)
+        assert result.how == by
+    below = intervals.quantile(values, 0.5, how)
+    known = np.sort(np.concatenate(groups))
+    _, half = by_hand([g <= below.value for g in groups], np.mean)
+    ends = math.floor(53 * (0.5 - half)), math.ceil(53 * (0.5 + half)) + 1
+    assert (below.low, below.high) == (known[ends[0] - 1], known[ends[1] - 1])
+    # of a yield those without the measure are devices that do not pass: all are counted
+    passed = values > 5.0
+    assert intervals.share(passed, how).half == pytest.approx(
+        by_hand(list(passed.reshape(16, 4)), np.mean)[1], rel=1e-12
+    )
+
+
+def test_of_one_randomisation_alone_no_interval_is_known() -> None:
+    how = sampling("lhs", 64, 2, 1)
+    values = np.full(64, math.nan)
+    values[4:8] = 1.0, 2.0, 3.0, 6.0
+    for of, value in ((intervals.mean, 3.0), (intervals.spread, math.sqrt(14.0 / 3.0))):
+        result = of(values, how)
+        assert (result.value, result.high, result.how) == (
+            pytest.approx(value), math.inf, "Student t, 1 of 16 randomisations",
+        )  # fmt: skip
+    middle = intervals.quantile(values, 0.5, how)
+    assert (middle.value, middle.low, middle.high) == (2.5, -math.inf, math.inf)
+    values[40] = 4.0  # a deviation without the first randomisation has one value left, and so none
+    assert intervals.spread(values, how).high == math.inf
+    assert intervals.mean(values, how).high < math.inf
+    with pytest.raises(ValueError, match="5 values of 64 samples"):
+        intervals.mean(values[np.isfinite(values)], how)
+
+
 def plane(values: Array) -> Array:
     """100 + 100 (d1 + 2 d2 + 0.5 d3), deviations as shares."""
     d = values / 1e3 - 1.0

@@ -158,10 +158,9 @@ def _side(label: str, study: Study, specs: Sequence[Spec], first: Study) -> Side
     changes = {}
     for name in study.names:
         difference = study.column(name) - first.column(name)
-        known = difference[np.isfinite(difference)]
-        if len(known) < 2:
+        if np.isfinite(difference).sum() < 2:
             fail("fewer than two draws have this measure on both sides", key="--measure", value=name)
-        changes[name] = intervals.mean(known, study.sampling)
+        changes[name] = intervals.mean(difference, study.sampling)
     gains = {spec.text: gained(passed(first, (spec,)), passed(study, (spec,))) for spec in specs}
     if len(specs) > 1:
         gains["all"] = gained(passed(first, specs), passed(study, specs))

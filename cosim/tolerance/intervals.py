@@ -3,6 +3,9 @@
 Plain samples of a fixed number: Student's t for the mean, the delta method for the standard deviation, order
 statistics for quantiles, Clopper and Pearson for a yield. Latin hypercubes and Sobol sequences: Student's t
 over their independent randomisations.
+
+Values come by the sample's number, with NaN where a sample has none. The number tells which randomisation
+a sample belongs to, so that those that lack the measure leave the others where they are.
 """
 
 from __future__ import annotations
@@ -47,9 +50,10 @@ def clopper_pearson(hits: int, n: int, confidence: float = CONFIDENCE) -> tuple[
 
 
 def mean(values: Array, how: Sampling) -> Estimate:
-    """Return the mean of a measure; `values` (n,) without NaN."""
+    """Return the mean of a measure; `values` (n,), NaN where a sample has none."""
     if how.replicates > 1:
         return _replicated(values, how, np.mean)
+    values = values[np.isfinite(values)]
     error = (
         _t(len(values) - 1) * float(np.std(values, ddof=1)) / math.sqrt(len(values))
         if len(values) > 1
@@ -67,11 +71,12 @@ def spread(values: Array, how: Sampling) -> Estimate:
     """
 
     def deviation(of: Array) -> float:
-        return float(np.std(of, ddof=1))
+        return float(np.std(of, ddof=1)) if len(of) > 1 else math.nan
 
     if how.replicates > 1:
         return _replicated(values, how, deviation, at_least=0.0)
-    n, sigma = len(values), deviation(values) if len(values) > 1 else math.nan
+    values = values[np.isfinite(values)]
+    n, sigma = len(values), deviation(values)
     if n < 4 or sigma == 0.0:
         return Estimate(sigma, 0.0 if n < 4 else sigma, math.inf if n < 4 else sigma, "delta method")
     kurtosis = float(np.mean((values - np.mean(values)) ** 4)) / sigma**4
@@ -92,13 +97,15 @@ def quantile(values: Array, share_below: float, how: Sampling) -> Estimate:
     def at(of: Array) -> float:
         return float(np.quantile(of, share_below, method="median_unbiased"))
 
-    ordered, n, estimate = np.sort(values), len(values), at(values)
+    known = values[np.isfinite(values)]
+    ordered, n, estimate = np.sort(known), len(known), at(known)
     if how.replicates > 1:
-        r = how.replicates
-        below = [float(np.mean(group <= estimate)) for group in np.array_split(values, r)]
-        error = max(_t(r - 1) * float(np.std(below, ddof=1)) / math.sqrt(r), 0.5 / n)
+        # the share of those that have the measure: where a sample has none it is not below, nor is it counted
+        below = np.where(np.isfinite(values), values <= estimate, math.nan)
+        _middle, reach, by = _jackknife(below, how, np.mean)
+        error = min(max(reach, 0.5 / n), 1.0)
         low, high = math.floor(n * (share_below - error)), math.ceil(n * (share_below + error)) + 1
-        words = f"Student t of the share below, {r} randomisations"
+        words = f"Student t of the share below, {by}"
     else:
         alpha = 0.5 * (1.0 - CONFIDENCE)
         # P(x_(k) <= quantile) = P(binomial(n, share) >= k): the largest k below, the least k above
@@ -128,15 +135,37 @@ def share(passed: NDArray[np.bool_], how: Sampling) -> Estimate:
 def _replicated(
     values: Array, how: Sampling, of: Callable[[Array], float], at_least: float = -math.inf
 ) -> Estimate:
-    """Return an estimate from all samples, and its error by leaving one randomisation out after the other."""
-    r = how.replicates
-    value = float(of(values))
-    groups = np.array_split(np.arange(len(values)), r)
-    without = [float(of(np.delete(values, group))) for group in groups]
-    pseudo = r * value - (r - 1) * np.array(without)
-    middle = float(np.mean(pseudo))
+    middle, error, by = _jackknife(values, how, of)
+    return Estimate(middle, max(middle - error, at_least), middle + error, f"Student t, {by}")
+
+
+def _jackknife(values: Array, how: Sampling, of: Callable[[Array], float]) -> tuple[float, float, str]:
+    """Return an estimate, half its interval, and by how many randomisations: one after the other is left out.
+
+    Randomisations are independent of each other, however many of their samples have the measure. One
+    without any tells nothing, and is not counted. The interval of fewer than two is infinite, and where the
+    rest of one has no such statistic.
+
+    Raises
+    ------
+    ValueError
+        For values that are not one a sample: they could be of any randomisation.
+    """
+    if len(values) != how.n:
+        raise ValueError(f"{len(values)} values of {how.n} samples: give NaN where a sample has none")
+    there = np.isfinite(values)
+    known, group = values[there], (np.arange(how.n) // how.each)[there]
+    some = np.unique(group)
+    r, value = len(some), float(of(known)) if len(known) else math.nan
+    by = f"{r} {'' if r == how.replicates else f'of {how.replicates} '}randomisations"
+    if r < 2:
+        return value, math.inf, by
+    without = np.array([float(of(known[group != each])) for each in some])
+    if not np.isfinite(without).all():
+        return value, math.inf, by
+    pseudo = r * value - (r - 1) * without
     error = _t(r - 1) * float(np.std(pseudo, ddof=1)) / math.sqrt(r)
-    return Estimate(middle, max(middle - error, at_least), middle + error, f"Student t, {r} randomisations")
+    return float(np.mean(pseudo)), error, by
 
 
 def _t(freedom: int) -> float:

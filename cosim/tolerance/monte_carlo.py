@@ -197,9 +197,9 @@ def summary(study: Study, name: str) -> Summary:
     return Summary(
         name,
         float(study.nominal[study.names.index(name)]),
-        intervals.mean(known, how),
-        intervals.spread(known, how),
-        {share: intervals.quantile(known, share, how) for share in QUANTILES},
+        intervals.mean(column, how),
+        intervals.spread(column, how),
+        {share: intervals.quantile(column, share, how) for share in QUANTILES},
         float(known.min()),
         float(known.max()),
         len(column) - len(known),
@@ -249,7 +249,7 @@ def pilot_size(until: tuple[str, float], pilot: Study, specs: Sequence[Spec]) ->
         seen = (
             intervals.share(passed(pilot, specs), pilot.sampling)
             if what == "yield"
-            else intervals.mean(_known(pilot.column(what)), pilot.sampling)
+            else intervals.mean(pilot.column(what), pilot.sampling)
         )
         return max(_ceil(pilot.sampling.n * (seen.half / half) * (seen.half / half)), pilot.sampling.n)
     z = 1.959964
@@ -259,17 +259,13 @@ def pilot_size(until: tuple[str, float], pilot: Study, specs: Sequence[Spec]) ->
         p = min(max(estimate.value, 1.0 - estimate.high), 1.0 - estimate.low)
         p = p if 0.0 < p < 1.0 else (estimate.low if p >= 1.0 else estimate.high)
         return _ceil(max(p * (1.0 - p) * (z / half) * (z / half), 2.0 / half))
-    sigma = intervals.spread(_known(pilot.column(what)), pilot.sampling)
+    sigma = intervals.spread(pilot.column(what), pilot.sampling)
     return max(_ceil((z * sigma.high / half) * (z * sigma.high / half)), 16)
 
 
 def _ceil(number: float) -> int:
     """Return the next whole number; of what overflows, one that no study reaches."""
     return math.ceil(min(number, 1e18))
-
-
-def _known(values: Array) -> Array:
-    return values[np.isfinite(values)]
 
 
 def rows(study: Study) -> tuple[list[str], list[list[Any]]]:
