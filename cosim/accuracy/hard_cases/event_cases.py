@@ -134,22 +134,20 @@ def _hits(which: int) -> Callable[[CaseRunner, str], float]:
 
 def _dip(what: str) -> Callable[[CaseRunner, str], float]:
     """Return what finds when a flight's top enters or leaves a stop 0.2 mrad below it, within one step."""
-    g, depth, speed = 9.81 / RADIUS, 2e-4, 1.0
-    stop = speed**2 / (2 * g) - depth
 
     def find(runner: CaseRunner, model: str) -> float:
         tables = slider(
-            duration_s=0.1, solver={"coupling_tolerance_rad": 1e-9},
-            device={"slider": {"stops_rad": [[-90.0, stop]], "stop_stiffness_n_m_per_rad": 1e-9,
+            duration_s=0.1, solver={"max_step_s": 0.1, "coupling_tolerance_rad": 1e-9},
+            device={"slider": {"stops_rad": [[-90.0, _STOP]], "stop_stiffness_n_m_per_rad": _STIFF,
                                "stop_damping_n_m_s": 0.0},
-                    "start": {"v_rad_per_s": [speed]}},
+                    "start": {"v_rad_per_s": [1.0]}},
             effects={"end_stops": True, "gravity": True},
         )  # fmt: skip
         signals = runner.run(tables, model).signals
         t, q, v = (np.asarray(signals[name]) for name in ("time", "q1", "v1"))
-        at = crossings(t, q, v, stop)
-        at = t[q == stop] if model in OWN else at  # our own loop has rows there
-        return float(at[0] if what == "enters" else at[-1]) if len(at) > 1 else math.nan
+        at = crossings(t, q, v, _STOP)
+        at = t[q == _STOP] if model in OWN else at  # our own loop has rows there
+        return float(at[0] if what == "enters" else at[-1]) if len(at) == 2 else math.nan
 
     return find
 
@@ -169,26 +167,42 @@ def _lost_samples(runner: CaseRunner, model: str) -> float:
     return float(np.count_nonzero(np.abs(volts[after] - asked) > 1e-6 * asked))
 
 
-def _contacts(runner: CaseRunner, model: str) -> float:
-    """Return how often a carriage between two soft stops touches them in one period of 100 ms."""
-    tables = slider(
-        duration_s=0.1, solver={"max_step_s": 0.1, "coupling_tolerance_rad": 1e-9},
-        device={"slider": {"stops_rad": [[-0.05, 0.05]], "stop_stiffness_n_m_per_rad": 200.0,
-                           "stop_damping_n_m_s": 0.0},
-                "start": {"v_rad_per_s": [5.0]}},
-        effects={"end_stops": True},
-    )  # fmt: skip
-    signals = runner.run(tables, model).signals
-    inside = np.abs(np.asarray(signals["q1"])) > 0.05 * (1 + 1e-9)
-    return float(np.count_nonzero(np.diff(inside.astype(int)) == 1))
+def _contact(which: int, end: int) -> Callable[[CaseRunner, str], float]:
+    """Return what finds when a carriage between two soft stops enters (0) one or leaves it (1), in one step.
+
+    No number where it does not touch them three times in the period, and stay clear of them in between.
+    """
+
+    def find(runner: CaseRunner, model: str) -> float:
+        tables = slider(
+            duration_s=0.1, solver={"max_step_s": 0.1, "coupling_tolerance_rad": 1e-9},
+            device={"slider": {"stops_rad": [[-0.05, 0.05]], "stop_stiffness_n_m_per_rad": _STIFF,
+                               "stop_damping_n_m_s": 0.0},
+                    "start": {"v_rad_per_s": [_SPEED]}},
+            effects={"end_stops": True},
+        )  # fmt: skip
+        signals = runner.run(tables, model).signals
+        t, q, v = (np.asarray(signals[name]) for name in ("time", "q1", "v1"))
+        at = [crossings(t, side * q, side * v, 0.05) for side in (1, -1)]
+        if model in OWN:  # our own loop has rows there
+            at = [t[side * q == 0.05] for side in (1, -1)]
+        instants = np.concatenate(at)[[0, 1, 4, 5, 2, 3]] if [len(x) for x in at] == [4, 2] else ()
+        return float(instants[2 * which + end]) if len(instants) else math.nan
+
+    return find
 
 
-_STOP = 1.0 / (2 * 9.81 / RADIUS) - 2e-4
-_LATE = math.sqrt(2 * 2e-4 / (9.81 / RADIUS))
-_TOP = RADIUS / 9.81
-# a half turn in a stop, and a flight between them, of the carriage of `_contacts`
-_INERTIA = 0.2 * RADIUS**2
-_TURN, _FLIGHT = math.pi * math.sqrt(_INERTIA / 200.0), 0.1 / 5.0
+_INERTIA, _STIFF = 0.2 * RADIUS**2, 200.0
+# of `_dip`: gravity [rad/s^2], its stop [rad], speed there [rad/s], swing in it [rad/s], both instants [s]
+_FALL = 9.81 / RADIUS
+_STOP = 1.0 / (2 * _FALL) - 2e-4
+_SPEED_AT = math.sqrt(2 * 2e-4 * _FALL)
+_SWING = math.sqrt(_STIFF / _INERTIA)
+_IN = (1.0 - _SPEED_AT) / _FALL
+_OUT = _IN + 2 / _SWING * math.atan2(_SPEED_AT * _SWING, _FALL)
+# of the carriage of `_contact`: its speed [rad/s], a half turn in a stop and a flight between them [s]
+_SPEED = 5.0
+_TURN, _FLIGHT = math.pi * math.sqrt(_INERTIA / _STIFF), 0.1 / _SPEED
 
 CASES = (
     HardCase("push that begins on a sample or an ulp beside it", 25, "change of the end, relative", 0.0,
@@ -210,15 +224,18 @@ CASES = (
                dict.fromkeys(OWN, 1e-10), "located to 2^-36 of an interval", _hits(k),
                broken="no step is cut at a crossing") for k in (0, 1)),
     *(HardCase(f"dip into a stop within a step, {what}", 28, "instant [s]", at,
-               {**dict.fromkeys(OWN, 1e-7), "spice": 1e-5},
-               "the angle's tolerance over the speed of 0.17 rad/s there", _dip(what),
-               broken="no step is cut at a crossing")
-      for what, at in (("enters", _TOP - _LATE), ("leaves", _TOP + _LATE))),
+               {**dict.fromkeys(OWN, 1e-11), "spice": 1e-8},
+               "two crossings, each located to 2^-36 of 0.1 s; spice: the coupling's 1e-9 rad at 0.17 rad/s",
+               _dip(what), broken="no step is cut at a crossing; spice also: no look between a step's ends")
+      for what, at in (("enters", _IN), ("leaves", _OUT))),
     HardCase("delay of 2.5 periods", 30, "commands lost", 0.0, dict.fromkeys(ALL, 0.0),
              "each has its own instant", _lost_samples,
              broken="at most one period of delay in queue_time: 25 lost"),
-    HardCase("contacts within one period of 100 ms", 58, "contacts",
-             math.floor((0.1 - 0.05 / 5.0) / (_TURN + _FLIGHT)) + 1.0, dict.fromkeys(ALL, 0.0),
-             "half swings in the stops and flights between them", _contacts,
-             broken="stops a quarter as stiff"),
+    *(HardCase(f"contact {k + 1} of 3 within one period of 100 ms, {what}", 58, "instant [s]",
+               _FLIGHT / 2 + k * (_TURN + _FLIGHT) + end * _TURN,
+               {**dict.fromkeys(OWN, 2e-11), "spice": 2e-9},
+               "six crossings, each located to 2^-36 of 0.1 s; spice: ten times the coupling's 1e-9 rad over "
+               "5 rad/s, for the steps in the stops before",
+               _contact(k, end), broken="no step is cut at a crossing")
+      for k in (1, 2) for end, what in enumerate(("made", "lost"))),
 )  # fmt: skip
