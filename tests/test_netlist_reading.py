@@ -239,7 +239,7 @@ def test_what_a_part_needs_comes_along_and_is_judged(tmp_path: Path) -> None:
         assert line in text
     assert ".model no d" not in text
     with pytest.raises(InputError, match=r"vendor.lib:\d+: .*is not closed"):
-        library(tmp_path, f".subckt MYOP 1 2 3 4 5\n{needs}.ends\n{helpers}.model dm d (is=1\n")
+        library(tmp_path, f".subckt MYOP 1 2 3 4 5\n{needs}.ends\n{helpers}.model dm d (is={{1\n")
 
 
 def test_of_two_subcircuits_the_first_counts_with_a_note(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from cosim.circuits.extraction.swing import SwingFrom, swings
 from cosim.errors import InputError, SimulationError
 from cosim.ngspice.dialect import Dialect
 from cosim.ngspice.foreign_functions import in_own_words
-from cosim.ngspice.lax_forms import put_right
+from cosim.ngspice.lax_forms import put_right, read_over
 from cosim.ngspice.lines import Line
 from cosim.ngspice.netlist import element_nodes, parse
 from cosim.ngspice.parts import PartSwap
@@ -94,6 +94,74 @@ def test_an_end_with_the_subcircuits_name_closes_it_in_a_vendors_file():
     with pytest.raises(InputError, match=r"amp without \.ends"):
         parse(rows)
     assert list(parse([*rows[:2], Line(".end other")], lenient=True).blocks) == []
+
+
+@pytest.mark.parametrize(
+    ("written", "read"),
+    [
+        (".SUBCKT part a k PARAMS: n = 1 ibv = 1M)", ".SUBCKT part a k PARAMS: n = 1 ibv = 1M"),
+        (".subckt part a k params: n={2*(1+m)})", ".subckt part a k params: n={2*(1+m)}"),
+        (".model d d(is=1e-14 n=2))", ".model d d(is=1e-14 n=2)"),
+        (".model q npn (is=1e-16 bf=170", ".model q npn (is=1e-16 bf=170)"),
+    ],
+)
+def test_a_parenthesis_at_the_end_is_read_over_with_a_note(written, read):
+    line = read_over(Line(written))
+    assert line.text == read
+    assert "(" in line.note or ")" in line.note
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        ".model d d(is=1e-14 n=2)",
+        ".model d d(is={1e-14 n=2)",  # a brace
+        ".model q npn (is=1e-16 (bf=170",
+        ".subckt part a k params: (n=1",  # ngspice takes this for a function
+        "R1 a b 1k)",
+        "B1 a b V=v(c)*(",  # overwrites the stack of ngspice 39
+    ],
+)
+def test_other_parentheses_stay(text):
+    assert read_over(Line(text)) == Line(text)
+
+
+#: A level shifter and an op-amp with a parenthesis too many in a header and one too few in a model.
+PARENTHESES = """\
+.subckt amp 1 2 3 4 5 params: gm = 1m ohms = 100meg)
+G1 0 x (1,2) {gm}
+RX x 0 {ohms}
+CX x 0 53p
+DX x lim clamp
+VX lim 0 {volts}
+E1 y 0 x 0 1
+RO y 5 100
+RP 3 4 10k
+.model clamp d (is=1e-14
++ n=1.5
+.ends amp
+.param volts=13
+"""
+
+
+@pytest.mark.parametrize("dialect", list(Dialect))
+def test_a_board_takes_a_part_with_such_parentheses(tmp_path, dialect):
+    from extraction_boards import shipped
+
+    file = tmp_path / "amp.lib"
+    file.write_text(PARENTHESES)
+    deck = shipped(1, "gbw", parts={"opamp": PartSwap(file, "amp", "1 2 3 4 5", dialect)})
+    assert sum("read over" in note or "not closed" in note for note in deck.notes) == 2
+    simulator = Simulator()
+    simulator.load(deck.text.removesuffix(".end\n") + "Vcc vcc 0 15\nVee vee 0 -15\n.end\n")
+
+
+def test_a_model_may_have_the_name_of_a_sources_keyword():
+    simulator = Simulator()
+    simulator.load("*\nI1 0 out DC 2m\nR1 out 0 1k\nD1 0 out dc\n.model dc d(is=1e-14)\n.end\n")
+    simulator.command("op")
+    # 2 mA into 1 kOhm; the diode is reverse-biased
+    assert float(np.real(simulator.vector("out")[0])) == pytest.approx(2.0, rel=1e-6)
 
 
 #: An op-amp as vendors write them, with all of these forms in one file.

@@ -11,7 +11,7 @@ from pathlib import Path
 from cosim.errors import InputError, Problem, fail, nearest
 from cosim.ngspice.dialect import Dialect
 from cosim.ngspice.foreign_functions import in_own_words
-from cosim.ngspice.lax_forms import put_right
+from cosim.ngspice.lax_forms import put_right, read_over
 from cosim.ngspice.lines import Line, lines_of, text_of
 from cosim.ngspice.values import as_meant
 
@@ -185,7 +185,7 @@ class Reader:
 @lru_cache(maxsize=32)  # a run has its board at two sets of levels, a study at hundreds of sets of values
 def _as_meant(content: str, file: str, dialect: Dialect) -> tuple[Line, ...]:
     """Return a file's lines, their values as the dialect means them."""
-    rows = lines_of(content, file, dialect)
+    rows = [read_over(line) for line in lines_of(content, file, dialect)]
     functions = {line.text.split(None, 1)[-1].partition("(")[0].strip().lower()
                  for line in rows if line.keyword == ".func"}  # fmt: skip
     if dialect is not Dialect.NGSPICE:

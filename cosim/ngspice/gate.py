@@ -31,6 +31,8 @@ _OURS = KEPT | {".save", ".ic", ".tran", ".meas", ".end"}
 
 _TERMINALS = {"r": 2, "c": 2, "l": 2, "v": 2, "i": 2, "b": 2, "t": 4}
 """Nodes of elements whose other words are values."""
+_NAMING = frozenset("rclt")
+"""Those of them that may name a model; a source's `dc` is a keyword, even where a diode is called so."""
 _MODELLED = {
     "d": (2, 3),
     "q": (3, 5),
@@ -250,7 +252,7 @@ class _Writer:
             return [name, *self._modelled(letter, rest)]
         if letter in _TERMINALS:
             nodes, rest = self._take(rest, _TERMINALS[letter])
-            return [name, *nodes, *self._values(rest)]
+            return [name, *nodes, *self._values(rest, models=letter in _NAMING)]
         nodes, rest = self._take(rest, 2)
         if letter == "w":
             if len(rest) < 2:
@@ -334,12 +336,12 @@ class _Writer:
             return Name(name, is_element)
         return self.aliases.element(name) if is_element else self.aliases.node(name)
 
-    def _values(self, words: Sequence[str]) -> list[Part]:
-        """Write values, each behind a blank; the name of a model gets its alias."""
+    def _values(self, words: Sequence[str], *, models: bool = False) -> list[Part]:
+        """Write values, each behind a blank; where `models` can stand, the name of one gets its alias."""
         out: list[Part] = []
         for word in words:
             out.append(" ")
-            out += [self.aliases.model(word)] if self.aliases.is_model(word) else parts(word)
+            out += [self.aliases.model(word)] if models and self.aliases.is_model(word) else parts(word)
         return out
 
 

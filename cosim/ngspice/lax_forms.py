@@ -1,8 +1,10 @@
-"""Forms that PSpice and LTspice accept and ngspice does not, corrected for ngspice.
+"""Forms that PSpice and LTspice accept and ngspice does not, or not everywhere, corrected for ngspice.
 
 Vendors' models were tried on PSpice, which counts no parentheses in a table, takes a comma between nodes for
 a blank and asks for no sign of equality behind `TC`. ngspice counts, takes two nodes with a comma for one,
 and a coefficient for the resistor's value. LTspice's B sources can have a resistor in parallel, `rpar`.
+A parenthesis too many or too few at the end of a ``.model`` is nothing to any of the three, one too many at
+the end of a ``.subckt`` is nothing to ngspice as long as every instance states the parameter before it.
 """
 
 import re
@@ -11,7 +13,7 @@ from dataclasses import replace
 from cosim.ngspice.lines import Line, number, tokens
 from cosim.ngspice.syntax import balanced
 
-__all__ = ["put_right"]
+__all__ = ["put_right", "read_over"]
 
 _TABLE = re.compile(r"([eg]\S* \S+ \S+ table ?(?:\{[^{}]*\}|'[^']*') ?=?)(.*)", re.IGNORECASE)
 _COMMA = re.compile(r",(?![^(){}']*[)}'])")
@@ -19,6 +21,22 @@ _POLY = re.compile(r"([efgh]\S* .*?poly ?\( ?\d+ ?\))((?: ?, ?\([^()]*\))+)(?= |
 _APART = re.compile(r"[\s(),]+")
 _COEFFICIENTS = re.compile(r"([rcl]\S* \S+ \S+ .*?)\btc ([^\s=,]+)(?:[\s,]+([^\s=,]+))?", re.IGNORECASE)
 _PARALLEL = re.compile(r"(b\S* (\S+) (\S+)) ([iv]) ?= ?(.*?) rpar ?= ?(\S+)", re.IGNORECASE)
+
+
+def read_over(line: Line) -> Line:
+    """Return a ``.subckt`` or ``.model`` without the parenthesis at its end that matches none, with a note.
+
+    A model whose parenthesis is not closed is closed. Where that does not put the statement in order, it
+    stays as it is, so that the fault is told.
+    """
+    text = line.text.rstrip()
+    if line.keyword not in (".subckt", ".model") or balanced(text):
+        return line
+    if text.endswith(")") and balanced(text[:-1]):
+        return replace(line, text=text[:-1].rstrip(), note="a ')' at its end closes nothing: it is read over")
+    if line.keyword == ".model" and balanced(text + ")"):
+        return replace(line, text=text + ")", note="the '(' of the model is not closed: read as closed")
+    return line
 
 
 def put_right(line: Line) -> Line:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cosim.errors import SimulationError
 from cosim.types import Array, Complex
 
 __all__ = ["HELD_OHM", "SWEEP", "Impedances", "alike", "count", "independent", "measure", "pivots", "winding"]
@@ -32,6 +33,9 @@ _TURN, _BEND = 0.7, 0.7
 _ALIKE = 0.01
 #: Points between two that are too far apart, rounds of doing so, and where rounding of frequency ends it.
 _BETWEEN, _ROUNDS, _CLOSE = 4, 24, 1e-9
+#: Intervals that a round leaves too wide where rounding speaks, not the network: that turns at every scale.
+#: No part behaves as modelled beyond that frequency [Hz], so a sweep may end there; so much below is clear.
+_ROUNDING, _NO_PART_HZ, _CLEAR = 300, 1e10, 3.0
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,11 @@ def measure(ask: Ask, ports: list[int] | None = None) -> tuple[Impedances, list[
     -------
     Impedances, list of int
         Of all ports, and the ports that count.
+
+    Raises
+    ------
+    SimulationError
+        Where rounding hides the impedances in the band of the parts.
     """
     seen = Impedances(*ask(SWEEP))
     chosen = independent(seen) if ports is None else ports
@@ -97,6 +106,8 @@ def measure(ask: Ask, ports: list[int] | None = None) -> tuple[Impedances, list[
         wide = _wide(seen.hz, pivots(seen.of(chosen).z)) if chosen else []
         if not wide:
             break
+        if len(wide) > _ROUNDING:
+            return _before(seen, float(seen.hz[wide[0]])), chosen
         more = []
         for k in wide:
             low, high = float(seen.hz[k]), float(seen.hz[k + 1])
@@ -104,6 +115,14 @@ def measure(ask: Ask, ports: list[int] | None = None) -> tuple[Impedances, list[
             more.append(Impedances(*ask(f"lin {_BETWEEN} {low + step!r} {high - step!r}")))
         seen = seen.joined(*more)
     return seen, chosen
+
+
+def _before(seen: Impedances, first_hz: float) -> Impedances:
+    """Return what was measured clearly below the frequency at which rounding begins."""
+    if first_hz < _CLEAR * _NO_PART_HZ:
+        raise SimulationError(f"the impedances of the board are lost in rounding at {first_hz:.3g} Hz")
+    clear = seen.hz < first_hz / _CLEAR
+    return Impedances(seen.hz[clear], seen.z[clear])
 
 
 def _wide(hz: Array, shown: Complex) -> list[int]:
