@@ -10,8 +10,9 @@ from support import ROOT
 from toleranced_boards import DIFFAMP, PRESS, SUMMER, board, read, values
 
 from cosim import cli
+from cosim.caution import collected
 from cosim.errors import InputError
-from cosim.ngspice.deck import load_deck
+from cosim.ngspice.deck import PartSwap, load_deck
 from cosim.plan import resolve
 from cosim.scene import load_scene
 from cosim.tolerance.random_variables import Tolerances
@@ -307,3 +308,38 @@ def test_the_halves_of_a_dual_op_amp_have_a_lot(tmp_path: Path) -> None:
     assert 0.0 < np.abs(a - b).max() <= 0.02 * (1 + 1e-9)
     assert abs(np.corrcoef(a, other)[0, 1]) < 5 / np.sqrt(4000)
     assert np.abs(a).max() > 0.2
+
+
+#: A vendor's op-amp whose elements, and those of a subcircuit of its own, have tolerances or not.
+INSIDE = """\
+.subckt amp 1 2 3 4 5
+R9 1 2 10meg
+G1 0 6 1 2 1m $ tol=6%
+R1 6 0 100meg
+C1 6 0 30p
+E1 7 0 VALUE={V(6)} $ tol=1%
+X1 7 5 stage
+.ends
+.subckt stage in out
+R2 in mid 50 $ tol=3% ; Ohm
+R3 mid out 1
+.ends
+"""
+
+
+def test_a_tolerance_inside_a_part_is_drawn_or_told(tmp_path: Path) -> None:
+    file = tmp_path / "amp.lib"
+    file.write_text(INSIDE)
+    scene = load_scene(PRESS, ["tolerance.resistors=1%"])
+    deck = load_deck(scene.device.board, parts={"opamp": PartSwap(file, "amp", "1 2 3 4 5")})
+    with collected() as cautions:
+        drawn = values(tolerances(scene, board=deck))
+    inside = {key for key in drawn if ".xop." in key and "xangle1" in key}
+    # what states none has none: a default is of the resistors on the board
+    assert inside == {"xangle1.xop.g1", "xangle1.xop.x1.r2"}
+    assert np.std(drawn["xangle1.xop.g1"]) == pytest.approx(1e-3 * 0.06 / 3.0, rel=0.05)
+    assert np.std(drawn["xangle1.xop.x1.r2"]) == pytest.approx(50.0 * 0.03 / 3.0, rel=0.05)
+    assert abs(np.corrcoef(drawn["xangle1.xop.g1"], drawn["xangle2.xop.g1"])[0, 1]) < 0.1
+    told = [caution for caution in cautions if caution.code == "tolerance-undrawn"]
+    assert told
+    assert all("amp.lib:6: the tolerance of e1 in the part amp" in caution.text for caution in told)

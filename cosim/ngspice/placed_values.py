@@ -5,7 +5,7 @@ Each instance on the way to a named element gets a subcircuit of its own, so tha
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from cosim.errors import InputError, Problem, nearest
@@ -25,12 +25,27 @@ _MARKS = re.compile(r"\{cosim_placed_(\d+)\}|cosim_placed_(\d+)")
 
 
 def board_netlist(board: Deck) -> Netlist:
-    """Return the subcircuits of a deck; `is_part` tells those that come from parts."""
+    """Return the subcircuits of a deck; `is_part` tells parts, and what only parts have inside."""
     net = parse(board.lines[1:])
-    parts = {part.name for part in board.parts}
-    for block in net.blocks.values():
-        block.is_part = block.name.partition("__")[0] in parts
+    named = {part.name for part in board.parts}
+    parts = {name for name in net.blocks if name.partition("__")[0] in named}
+    outside = _within(net, {board.board}, parts)
+    for name in _within(net, parts) - outside:
+        net.blocks[name].is_part = True
     return net
+
+
+def _within(net: Netlist, names: set[str], apart: Collection[str] = ()) -> set[str]:
+    """Return these subcircuits and all that they are made of, apart from some and what is in those."""
+    found: set[str] = set()
+    waiting = [name for name in names if name in net.blocks]
+    while waiting:
+        name = waiting.pop()
+        if name not in found and name not in apart:
+            found.add(name)
+            inner = (instance.block for instance in net.blocks[name].references())
+            waiting += [each for each in inner if each in net.blocks]
+    return found
 
 
 def walk(net: Netlist, board: str) -> Iterator[tuple[str, Block, Instance | None, dict[str, str]]]:

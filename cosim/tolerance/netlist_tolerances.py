@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping, MutableMapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from cosim.caution import Caution, warn
 from cosim.circuits.extraction.alter import walk
 from cosim.errors import Problem
 from cosim.ngspice.dialect import Dialect
@@ -184,14 +185,21 @@ class Board:
     ) -> Iterator[NetlistComponent]:
         """Yield the parameters outside subcircuits that a part's elements depend on, varying or not.
 
-        Of its elements only those whose model has tolerances.
+        Of its elements only those that state a tolerance, or whose model does.
         """
-        for line in block.body if not block.local else ():
-            words = tokens(_drawn(line).lower())[3:]
-            if words and self._model(line, words, block) is not None:
+        for line in block.body:
+            letter = line.keyword[0]
+            place = 0 if block.local else _PLACES.get(letter, 0)
+            words = tokens(_drawn(line).lower())
+            toleranced = letter not in ".x*" and begins(line.comment) is not None
+            if toleranced and not _has_value(words, place):
+                warn(_undrawn(line, block))
+            elif toleranced or (
+                0 < place < len(words) and self._model(line, words[place:], block) is not None
+            ):
                 key = f"{path}.{line.keyword}"
-                value = self._element(line, words, env, block, key)
-                yield NetlistComponent(key, value, line.keyword[0], path, block.name)
+                value = self._element(line, words[place:], env, block, key)
+                yield NetlistComponent(key, value, letter, path, block.name)
         body = " ".join(line.text for line in block.body if line.keyword not in (".param", ".params"))
         seen: set[str] = set()
         stated = self._parse(instance.line) if instance is not None and not instance.extra else None
@@ -260,6 +268,21 @@ class Board:
             problem = Problem(message, file=line.file or None, line=line.lineno or None, key=_shown(line))
             if problem not in self.problems:
                 self.problems.append(problem)
+
+
+def _has_value(words: list[str], place: int) -> bool:
+    """Whether an element has a value of its own at its place, not a formula's or a polynomial's."""
+    if not 0 < place < len(words) or words[3].startswith("poly"):
+        return False
+    return number(words[place]) is not None or words[place][0] in "{'"
+
+
+def _undrawn(line: Line, block: Block) -> Caution:
+    return Caution(
+        "tolerance-undrawn",
+        f"{line.file}:{line.lineno}: the tolerance of {line.keyword} in the part {block.name} is not drawn",
+        "state it behind a resistor, capacitor, inductor or source with one value, or behind a .param",
+    )
 
 
 def _models(lines: Iterable[Line]) -> dict[str, Line]:
