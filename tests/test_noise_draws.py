@@ -108,6 +108,28 @@ def test_a_peak_over_rivals_moves_less_than_one_at_its_place(tmp_path):
     assert drawn_halves(sharp, at_rest, BEGIN_S)["max_penetration"] == pytest.approx(1.96 * one, rel=0.1)
 
 
+@pytest.mark.parametrize("share", [(1e-4, 0.9), (0.95, 1.0 - 1e-7)], ids=["within", "end"])
+def test_a_peak_within_a_stretch_is_seen(tmp_path, share):
+    """A pulse between two events, which lie 1/300 s apart: nothing rivals it.
+
+    It scatters as one instant does, the largest of all others by less than half of that. Over the period the
+    scatter of forces and currents changes by a quarter, that of the depth hardly.
+    """
+    at_rest = resting(tmp_path)
+    exact = noise_covariance(at_rest)
+    level = at_depth(at_rest)
+    begin, end = 4.0 + np.array(share) / 300.0
+    path = {"time": np.array([0.0, begin, begin + 1e-9, end, end + 1e-9, END_S])}
+    path |= {name: level[name][0] * np.array([1, 1, 2, 2, 1, 1]) for name in level.keys() - path.keys()}
+    halves = drawn_halves(path, at_rest, BEGIN_S)
+    for measure, output, apart in (
+        ("max_penetration", "penetration", 0.1), ("peak_normal_force", "operator_normal", 0.3),
+        ("peak_force", "operator_normal", 0.3), ("peak_current", "currents", 0.3),
+    ):  # fmt: skip
+        one = math.sqrt(exact.mean[output][0, 0])
+        assert halves[measure] == pytest.approx(1.96 * one, rel=apart), measure
+
+
 def test_where_paths_leave_the_wall_nothing_is_drawn(tmp_path):
     at_rest = resting(tmp_path)
     depth = 2.0 * math.sqrt(noise_covariance(at_rest).mean["penetration"][0, 0])
