@@ -41,6 +41,7 @@ _MARKS = {
     "PySpice, callbacks in Python": "+",
     "ngspice alone, filesource": "1",
 }
+_SCATTER = JOINTS[3]
 #: Effects that a scene leaves out and that are named.
 _MOST_NEGLECTED = 5
 #: Below this share an error is rounding.
@@ -59,7 +60,7 @@ def write_accuracy(study: Accuracy, folder: Path) -> Path:
         shown = picture("accuracy", "Error over time", draw(study))
     section = Section(
         "accuracy", f"{study.scene.title}: what accuracy costs", [], tuple(words(study)), [shown],
-        [_front(study), _reltol(study), *_weak(study), _failures(study)], "",
+        [_front(study), *_reltol(study), *_weak(study), _failures(study)], "",
     )  # fmt: skip
     html = render(
         "study.html.j2", title=f"What accuracy costs: {study.scene.title}", command="", summary=[],
@@ -110,8 +111,10 @@ def words(study: Accuracy) -> list[str]:
     if effects.pot_noise is not PotNoise.NONE or effects.component_noise:
         sentences.append(
             f"All runs see one path of the noise (seed {study.scene.seed}): these are errors on that path. "
-            "From path to path a quantity scatters by itself, the blue band: digits below it are the path's."
+            "From path to path a quantity scatters by itself, the purple line: digits below it are the "
+            "path's."
         )
+        sentences += _on_other_paths(study)
     large = [f"{name} {size:.1e}" for name, size in study.neglected.items() if size > study.tolerance]
     if large:
         sentences.append(
@@ -120,6 +123,23 @@ def words(study: Accuracy) -> list[str]:
             "that say nothing about the device."
         )
     return sentences
+
+
+def _on_other_paths(study: Accuracy) -> list[str]:
+    """Return what the recommended setting does to means over other paths, in a sentence."""
+    if study.noise is None or study.cheapest is None:
+        return []
+    means = study.noise.weak.get(study.cheapest.setting.label, {})
+    sizes = {name: abs(means[name][0]) + means[name][1] for name in study.quantities if name in means}
+    if not sizes:
+        return []
+    name = max(sizes, key=sizes.__getitem__)
+    beyond = "beyond" if sizes[name] > study.tolerance else "within"
+    mean, half = means[name]
+    return [
+        f"Over {study.noise.count} other paths the recommendation's weak error, that of the mean, is largest "
+        f"for {name}: {mean:+.1e} ± {half:.1e}, {beyond} {study.tolerance:g}."
+    ]
 
 
 def draw(study: Accuracy) -> Drawn:
@@ -135,18 +155,36 @@ def draw(study: Accuracy) -> Drawn:
     handles = _key(study)
     drawing.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False)
     drawing.suptitle(f"{study.scene.title}: what each digit costs")
+    return Drawn(drawing, _caption(study))
+
+
+def _caption(study: Accuracy) -> str:
+    """Return how to read the figure."""
     count = max((len(row.wall_s) for row in study.rows), default=0)
+    runs = f"medians of {count} runs with their spread" if count > 1 else "one run each"
     caption = (
-        f"Error of each quantity over the time of the simulation alone, medians of {count} runs with their "
-        "spread. The line is the Pareto front of this program's own settings; grey below is the floor, where "
-        "the references disagree; hollow points lie within ten times of it. Dashed: what a model's missing "
-        "effects cost; dotted: the largest effect that the scene itself leaves out, from above. Crosses: one "
-        "deck in plain ngspice, which is given the recorded voltages of the DACs and closes no loop."
+        f"Error of each quantity over the time of the simulation alone, {runs}. The line is the Pareto front "
+        "of this program's own settings; grey below is the floor, where the references disagree; hollow "
+        "points lie within ten times of it. Dashed: what a model's missing effects cost; dotted: the largest "
+        "effect that the scene itself leaves out, from above."
     )
+    if any(row.setting.model == "peer" and row.errors for row in study.rows):
+        caption += (
+            " Crosses: one deck in plain ngspice, which is given the recorded voltages of the DACs and "
+            "closes no loop."
+        )
+    if study.noise is not None:
+        caption += (
+            " Purple: by how much another path of the noise changes the quantity, rms of "
+            f"{study.noise.count} paths, in the 95 % interval of that rms."
+        )
+    unseen = sum(bool(row.cpu_s) and statistics.median(row.cpu_s) <= 0.0 for row in study.rows)
+    if unseen:
+        caption += f" {unseen} took less processor time than its clock tells: in the left column only."
     failed = sum(bool(row.failed) for row in study.rows)
     if failed:
-        caption += f" {failed} settings failed; they are named below."
-    return Drawn(drawing, caption)
+        caption += f" {'One setting' if failed == 1 else f'{failed} settings'} failed, named below."
+    return caption
 
 
 def _panel(axes: Axes, study: Accuracy, name: str, clock: str) -> None:
@@ -157,6 +195,8 @@ def _panel(axes: Axes, study: Accuracy, name: str, clock: str) -> None:
             continue
         times = getattr(row, clock)
         middle = statistics.median(times)
+        if middle <= 0.0:
+            continue  # no place on a logarithmic axis
         error = max(row.errors[name], _ROUNDING)
         spread = [[middle - min(times)], [max(times) - middle]]
         stated = row.setting.series == "as the scene states it"
@@ -201,8 +241,8 @@ def _scatter(axes: Axes, study: Accuracy, name: str) -> float:
         return 0.0
     rms, low, high = study.noise.scatter[name]
     if rms > _ROUNDING:
-        axes.axhspan(low, high, color=JOINTS[0], alpha=0.18, linewidth=0, zorder=0, label="_scatter")
-        axes.axhline(rms, color=JOINTS[0], linewidth=0.8, zorder=1)
+        axes.axhspan(low, high, color=_SCATTER, alpha=0.18, linewidth=0, zorder=0, label="_scatter")
+        axes.axhline(rms, color=_SCATTER, linewidth=0.8, zorder=1)
     return high
 
 
@@ -212,6 +252,7 @@ def _drawn_neglect(study: Accuracy) -> tuple[str, float] | None:
 
 
 def _key(study: Accuracy) -> list[object]:
+    from matplotlib.colors import to_rgb
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -241,7 +282,8 @@ def _key(study: Accuracy) -> list[object]:
         handles.append(Line2D([], [], color=INK, marker="o", linestyle="", markerfacecolor="none",
                               label="bounded only: within 10x the floor"))  # fmt: skip
     if study.noise is not None:
-        handles.append(Patch(color=JOINTS[0], alpha=0.18, label="another path of the noise, 95 %"))
+        handles.append(Patch(facecolor=(*to_rgb(_SCATTER), 0.18), edgecolor=_SCATTER,
+                             label="another path of the noise, rms"))  # fmt: skip
     handles.append(Patch(color="#E6E6E6", label="below the references' floor"))
     return handles
 
@@ -266,21 +308,37 @@ def _weak(study: Accuracy) -> list[TextTable]:
     if study.noise is None:
         return []
     cells = []
+    strong = {row.setting.label: row.errors for row in study.rows}
     for label, row in study.noise.weak.items():
         for name in study.quantities:
-            if name in row:
-                mean, half = row[name]
-                claim = f"{mean:+.1e}" if abs(mean) > half else f"none seen, below {abs(mean) + half:.1e}"
-                cells.append([label, name, f"{mean:+.1e} ± {half:.1e}", claim])
+            if name not in row:
+                continue
+            shown = f"{strong[label][name]:.1e}" if name in strong[label] else "-"
+            mean, half = row[name]
+            claim = _claim(mean, half, study.floor.get(name, 0.0))
+            scatter = f"{study.noise.scatter[name][0]:.1e}"
+            cells.append([label, name, shown, f"{mean:+.1e} ± {half:.1e}", claim, scatter])
     note = (
-        f"Mean difference from {study.references[0]} on {study.noise.count} paths that both see, with its "
-        "95 % interval (Student's t); an interval that holds zero shows no error."
+        f"All are shares of the value, against {study.references[0]}. The weak error is that of the mean "
+        f"over {study.noise.count} paths that both see, with its 95 % interval (Student's t); an interval "
+        "that holds zero shows no error, nor does one that reaches the references' floor. Scatter: by how "
+        "much another path changes the value, rms."
     )
-    head = ["setting", "measure", "mean difference, share", "weak error"]
-    return [TextTable("Weak errors", head, cells, {2, 3}, note, FILES[2])]
+    head = ["setting", "measure", f"error on the path of seed {study.scene.seed}",
+            "mean difference over paths", "weak error known", "scatter of paths"]  # fmt: skip
+    return [TextTable("Strong and weak errors", head, cells, {2, 3, 4, 5}, note, FILES[2])]
 
 
-def _reltol(study: Accuracy) -> TextTable:
+def _claim(mean: float, half: float, floor: float) -> str:
+    """Return what a mean difference with its interval says of the weak error."""
+    if abs(mean) <= half:
+        return f"none seen, below {max(abs(mean) + half, floor):.1e}"
+    if abs(mean) - half <= floor:
+        return f"none known, below {abs(mean) + half + floor:.1e}"
+    return f"{mean:+.1e}"
+
+
+def _reltol(study: Accuracy) -> list[TextTable]:
     """Compare the error that ngspice's own tolerance suggests with the errors that were made."""
     rows = []
     for row in study.rows:
@@ -292,9 +350,8 @@ def _reltol(study: Accuracy) -> TextTable:
         "reltol bounds what Newton's iterations and each step's own formula leave, not what a run makes of "
         "it: the number of a deck is no error of a result."
     )
-    return TextTable(
-        "The number that fools", ["setting", "reltol", "worst error", "times reltol"], rows, {1, 2, 3}, note
-    )
+    head = ["setting", "reltol", "worst error", "times reltol"]
+    return [TextTable("The number that fools", head, rows, {1, 2, 3}, note)] if rows else []
 
 
 def believed(label: str) -> float | None:

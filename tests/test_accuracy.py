@@ -19,7 +19,7 @@ from cosim.cli import main
 from cosim.effects import lesser
 from cosim.errors import InputError
 from cosim.scene import load_scene
-from reports.accuracy import draw, words, write_accuracy
+from reports.accuracy import _claim, draw, words, write_accuracy
 
 RADIUS = 0.1333
 #: A carriage thrown at the wall, ideal parts, no rounding: between its samples a matrix exponential.
@@ -228,9 +228,18 @@ def test_a_study_with_noise_shows_its_band_and_weak_errors(tmp_path, monkeypatch
     axes = draw(study).figure.axes[2]  # position, then force
     (band,) = (each for each in axes.patches if each.get_label() == "_scatter")
     assert (band.get_y(), band.get_y() + band.get_height()) == pytest.approx((low, high))
-    assert set(study.noise.weak) == {"linear as stated", "spice as stated"}
+    told = {"linear as stated", "spice as stated", study.cheapest.setting.label}
+    assert set(study.noise.weak) == told  # what is recommended from one path is judged on others
     mean, half = study.noise.weak["linear as stated"]["peak_force"]
     assert abs(mean) + half < 1e-5  # the reference is the same loop
     page = write_accuracy(study, tmp_path / "out").read_text()
-    assert "Weak errors" in page
+    assert "Strong and weak errors" in page
     assert "none seen" in page
+    assert "weak error, that of the mean, is largest" in page
+
+
+def test_no_weak_error_is_claimed_within_its_interval_or_the_floor():
+    assert _claim(2e-3, 1e-3, 0.0) == "+2.0e-03"
+    assert _claim(-2e-3, 3e-3, 0.0) == "none seen, below 5.0e-03"
+    assert _claim(2e-3, 1e-3, 1.5e-3) == "none known, below 4.5e-03"
+    assert _claim(1e-6, 2e-6, 1e-3) == "none seen, below 1.0e-03"
