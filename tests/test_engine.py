@@ -4,9 +4,10 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import textwrap
 import time
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import numpy as np
@@ -222,3 +223,87 @@ def test_what_is_copied_for_each_worker_has_one_thread(tmp_path):
         of.kill()
     assert loaded
     assert threads == [1]
+
+
+SPAWNED = """
+import sys
+from pathlib import Path
+from multiprocessing.context import SpawnProcess
+from engine_jobs import job
+from cosim.tolerance import engine, worker_pool
+{before}
+if __name__ == "__main__":
+    started, start = [], SpawnProcess.start
+    SpawnProcess.start = lambda self: (started.append(self), start(self))
+    assert worker_pool.prepare_pool() is False
+    engine.run(job(sys.argv[1], 40, deadly=(17,)), Path(sys.argv[1]) / "mc", workers=2, chunk=8)
+    print(len(started))
+"""
+
+
+@pytest.mark.few(1)
+@pytest.mark.parametrize("why", ["another system", "a long path"])
+def test_where_no_process_can_be_copied_workers_are_started_anew(tmp_path, why):
+    """A socket's path has 108 bytes at most: `bind` refuses a longer one."""
+    before = "sys.platform = 'darwin'" if why == "another system" else ""
+    place = tmp_path / ("x" * 60) / ("y" * 60)
+    place.mkdir(parents=True)
+    (tmp_path / "spawned.py").write_text(SPAWNED.format(before=before))
+    path = os.pathsep.join(p for p in sys.path if p)
+    env = {**os.environ, "PYTHONPATH": path, "TMPDIR": str(place if why == "a long path" else tmp_path)}
+    command = [sys.executable, str(tmp_path / "spawned.py"), str(tmp_path / "here")]
+    ended = subprocess.run(command, env=env, timeout=120, capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stderr
+    # both workers, and another for each that the sample took with it
+    assert int(ended.stdout) >= 4
+    _, failures = run(job(tmp_path / "here", 40), tmp_path / "here" / "mc", workers=1).read()
+    assert {k: sorted(each) for k, each in failures.items()} == {17: sorted(NAMES)}
+    # what is left of the samples are those of a study by copies of a template
+    truth = run(job(tmp_path / "truth", 40, deadly=(17,)), tmp_path / "truth" / "mc", workers=2, chunk=8)
+    assert (tmp_path / "here" / "mc" / "samples.parquet").read_bytes() == (
+        truth.folder / "samples.parquet"
+    ).read_bytes()
+    assert not list(place.iterdir()), "a socket's folder stays"
+
+
+@pytest.fixture
+def short_folder():
+    """Return a folder whose path leaves a socket room."""
+    with tempfile.TemporaryDirectory(prefix="c", dir="/tmp") as name:
+        yield Path(name)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="no template elsewhere")
+def test_what_a_killed_template_left_is_swept_by_the_next_process(short_folder):
+    """A kill -9 of a study and of its template leaves the socket's folder; nobody who lives loses his."""
+    code = "from cosim.tolerance.worker_pool import prepare_pool; print(prepare_pool(), flush=True); input()"
+    path = os.pathsep.join(p for p in sys.path if p)
+    env = {**os.environ, "PYTHONPATH": path, "TMPDIR": str(short_folder)}
+
+    def folders():
+        return {path.name for path in short_folder.glob("cosim-pool.*")}
+
+    with ExitStack() as stack:
+
+        def started():
+            of = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                                  env=env, text=True)  # fmt: skip
+            stack.enter_context(of)
+            stack.callback(of.kill)
+            assert of.stdout.readline() == "True\n"
+            return of
+
+        first, second = started(), started()
+        before = folders()
+        assert len(before) == 2
+        (template,) = [pid for pid in children(first.pid) if is_template(pid)]
+        os.kill(template, signal.SIGKILL)
+        first.kill()
+        first.wait()
+        assert folders() == before  # nobody was left to remove it
+        third = started()
+        (kept,) = folders() & before
+        assert f"-{second.pid}." in kept
+        for each in (second, third):  # they end by themselves, and take their own with them
+            each.communicate("\n", timeout=60)
+    assert folders() == set()
