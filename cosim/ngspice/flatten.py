@@ -11,6 +11,7 @@ from pathlib import Path
 from cosim.errors import InputError, Problem, fail, nearest
 from cosim.ngspice.dialect import Dialect
 from cosim.ngspice.foreign_functions import in_own_words
+from cosim.ngspice.ideal_diodes import as_sources
 from cosim.ngspice.lax_forms import put_right, read_over
 from cosim.ngspice.lines import Line, lines_of, text_of
 from cosim.ngspice.values import as_meant
@@ -188,6 +189,8 @@ def _as_meant(content: str, file: str, dialect: Dialect) -> tuple[Line, ...]:
     rows = [read_over(line) for line in lines_of(content, file, dialect)]
     functions = {line.text.split(None, 1)[-1].partition("(")[0].strip().lower()
                  for line in rows if line.keyword == ".func"}  # fmt: skip
+    if dialect is Dialect.LTSPICE:
+        rows = as_sources(rows)
     if dialect is not Dialect.NGSPICE:
         rows = [replace(row, text=in_own_words(row.text, dialect, functions)) for row in map(put_right, rows)]
     return tuple(as_meant(line, dialect, functions) for line in rows)
