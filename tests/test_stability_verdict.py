@@ -405,3 +405,15 @@ def test_a_known_board_is_not_judged_again(board, monkeypatch):
 
     monkeypatch.setattr("cosim.stability_gate.call", never)
     assert verdict(Question((deck,)), deck.path) == first
+
+
+@pytest.mark.parametrize("model", ["spice", "linear"])
+def test_a_board_that_cannot_be_judged_runs_with_a_warning(tmp_path, monkeypatch, capsys, model):
+    why = "the impedances of the board are lost in rounding at 1e+09 Hz"
+    monkeypatch.setattr("cosim.runner.verdict", lambda *_, **__: Verdict(unjudged=why))
+    out = tmp_path / "out"
+    short = ["--set", "duration_s=0.05", "--model", model, "--no-estimate"]
+    assert main(["run", str(SCENES / "press.toml"), *short, "-o", str(out)]) == 0
+    shown = capsys.readouterr()
+    assert f"warning: the board's stability is unknown: {why}" in shown.out + shown.err
+    assert "stability-unknown" in (out / "run.json").read_text()
