@@ -1,5 +1,6 @@
 """The engine of a Monte Carlo: the same bytes, whoever measures a sample and however it is interrupted."""
 
+import fcntl
 import os
 import signal
 import subprocess
@@ -16,7 +17,8 @@ from engine_jobs import NAMES, job
 
 import cosim
 from cosim.errors import InputError
-from cosim.tolerance.engine import Job, merge, run, shard
+from cosim.tolerance.engine import Job, _alone, merge, run, shard
+from cosim.tolerance.sample_store import Samples
 from cosim.tolerance.worker_pool import Chunk, pooled, prepare_pool
 
 HERE = Path(__file__).parent
@@ -88,6 +90,41 @@ def test_what_is_not_ours_is_left_alone(tmp_path):
     with pytest.raises(InputError, match="is not a shard"):
         run(mine, tmp_path / "mc", part=(4, 3))
     assert (tmp_path / "mc" / "samples.parquet").read_bytes() == before
+
+
+def test_a_folder_of_a_study_that_kept_nothing_is_free(tmp_path):
+    """A cluster that is not there, or Ctrl-C before the first sample, left one that refused other studies."""
+    folder, mine, other = tmp_path / "mc", job(tmp_path, 10), job(tmp_path, 12)
+    with pytest.raises(InputError, match="samples are missing"):
+        merge(mine, folder, [])
+    named = (folder / "study.json").read_bytes()
+    # not while its process works, nor what is no study's, nor where anything is kept
+    with (folder / "study.json").open("rb") as stream:
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        with pytest.raises(InputError, match="holds another study"):
+            run(other, folder, workers=1)
+    for name in ("parts", "levels", "samples.parquet"):
+        (folder / name).mkdir()
+        with pytest.raises(InputError, match="holds another study"):
+            run(other, folder, workers=1)
+        (folder / name).rmdir()
+    (folder / "study.json").write_text('{"title": "years of work"}')
+    with pytest.raises(InputError, match="holds another study"):
+        run(other, folder, workers=1)
+    assert [path.name for path in folder.iterdir()] == ["study.json"]
+    (folder / "study.json").write_bytes(named)
+    assert len(run(other, folder, workers=1).read()[0]) == 12
+    with pytest.raises(InputError, match="holds another study"):
+        run(mine, folder, workers=1)
+
+
+def test_a_folder_that_another_process_has_just_taken_is_left_to_it(tmp_path):
+    """Both found it free, the other named its study last: it was written over before ours began."""
+    folder = tmp_path / "mc"
+    samples = Samples(folder, "one", NAMES, 0, 10)
+    Samples(folder, "two", NAMES, 0, 10)
+    with pytest.raises(InputError, match="holds another study"), _alone(samples):
+        pytest.fail("both work in one folder")
 
 
 def test_a_damaged_part_is_measured_again(tmp_path):

@@ -14,6 +14,10 @@ from support import ROOT, SCENES
 
 from cosim import cli
 from cosim.tolerance.distribution_functions import extracted_calls
+from cosim.tolerance.monte_carlo import Study
+from cosim.tolerance.random_variables import Tolerances
+from cosim.tolerance.scene_study import _endless
+from cosim.tolerance.unit_cube import sampling
 
 PRESS = str(SCENES / "press.toml")
 ASKED = ["mc", PRESS, "--model", "linear", "--measure", "curl", "--spec", "least_stiffness > -0.0001"]
@@ -78,6 +82,10 @@ def test_a_study_its_files_and_one_of_its_devices_again(
         (["--spec", "curl < 1e999"], "is not a specification"),
         (["--until", "curl +- 1e999", "--measure", "curl"], "is not a precision"),
         (["--until", "yield +- 0.5%"], "needs a --spec"),
+        (
+            ["--until", "yield +- 60%", "--spec", "curl < 3"],
+            "'yield +- 60%': tells nothing of a yield (allowed",
+        ),
         (["--until", "k_max +- 5 N/m"], "not asked for"),
         (["--yield", "99"], "is not a yield"),
         (["--set", "tolerance.mass=150%"], "more tolerance than value"),
@@ -94,11 +102,29 @@ def test_a_study_its_files_and_one_of_its_devices_again(
         ),
         (["--set", "tolerance.components.rsp11=lott=1%"], "'lott=1%' is no part of a tolerance"),
         (["--set", "tolerance.mass=lot=-1%"], "negative"),
+        (["--shard", "²/3", "--measure", "k_max"], "--shard = '²/3': is not a shard"),
+        (["--shard", "9/9", "-n", "4", "--measure", "k_max", "-o", "{out}"], "I/N with I <= N <= 4"),
         (["--sampling", "sobol", "--sample", "100000"], "not a sample of the study"),
     ],
 )
-def test_slips_are_errors_at_once(words: list[str], reason: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_slips_are_errors_at_once(
+    words: list[str], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [word.format(out=tmp_path / "mc") for word in words]
     assert reason in call(capsys, "mc", PRESS, *words, code=2)
+    assert not (tmp_path / "mc").exists()
+
+
+@pytest.mark.parametrize(("known", "n", "reason"), [
+    (64, 2 * 10**7, "would take 20000000 samples"),
+    (64, 10**18, "would take more than 1e+18 samples"),  # it said 1000000000000000000
+    (3, 10**18, "cannot be judged: 3 of the pilot's 64 devices have the measure"),
+])  # fmt: skip
+def test_a_precision_out_of_reach_says_why(known: int, n: int, reason: str) -> None:
+    results = np.full((64, 1), np.nan)
+    results[:known] = 1.0
+    pilot = Study(Tolerances((), ()), sampling("plain", 64, 0, 1), "ideal", ("k_max",), np.ones(1), results)
+    assert _endless(n, "k_max", pilot) == reason
 
 
 def test_ngspices_own_loop_draws_the_same(tmp_path: Path) -> None:

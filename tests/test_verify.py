@@ -59,6 +59,9 @@ def test_a_study_comes_out_again_and_a_changed_number_is_found(
         ({"asked": None}, "does not say what was asked"),
         ({"digest": "0" * 64}, "have changed since"),
         ({"asked": {**record["asked"], "n": None}}, "is not a record of a study"),
+        ({"asked": {**record["asked"], "n": -3}}, f"{out / 'mc.json'}: -n = -3: is not a possible"),
+        ({"asked": {**record["asked"], "measures": ["k_ma"]}}, f"{out / 'mc.json'}: --measure = 'k_ma'"),
+        ({"sampling": {**record["sampling"], "method": "lhs", "replicates": 0}}, "holds another study"),
     ):
         (out / "mc.json").write_text(json.dumps({**record, **change}))
         assert expected in call(capsys, "verify", str(out), code=2)

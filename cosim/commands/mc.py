@@ -163,7 +163,7 @@ def _shard(text: str) -> tuple[int, int]:
     from cosim.errors import fail
 
     i, slash, of = text.partition("/")
-    if not (slash and i.strip().isdigit() and of.strip().isdigit()):
+    if not (slash and i.strip().isdecimal() and of.strip().isdecimal()):  # a raised 2 is a digit, too
         fail("is not a shard", key="--shard", value=text, allowed="I/N, such as 1/8 to 8/8")
     return int(i), int(of)
 

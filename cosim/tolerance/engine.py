@@ -20,15 +20,13 @@ from cosim.storage.staging import disk_errors
 from cosim.tolerance.cluster import clustered
 from cosim.tolerance.missing import Missing
 from cosim.tolerance.monte_carlo import Engine
-from cosim.tolerance.sample_store import Samples
+from cosim.tolerance.sample_store import LEVELS, Samples
 from cosim.tolerance.worker_pool import Chunk, Lost, cores, pooled, prepare_pool
 from cosim.types import Array, Progress
 
 __all__ = ["LEVELS", "Job", "Processes", "Work", "merge", "run", "shard"]
 
 
-#: Folder within a study's own for what was measured beside its samples: other models, other points.
-LEVELS = "levels"
 #: What a chunk should take [s]: long enough for its receipt to cost nothing.
 _CHUNK_S = 2.0
 _MOST_TOGETHER = 4096
@@ -222,7 +220,8 @@ def shard(n: int, part: tuple[int, int]) -> tuple[int, int]:
     """
     i, of = part
     if not 1 <= i <= of or of > n:
-        fail("is not a shard of the study", key="--shard", value=f"{i}/{of}", allowed=f"1/{of} to {of}/{of}")
+        allowed = f"1/{of} to {of}/{of}" if 1 <= of <= n else f"I/N with I <= N <= {n}, the samples"
+        fail("is not a shard of the study", key="--shard", value=f"{i}/{of}", allowed=allowed)
     return (i - 1) * n // of, i * n // of
 
 
@@ -282,4 +281,5 @@ def _alone(samples: Samples) -> Iterator[None]:
                 "another process of cosim works here: wait, or choose another folder",
                 file=str(samples.folder),
             )
+        samples.check_name()
         yield

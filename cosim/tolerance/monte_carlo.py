@@ -21,12 +21,14 @@ from cosim.tolerance.unit_cube import Sampling
 from cosim.types import Array
 
 __all__ = [
-    "QUANTILES", "Engine", "Measurer", "Study", "Summary", "check_nominal", "draw",
+    "BEYOND", "QUANTILES", "Engine", "Measurer", "Study", "Summary", "check_nominal", "draw",
     "summary", "yields",
 ]  # fmt: skip
 
 #: Shares of devices below the quantiles that are reported.
 QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
+#: A number of samples that no study reaches.
+BEYOND = 10**18
 #: What a chunk should take [s]: long enough to cost nothing, short enough to see it move.
 _CHUNK_S = 2.0
 _MOST_TOGETHER = 4096
@@ -265,7 +267,7 @@ def pilot_size(until: tuple[str, float], pilot: Study, specs: Sequence[Spec]) ->
 
 def _ceil(number: float) -> int:
     """Return the next whole number; of what overflows, one that no study reaches."""
-    return math.ceil(min(number, 1e18))
+    return math.ceil(min(number, BEYOND))
 
 
 def rows(study: Study) -> tuple[list[str], list[list[Any]]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,7 +12,7 @@ import numpy as np
 from typing_extensions import TypedDict
 
 import cosim
-from cosim.errors import fail
+from cosim.errors import InputError, fail
 from cosim.scene import load_scene
 from cosim.storage.checksums import read_object
 from cosim.storage.field_types import fits, refuse_code
@@ -124,7 +125,10 @@ def repeat_samples(
         fail("is not a record of a study", file=str(file))
     asked, how = asked_of(stored, trust=trust), Sampling.of(record["sampling"])
     refuse_code(load_scene(asked.scene, asked.overrides).code(), str(file), trust=trust)
-    prepared = prepare(asked)
+    try:
+        prepared = prepare(asked)
+    except InputError as error:  # what the record asks for, or its scene as it is now
+        raise InputError(replace(each, file=each.file or str(file)) for each in error.problems) from None
     if prepared.digest() != record.get("digest"):
         fail(
             "the scene, its board or its tolerances have changed since: what is there now is another study",

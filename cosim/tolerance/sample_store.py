@@ -5,13 +5,14 @@ The file's bytes depend on the samples alone, not on the processes, the order or
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pyarrow as pa
@@ -25,10 +26,12 @@ from cosim.storage.staging import atomic_file, disk_errors, sweep_folder
 from cosim.tolerance.missing import Missing, Reasons, reasons_of, text_of
 from cosim.types import Array
 
-__all__ = ["SAMPLES", "Samples"]
+__all__ = ["LEVELS", "SAMPLES", "Samples"]
 
 
 SAMPLES, STUDY, PARTS = "samples.parquet", "study.json", "parts"
+#: Folder within a study's own for what was measured beside its samples: other models, other points.
+LEVELS = "levels"
 _PART = re.compile(r"(\d{12})-(\d+)\.parquet")
 #: Column that says which measures a sample lacks, and why: `text_of`.
 _MISSING = "missing"
@@ -71,21 +74,42 @@ class Samples:
         self._parts = folder / PARTS
         self._seen: dict[tuple[Any, ...], bool] = {}
         self._tidy = False
-        about = {"digest": digest, "names": list(names), "first": first, "last": last}
+        about = self._about = {"digest": digest, "names": list(names), "first": first, "last": last}
         with disk_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
             known = _read(folder / STUDY)
-            if known is not None and known != about:
-                fail("holds another study; choose another folder with -o, or remove it", file=str(folder))
+            if known is not None and known != about and not self._vacant(known):
+                self._refuse()
             if os.path.lexists(folder / SAMPLES) and (known is None or not self._complete()):
                 fail(
                     "is not what a study of this folder has written: nothing was changed; choose another "
                     "folder with -o, or move it away",
                     file=str(folder / SAMPLES),
                 )
-            if known is None:
+            if known != about:
                 with atomic_file(folder / STUDY) as file:
                     file.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+
+    def _refuse(self) -> NoReturn:
+        fail("holds another study; choose another folder with -o, or remove it", file=str(self.folder))
+
+    def _vacant(self, known: dict[str, Any]) -> bool:
+        """Whether the folder has only the name of a study that kept nothing: refused, or ended too early."""
+        if not fits(known, _About) or any(
+            os.path.lexists(self.folder / name) for name in (SAMPLES, PARTS, LEVELS)
+        ):
+            return False
+        with self.study_file.open("rb") as stream:
+            try:
+                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:  # it has only just begun
+                return False
+        return True
+
+    def check_name(self) -> None:
+        """Refuse a folder that another process has meanwhile given to another study."""
+        if _read(self.study_file) != self._about:
+            self._refuse()
 
     @property
     def study_file(self) -> Path:

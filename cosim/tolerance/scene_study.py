@@ -9,6 +9,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from cosim.catalogue import UNITS
 from cosim.caution import Caution, warn
 from cosim.errors import InputError, fail
@@ -17,7 +19,7 @@ from cosim.tolerance.corner_search import Corner, corner
 from cosim.tolerance.engine import Processes, run
 from cosim.tolerance.missing import Missing, lacks
 from cosim.tolerance.model_levels import check, two_levels
-from cosim.tolerance.monte_carlo import Measurer, Study, draw, pilot_size
+from cosim.tolerance.monte_carlo import BEYOND, Measurer, Study, draw, pilot_size
 from cosim.tolerance.preparation import MOST, Asked, Prepared, prepare
 from cosim.tolerance.rare_study import rare_failures
 from cosim.tolerance.spec import Spec
@@ -34,6 +36,8 @@ RECORD = "mc.json"
 
 #: Samples of a pilot, which is discarded.
 _PILOT = 64
+#: ... and those of it that must have a measure whose mean is asked for.
+_LEAST_KNOWN = 4
 _UNTIL = re.compile(r"(\w+)\s*(?:\+-|±|\+/-)\s*([\d.eE+-]+)\s*(.*)")
 
 
@@ -95,7 +99,12 @@ def sampled(
         )
         n = pilot_size(until, pilot, asked.specs)
         if n > MOST:
-            fail(f"{asked.until} would take {n} samples", key="--until", value=asked.until)
+            fail(
+                _endless(n, until[0], pilot),
+                key="--until",
+                value=asked.until,
+                allowed=f"what takes at most {MOST} samples",
+            )
         notes.append(f"{n} samples for {asked.until}, judged by a pilot of {first.n} that was discarded")
     how = sampling(asked.method, n, count, prepared.seed)
     if how.n != n:
@@ -179,8 +188,10 @@ def _until(asked: Asked) -> tuple[str, float]:
     what, unit = match[1], match[3].strip()
     if what == "yield":
         allowed = '"yield +- 0.5%" and a --spec'
-        if unit != "%" or not asked.specs or size >= 50.0:
+        if unit != "%" or not asked.specs:
             fail("needs a --spec, and per cent", key="--until", value=asked.until, allowed=allowed)
+        if size >= 50.0:
+            fail("tells nothing of a yield", key="--until", value=asked.until, allowed="> 0% and < 50%")
         return what, size / 100.0
     if what not in (*asked.measures, *(spec.measure for spec in asked.specs)):
         fail("is of a measure that is not asked for", key="--until", value=asked.until, allowed=allowed)
@@ -188,6 +199,14 @@ def _until(asked: Asked) -> tuple[str, float]:
     if unit not in ("", own):
         fail("is not the measure's unit", key="--until", value=asked.until, allowed=own or "no unit")
     return what, size
+
+
+def _endless(n: int, what: str, pilot: Study) -> str:
+    """Say why no study reaches a precision."""
+    known = int(np.isfinite(pilot.column(what)).sum()) if what in pilot.names else pilot.sampling.n
+    if known < _LEAST_KNOWN:
+        return f"cannot be judged: {known} of the pilot's {pilot.sampling.n} devices have the measure"
+    return f"would take {n if n < BEYOND else f'more than {BEYOND:.0e}'} samples"
 
 
 def _pilot_seed(seed: int) -> int:
