@@ -295,10 +295,12 @@ def measures_of(
         return done.measures, done.contacts
 
 
-def path_of(plan: Plan, child: Child | None) -> tuple[dict[str, NDArray[np.float64]], tuple[int, ...]]:
-    """Return the signals of a plan's simulation by name, and contacts as `measures_of` does."""
+def path_of(
+    plan: Plan, child: Child | None, meanwhile: Callable[[], object] | None = None
+) -> tuple[dict[str, NDArray[np.float64]], tuple[int, ...]]:
+    """Return the signals of a plan's simulation by name, and contacts, as `measures_of` does."""
     with scratch_folder("path") as folder:
-        done = _simulated(plan, folder, child)
+        done = _simulated(plan, folder, child, meanwhile=meanwhile)
         return {name: np.array(values) for name, values in done.signals.items()}, done.contacts
 
 

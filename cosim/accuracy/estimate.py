@@ -3,7 +3,8 @@
 Where the model `linear` carries the scene, its loop is the twin of a lockstep with ngspice: it shares neither
 the integrator of the circuit nor the coupling, and costs a small part. What the tolerances of its own circuit
 may hide (fit, reduction, gains that are not quite proportional) is added as a share of the value. A scene
-that only ngspice carries is its own twin, with tolerances ten times tighter and half the steps.
+that only ngspice carries is its own twin, with tolerances ten times tighter and half the steps, behind a jump
+as well.
 
 The difference of run and twin is the error of the run plus the twin's own, which is smaller: the bound is the
 difference times a margin.
@@ -34,6 +35,13 @@ Measures = Mapping[str, Mapping[str, Any]]
 _MARGIN = 1.6
 #: Of a twin with half the step: at first order its error is half of the run's, as large as the difference.
 OWN_MARGIN = 2.5
+#: Steps grow twofold behind a sample, so that the longest is half a period: an own twin has half of it.
+_WITHIN = 4.0
+#: Beside the charges of a board, of 1e-12 C to 1e-9 C, its usual tolerance is large: with a tenth of it the
+#: steps behind a DAC's jump would be those of the run.
+_LESS_CHARGE = 100.0
+#: Looser relative tolerances, too, leave those steps as they are: an own twin has a tenth of this at most.
+_USUAL_RTOL = 1e-4
 #: The twin's steps are an eighth of the scene's, of its period, and of this, the usual longest step [s].
 _FINER, _USUAL_STEP_S = 8.0, 2e-3
 #: Runs and twins are right to this share of a value, whatever their difference: steps are controlled to
@@ -71,10 +79,10 @@ def twin_of(plan: Plan, *, own: bool = False) -> Twin:
     model = "linear" if plan.model == "spice" and carries(scene, "linear") and not own else plan.model
     if model == "spice":
         finer = {
-            "rtol": max(solver.rtol / 10.0, 1e-9),
-            "max_step_s": max(min(solver.max_step_s, scene.computer.period_s) / 2.0, 1e-9),
+            "rtol": max(min(solver.rtol, _USUAL_RTOL) / 10.0, 1e-9),
+            "max_step_s": max(min(solver.max_step_s / 2.0, scene.computer.period_s / _WITHIN), 1e-9),
             "coupling_tolerance_rad": max(solver.coupling_tolerance_rad / 10.0, 1e-14),
-            "charge_tolerance_c": max(solver.charge_tolerance_c / 10.0, 1e-18),
+            "charge_tolerance_c": max(solver.charge_tolerance_c / _LESS_CHARGE, 1e-18),
         }
         words, margin = "the same model with tolerances ten times tighter", OWN_MARGIN
     else:
@@ -101,12 +109,18 @@ def estimator(plan: Plan, child: Child | None) -> Errors:
     """
 
     def errors(done: Simulated, meanwhile: Callable[[], object]) -> dict[str, dict[str, Any]]:
-        why = ""
+        why, drawn_anew = "", noisy(plan.scene)
+
+        def beside() -> None:
+            meanwhile()
+            if drawn_anew:
+                import cosim.accuracy.noise_interval  # noqa: F401  theory, and all of scipy: 0.2 s
+
         for own in (False, True):
             try:
                 twin = twin_of(plan, own=own)
                 with collected(forward=False):
-                    nominal, others = measures_of(twin.plan, child, meanwhile)
+                    nominal, others = measures_of(twin.plan, child, beside)
                 break
             except CosimError as error:
                 why = error.in_brief
@@ -117,8 +131,8 @@ def estimator(plan: Plan, child: Child | None) -> Errors:
         circuit = done.answer.circuit
         share = doubt(circuit)
         noise: Measures = {}
-        if noisy(plan.scene):
-            from cosim.accuracy.noise_interval import noise_of  # theory, and all of scipy: 0.2 s
+        if drawn_anew:
+            from cosim.accuracy.noise_interval import noise_of
 
             noise = noise_of(done.measures, twin.plan, circuit, done.contacts, child)
         return {

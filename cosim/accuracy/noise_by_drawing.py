@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from cosim.analysis.held_contact import HeldContact
-from cosim.analysis.noise_covariance import moments_about
+from cosim.analysis.noise_covariance import NoiseCovariance, moments_about
 from cosim.analysis.noise_draws import PLACES, WEIGHTS, drawn
 from cosim.errors import fail
 from cosim.measures import STEADY, wall_frame
@@ -58,15 +58,17 @@ def _half(values: Array) -> float:
     return float(np.quantile(np.abs(values - values.mean()), _SHARE))
 
 
-def require_one_gain(path: Mapping[str, Array], at_rest: HeldContact, since_s: float) -> None:
+def require_one_gain(
+    path: Mapping[str, Array], at_rest: HeldContact, here: NoiseCovariance, since_s: float
+) -> None:
     """Raise an `InputError` where noise moves the contact otherwise at the pose farthest from rest.
 
-    `path` is as of `drawn_halves`; poses count from `since_s` [s] on.
+    `path` is as of `drawn_halves`, `here` of the contact at rest; poses count from `since_s` [s] on.
     """
     inside = path["time"] >= since_s
     poses = np.column_stack([path[f"q{j + 1}"][inside] for j in range(at_rest.scene.joints)])
     far = poses[np.abs(poses - at_rest.q).max(axis=1).argmax()]
-    here, there = moments_about(at_rest), moments_about(at_rest.at(far))
+    there = moments_about(at_rest.at(far))
     names = ("penetration", "operator_normal", "currents")
     ratios = [there.rms(name) / here.rms(name) for name in names if here.rms(name) > 0.0]
     apart = max((abs(ratio - 1.0) for ratio in ratios), default=0.0)

@@ -9,6 +9,9 @@ carries gets no interval, and the reason instead.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from contextlib import suppress
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +21,7 @@ from cosim.accuracy.noise_paths import noisy
 from cosim.analysis.control_law import law_point, resting_pose
 from cosim.analysis.extracted import circuit_of
 from cosim.analysis.held_contact import HeldContact
+from cosim.analysis.noise_covariance import NoiseCovariance, moments_about
 from cosim.analysis.noise_of_means import noise_of_means
 from cosim.caution import collected
 from cosim.circuits.linear_circuit import LinearCircuit
@@ -104,29 +108,43 @@ def _drawn(
     scene = plan.scene
     effects = scene.effects.model_copy(update={"pot_noise": PotNoise.NONE})
     why = "the motors' currents come near their rating"
+    here = cache(partial(moments_about, at_rest))
+
+    def ahead() -> None:
+        with suppress(CosimError):  # it is raised again where it matters
+            here()
+
     try:
         with collected(forward=False):
             quiet = resolve(scene.model_copy(update={"effects": effects}), trust=plan.trust, board=plan.board)
-            path, others = path_of(quiet, child)
+            path, others = path_of(quiet, child, ahead)
         if not len(others) % 2:
             fail("without noise the computer sees no contact at the run's end")
         begin_s = others[-1] * scene.computer.period_s
-        require_one_gain(path, at_rest, scene.duration_s * (1.0 - STEADY))
+        only_late = _only_late(path, others, contacts, at_rest, here(), begin_s)
+        if only_late:
+            require_one_gain(path, at_rest, here(), scene.duration_s * (1.0 - STEADY))
         made = drawn_halves(path, at_rest, begin_s)
     except CosimError as error:
         return {}, dict.fromkeys(DRAWN, error.in_brief)
-    only_late = ""
-    if len(contacts) > 1:
-        only_late = "contact is lost and made again, which a linear contact does not know"
-    elif others != contacts:
-        only_late = "without noise contact is made at another sample"
-    else:
-        try:
-            require_one_gain(path, at_rest, begin_s)
-        except InputError as error:
-            only_late = error.in_brief
     kept = _LATE if only_late else made.keys()
     return {name: made[name] for name in made if name in kept}, dict.fromkeys(DRAWN, only_late or why)
+
+
+def _only_late(
+    path: Mapping[str, Array], others: tuple[int, ...], contacts: tuple[int, ...], at_rest: HeldContact,
+    here: NoiseCovariance, begin_s: float,
+) -> str:  # fmt: skip
+    """Return why only the run's last fifth may be drawn; nothing where all of the contact may."""
+    if len(contacts) > 1:
+        return "contact is lost and made again, which a linear contact does not know"
+    if others != contacts:
+        return "without noise contact is made at another sample"
+    try:
+        require_one_gain(path, at_rest, here, begin_s)
+    except InputError as error:
+        return error.in_brief
+    return ""
 
 
 def _tangents(measures: Measures, plan: Plan) -> dict[str, Array]:

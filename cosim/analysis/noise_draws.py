@@ -65,10 +65,10 @@ def drawn(
     grid = Grid(scene.device.potentiometer.noise_rad**2, 1, 1, 0.0) if static else noise_grid(scene)
     pieces = [piece for piece in common_period(lifted, grid).pieces for _ in range(piece.count)]
     rows = np.vstack([lifted.output(lifted.system.outputs[name]) for name in names])
-    seen = {id(piece): _seen(lifted, piece, rows) for piece in pieces}
+    count, (last, following) = len(PLACES) * len(rows), lifted.noise
+    stepped = {id(piece): _stepped(lifted, piece, rows, following) for piece in pieces}
     tick = _tick(scene.effects.pot_noise, grid, (lifted.system.joints, paths), seed)
     state = np.zeros((lifted.size, paths))
-    last, following = lifted.noise
     state[last], state[following] = tick(), tick()
     turn = sum(piece.stretch.length_s for piece in pieces)
     now = begin_s - begin_s % turn if turn - begin_s % turn > 1e-9 * turn else begin_s
@@ -76,19 +76,26 @@ def drawn(
         for piece in pieces:
             length = piece.stretch.length_s
             if now > begin_s - 0.5 * length:
-                state = piece.event @ state
+                kept, fresh = stepped[id(piece)]
+                moved = kept @ state
                 if piece.fresh:
-                    state[following] = tick()
-                values = (seen[id(piece)] @ state).reshape(len(PLACES), len(rows), paths)
-                yield Drawn(now, length, values)
-                state = piece.stretch.leave @ state
+                    moved += fresh @ tick()
+                yield Drawn(now, length, moved[:count].reshape(len(PLACES), len(rows), paths))
+                state = moved[count:]
             now += length
 
 
-def _seen(lifted: Lifted, piece: Piece, rows: Array) -> Array:
-    """Return the outputs at `PLACES` of a piece from X behind its event, [places * outputs, size]."""
+def _stepped(lifted: Lifted, piece: Piece, rows: Array, following: slice) -> tuple[Array, Array]:
+    """Return what takes X before a piece's event to the outputs at `PLACES` and to X at its end.
+
+    The second matrix does it for the noise's new value at the event, which replaces the older one.
+    """
     enter, h = piece.stretch.enter, piece.stretch.length_s
-    return np.vstack([rows @ enter, *(rows @ lifted.step(place * h) @ enter for place in PLACES[1:])])
+    seen = [rows @ enter, *(rows @ lifted.step(place * h) @ enter for place in PLACES[1:])]
+    after, event = np.vstack([*seen, piece.stretch.leave]), piece.event.copy()
+    if piece.fresh:
+        event[following] = 0.0
+    return after @ event, after[:, following]
 
 
 def _tick(kind: PotNoise, grid: Grid, shape: tuple[int, int], seed: int) -> Callable[[], Array]:
