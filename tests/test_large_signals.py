@@ -1,17 +1,20 @@
 """Boards whose gain at rated current is another than at rest: told, or refused, by their `.dc` sweep."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from extraction_boards import board, extract, shipped
 
 from cosim.circuits.design_constants import DesignConstants
+from cosim.circuits.extraction import limits_and_offsets
 from cosim.circuits.extraction.certificate import cautions
 from cosim.circuits.extraction.large_signal import large_signal_error
 from cosim.circuits.extraction.large_signal import measure as bends
 from cosim.circuits.extraction.limits_and_offsets import current_limits
 from cosim.circuits.extraction.motor_response import measure
 from cosim.circuits.extraction.path_measurement import Session
-from cosim.errors import InputError
+from cosim.errors import InputError, NoOperatingPoint, Problem
 from cosim.ngspice.deck import PartSwap
 from cosim.plausibility import of_circuit, of_response
 
@@ -129,3 +132,46 @@ def test_sweeps_leave_every_pin_as_it_was():
     rest = session.operating_point(["imot1"])
     error_of(session)
     np.testing.assert_array_equal(session.operating_point(["imot1"]), rest)
+
+
+class _Bench:
+    """A board of two channels whose amplifiers stand at their limit above so many volts at X."""
+
+    channels = ("ksp11", "ksd11")
+    multipliers = (SimpleNamespace(x="vx1"), SimpleNamespace(x="vx2"))
+
+    def __init__(self):
+        self.held = {}
+
+    def hold(self, pins):
+        self.held |= pins
+
+
+@pytest.mark.parametrize("without_point", [False, True])
+@pytest.mark.parametrize(("limit", "known"), [(2.0, 1.0), (0.5, 0.1), (0.05, 0.01)])
+def test_the_control_path_is_measured_below_the_limit_of_low_supplies(
+    monkeypatch, limit, known, without_point
+):
+    def measured(bench, _band_hz, volts):
+        bench.held |= dict.fromkeys(("vx1", "vx2"), volts)
+        if volts > limit and without_point:
+            raise NoOperatingPoint([Problem("no DC operating point")])
+        return np.array([volts, np.nan if volts > limit else 2.0 * volts]), 0.25
+
+    monkeypatch.setattr(limits_and_offsets, "_dynamics_at", measured)
+    bench = _Bench()
+    delays, worst = limits_and_offsets._dynamics(bench, 100.0)
+    assert (delays.tolist(), worst) == ([known, 2.0 * known], 0.25)
+    assert not any(bench.held.values())
+
+
+def test_a_control_path_that_is_never_seen_is_no_number_but_zero(monkeypatch):
+    monkeypatch.setattr(limits_and_offsets, "_dynamics_at", lambda *_: (np.array([1e-9, np.nan]), 0.0))
+    assert limits_and_offsets._dynamics(_Bench(), 100.0)[0].tolist() == [1e-9, 0.0]
+
+    def lost(*_):
+        raise NoOperatingPoint([Problem("no DC operating point")])
+
+    monkeypatch.setattr(limits_and_offsets, "_dynamics_at", lost)
+    with pytest.raises(NoOperatingPoint):
+        limits_and_offsets._dynamics(_Bench(), 100.0)

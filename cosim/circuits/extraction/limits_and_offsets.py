@@ -29,6 +29,8 @@ _AGAIN, _BESIDE = 8, 1e-10
 _FLAT = 0.01
 #: Control voltages at which the gain is compared with its value at full scale.
 SHARES = (-1.0, -0.5, -0.1, 0.0, 0.1, 0.5, 1.0)
+#: Volts at X while the control path is measured.
+_AT_X = (1.0, 0.1, 0.01)
 
 
 @dataclass(frozen=True)
@@ -242,10 +244,30 @@ def _lumped_nonlinearity(session: Session) -> Array:
 
 
 def _dynamics(session: Session, band_hz: float) -> tuple[Array, float]:
-    """Return how much later than X the control voltage acts [m] s, and the largest difference in the band."""
+    """Return how much later than X the control voltage acts [m] s, and the largest difference in the band.
+
+    With `_AT_X` at every X; less of it where that drives an amplifier of low supplies to its limit, so that
+    nothing comes through. What is not known then either is 0.
+    """
+    for volts in _AT_X:
+        try:
+            delays, worst = _dynamics_at(session, band_hz, volts)
+        except NoOperatingPoint:
+            if volts == _AT_X[-1]:
+                raise
+            continue
+        finally:
+            session.hold(dict.fromkeys(session.channels, 0.0))
+            session.hold({part.x: 0.0 for part in session.multipliers})
+        if np.isfinite(delays).all():
+            break
+    return np.where(np.isfinite(delays), delays, 0.0), worst
+
+
+def _dynamics_at(session: Session, band_hz: float, volts: float) -> tuple[Array, float]:
     sweep = f"dec 4 {band_hz / 100.0!r} {band_hz!r}"
     delays, worst = np.zeros(len(session.channels)), 0.0
-    session.hold({part.x: 1.0 for part in session.multipliers})
+    session.hold({part.x: volts for part in session.multipliers})
     for group in session.groups():
         by_control = _group(session, group, sweep, by_control=True)
         pins = [session.channels[c] for c in group]
@@ -256,9 +278,9 @@ def _dynamics(session: Session, band_hz: float) -> tuple[Array, float]:
         for c in group:
             if by_control[c][0].real == 0.0 or by_x[c][0] == 0.0:
                 continue
-            ratio = by_control[c] / by_x[c]
-            ratio = ratio / ratio[0].real
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ratio = by_control[c] / by_x[c]
+                ratio = ratio / ratio[0].real
             delays[c] = -float(ratio[0].imag) / omega[0]
             worst = max(worst, float(np.abs(ratio - 1.0).max()))
-    session.hold({part.x: 0.0 for part in session.multipliers})
     return delays, worst
