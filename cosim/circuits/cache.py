@@ -25,7 +25,7 @@ from cosim.circuits.linear_circuit import LinearCircuit
 __all__ = ["Asked", "folder", "load", "load_arrays", "store", "store_arrays"]
 
 #: To be raised with every change of the algorithm that changes a model.
-VERSION = 8
+VERSION = 9
 
 
 @dataclass(frozen=True)
