@@ -86,6 +86,20 @@ def test_a_worker_that_dies_while_the_work_is_sent(study, error) -> None:
     assert study(Client([error], [])) == [(chunk, chunk.first) for chunk in CHUNKS]
 
 
+@pytest.mark.parametrize(
+    ("missing", "reason"), [("distributed", "needs the package"), ("dask", r"cannot be loaded \(no dask\)")]
+)
+def test_a_package_that_is_there_but_cannot_be_loaded_says_what_it_lacks(
+    missing, reason, monkeypatch
+) -> None:
+    def absent(name: str) -> None:
+        raise ModuleNotFoundError(f"no {missing}", name=missing)
+
+    monkeypatch.setattr(cluster, "import_module", absent)
+    with pytest.raises(InputError, match=reason):
+        list(clustered(lambda: lambda chunk: chunk.first, "study", iter(CHUNKS), ADDRESS))
+
+
 def test_a_worker_that_dies_with_its_answer(study) -> None:
     got = study(Client([], [CancelledError()]))
     assert sorted(first for _, first in got) == [chunk.first for chunk in CHUNKS]

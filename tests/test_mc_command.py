@@ -182,6 +182,9 @@ def test_a_tolerance_that_was_edited_makes_another_study(
         (["--merge", "a", "--workers", "2"], "--workers: has no meaning beside --merge"),
         (["--until", "k_max +- 5", "-n", "5"], "-n: has no meaning beside --until"),
         (["--yield", "99%"], "needs a --spec"),
+        # an array job whose variable is not set measured the whole study in each of its processes
+        (["--shard", ""], "--shard = '': is empty"),
+        (["--cluster", "", "--until", "", "-o", ""], "--out = '': is empty"),
         (["--seed", "-1"], "--seed = -1: is not a valid seed"),
         (["--seed", "9" * 30], "is not a valid seed"),
     ],

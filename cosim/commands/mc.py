@@ -27,6 +27,8 @@ _ALONE = {
     "--until": ("samples",),
     "--cluster": ("list", "sample", "shard", "merge", "workers"),
 }
+#: Options that say something, or are not given.
+_TEXTS = ("until", "shard", "cluster", "out", "model")
 #: What the last columns of the bill mean.
 _COLUMNS = (
     "loosest: the largest tolerance sold with which that component alone still keeps the yield; better: the "
@@ -56,7 +58,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         help="plain (default), Latin hypercubes or scrambled Sobol points, 16 randomisations of either",
     )  # fmt: skip
     parser.add_argument(
-        "--until", default="", metavar="TEXT",
+        "--until", metavar="TEXT",
         help='instead of -n: "yield +- 0.5%%" or "k_max +- 5 N/m"; the number follows from a discarded pilot',
     )  # fmt: skip
     parser.add_argument(
@@ -131,7 +133,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
 
 def _check_together(args: argparse.Namespace) -> None:
-    """Refuse options that have no meaning beside another: none is ignored in silence."""
+    """Refuse options that are empty or have no meaning beside another: none is ignored in silence."""
     from cosim.errors import InputError, Problem
 
     def given(name: str) -> bool:
@@ -144,6 +146,10 @@ def _check_together(args: argparse.Namespace) -> None:
         for option, others in _ALONE.items() if given(option[2:])
         for name in others if given(name)
     ]  # fmt: skip
+    # a variable of an array job that is not set: without its shard each would measure the whole study
+    problems += [
+        Problem("is empty", key=f"--{name}", value="") for name in _TEXTS if getattr(args, name) == ""
+    ]
     if problems:
         raise InputError(problems)
 
@@ -185,7 +191,8 @@ def _asked(args: argparse.Namespace, specs: tuple[Any, ...]) -> "Asked":
     forced = (f"solver.model={args.model}",) if args.model else ()
     return Asked(
         args.scene, (*forced, *overrides(args.set)), tuple(args.measure), specs, _samples(args),
-        args.sampling, args.seed, args.until, wanted, args.worst_case, args.trust, args.two_level, args.rare,
+        args.sampling, args.seed, args.until or "", wanted, args.worst_case, args.trust, args.two_level,
+        args.rare,
     )  # fmt: skip
 
 

@@ -97,8 +97,11 @@ def clustered(make: Maker, study: str, chunks: Iterator[Chunk], address: str) ->
     """
     try:
         distributed = import_module("distributed")
-    except ImportError:
-        fail("needs the package `distributed`: pip install 'cosim[cluster]'", key="--cluster", value=address)
+    except ImportError as error:
+        reason = "needs the package `distributed`"
+        if error.name != "distributed":  # it is there, and something that it needs is not
+            reason = f"`distributed` cannot be loaded ({error})"
+        fail(f"{reason}: pip install 'cosim[cluster]'", key="--cluster", value=address)
     try:
         client = distributed.Client(address, timeout=_PATIENCE_S)
     except (OSError, TimeoutError, ValueError) as error:

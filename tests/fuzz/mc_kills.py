@@ -22,7 +22,9 @@ from .targets import Project
 
 __all__ = ["kill_studies"]
 
-_SAMPLES, _CHUNK = 60, 3
+_SAMPLES, _CHUNK = 200, 5
+#: Share of the kills that come after the first samples.
+_AT_WORK = 0.67
 _MEASURE = "max_penetration"
 #: A command that was left alone for so long [s] hangs.
 _LIMIT_S = 300.0
@@ -52,23 +54,32 @@ def kill_studies(project: Project, folder: Path, number: int, count: int) -> dic
     words = ["mc", str(scene), "--set", "solver.model=linear", "--set", "duration_s=0.3",
              "--measure", _MEASURE, "-n", str(_SAMPLES), "--chunk", str(_CHUNK)]  # fmt: skip
     begun = time.monotonic()
-    _ended(_start([*words, "--workers", "2"], folder / "whole", folder), "undisturbed", folder)
+    process = _start([*words, "--workers", "2"], folder / "whole", folder)
+    _first_part(process, folder / "whole")
+    start = time.monotonic() - begun
+    _ended(process, "undisturbed", folder)
     length = time.monotonic() - begun
     truth = (folder / "whole" / "samples.parquet").read_bytes()
     kinds = _LOCAL + (_CLUSTER if find_spec("distributed") else ())
     counts: Counter[str] = Counter()
     for turn in range(count):
         kind, out = kinds[turn % len(kinds)], folder / f"killed{turn}"
-        wait_s = chance.uniform(0.0, length)
+        # most of a short command is its start: most hit the samples' own time and the end
+        at_work = chance.random() < _AT_WORK
+        wait_s = chance.uniform(0.0, length - start if at_work else length)
         counts[kind] += (
             _cluster(kind, words, out, folder, wait_s)
             if kind in _CLUSTER
-            else _local(kind, words, out, folder, wait_s)
+            else _local(kind, words, out, folder, wait_s, at_work=at_work)
         )
         marked = _mark(out) if turn % 2 else {}
         counts["samples kept"] += len(_parts(out)) * _CHUNK
-        print(f"  turn {turn}, {kind}, after {wait_s:.2f} of {length:.2f} s", flush=True)
-        _ended(_start([*words, "--workers", "2"], out, folder), f"turn {turn}, {kind}", folder)
+        since = f"the first samples, {length - start:.2f}" if at_work else f"the start, {length:.2f}"
+        print(f"  turn {turn}, {kind}, {wait_s:.2f} s after {since} in all; {len(_parts(out)) * _CHUNK} kept",
+              flush=True)  # fmt: skip
+        # a shard of one is the study without its page
+        rest = [*words, "--workers", "2", *(["--shard", "1/1"] if turn % 3 else [])]
+        _ended(_start(rest, out, folder), f"turn {turn}, {kind}", folder)
         data = (out / "samples.parquet").read_bytes()
         if not marked and data != truth:
             raise Defect(f"turn {turn}, {kind}: other bytes than an undisturbed study")
@@ -77,9 +88,14 @@ def kill_studies(project: Project, folder: Path, number: int, count: int) -> dic
     return dict(counts)
 
 
-def _local(kind: str, words: list[str], out: Path, folder: Path, wait_s: float) -> bool:
-    """Kill a study on this machine, or one of its workers; return whether it was still at work."""
+def _local(kind: str, words: list[str], out: Path, folder: Path, wait_s: float, *, at_work: bool) -> bool:
+    """Kill a study on this machine, or one of its workers; return whether it was still at work.
+
+    The time counts from the first samples that are kept, if `at_work`.
+    """
     process = _start([*words, "--workers", "2"], out, folder)
+    if at_work:
+        _first_part(process, out)
     with suppress(subprocess.TimeoutExpired):
         process.wait(wait_s)
     if process.poll() is not None:
@@ -104,6 +120,12 @@ def _local(kind: str, words: list[str], out: Path, folder: Path, wait_s: float) 
             break
         time.sleep(0.1)
     return True
+
+
+def _first_part(process: subprocess.Popen[bytes], out: Path) -> None:
+    """Wait for the first samples that are kept, or the end."""
+    while process.poll() is None and not _parts(out):
+        time.sleep(0.005)
 
 
 def _children(pid: int) -> list[int]:
