@@ -22,7 +22,7 @@ from .targets import Project
 
 __all__ = ["kill_studies"]
 
-_SAMPLES, _CHUNK = 200, 5
+_SAMPLES, _CHUNK = 400, 5
 #: Share of the kills that come after the first samples.
 _AT_WORK = 0.67
 _MEASURE = "max_penetration"
@@ -55,8 +55,10 @@ def kill_studies(project: Project, folder: Path, number: int, count: int) -> dic
              "--measure", _MEASURE, "-n", str(_SAMPLES), "--chunk", str(_CHUNK)]  # fmt: skip
     begun = time.monotonic()
     process = _start([*words, "--workers", "2"], folder / "whole", folder)
-    _first_part(process, folder / "whole")
-    start = time.monotonic() - begun
+    _until_kept(process, folder / "whole" / "parts")
+    first = time.monotonic()
+    _until_kept(process, folder / "whole" / "samples.parquet")
+    sampling = time.monotonic() - first
     _ended(process, "undisturbed", folder)
     length = time.monotonic() - begun
     truth = (folder / "whole" / "samples.parquet").read_bytes()
@@ -64,19 +66,19 @@ def kill_studies(project: Project, folder: Path, number: int, count: int) -> dic
     counts: Counter[str] = Counter()
     for turn in range(count):
         kind, out = kinds[turn % len(kinds)], folder / f"killed{turn}"
-        # most of a short command is its start: most hit the samples' own time and the end
+        # most of a short command is its start and its page: most kills come while samples are measured
         at_work = chance.random() < _AT_WORK
-        wait_s = chance.uniform(0.0, length - start if at_work else length)
+        wait_s = chance.uniform(0.0, sampling if at_work else length)
         counts[kind] += (
             _cluster(kind, words, out, folder, wait_s)
             if kind in _CLUSTER
             else _local(kind, words, out, folder, wait_s, at_work=at_work)
         )
         marked = _mark(out) if turn % 2 else {}
-        counts["samples kept"] += len(_parts(out)) * _CHUNK
-        since = f"the first samples, {length - start:.2f}" if at_work else f"the start, {length:.2f}"
-        print(f"  turn {turn}, {kind}, {wait_s:.2f} s after {since} in all; {len(_parts(out)) * _CHUNK} kept",
-              flush=True)  # fmt: skip
+        kept = _SAMPLES if (out / "samples.parquet").exists() else len(_parts(out)) * _CHUNK
+        counts["samples kept"] += kept
+        since = f"the first samples of {sampling:.2f} s" if at_work else f"the start, of {length:.2f} s"
+        print(f"  turn {turn}, {kind}, {wait_s:.2f} s after {since}: {kept} samples kept", flush=True)
         # a shard of one is the study without its page
         rest = [*words, "--workers", "2", *(["--shard", "1/1"] if turn % 3 else [])]
         _ended(_start(rest, out, folder), f"turn {turn}, {kind}", folder)
@@ -95,7 +97,7 @@ def _local(kind: str, words: list[str], out: Path, folder: Path, wait_s: float, 
     """
     process = _start([*words, "--workers", "2"], out, folder)
     if at_work:
-        _first_part(process, out)
+        _until_kept(process, out / "parts")
     with suppress(subprocess.TimeoutExpired):
         process.wait(wait_s)
     if process.poll() is not None:
@@ -122,9 +124,9 @@ def _local(kind: str, words: list[str], out: Path, folder: Path, wait_s: float, 
     return True
 
 
-def _first_part(process: subprocess.Popen[bytes], out: Path) -> None:
-    """Wait for the first samples that are kept, or the end."""
-    while process.poll() is None and not _parts(out):
+def _until_kept(process: subprocess.Popen[bytes], place: Path) -> None:
+    """Wait for what a study keeps, or its end."""
+    while process.poll() is None and not place.exists():
         time.sleep(0.005)
 
 
