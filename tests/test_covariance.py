@@ -11,7 +11,7 @@ from scipy.linalg import solve_continuous_lyapunov
 from scipy.stats import chi2
 from support import COMMAND_TRUE, SCENES, SPRING_TRUE, V_NM, at_times, merge, quick, scene_of, slider
 
-from cosim.analysis.control_law import law_point
+from cosim.analysis.control_law import _by_newton, law_point
 from cosim.analysis.covariance_steps import (
     exact_step,
     integral,
@@ -425,3 +425,12 @@ def test_freedom_of_a_variance_estimated_from_correlated_values(keep, count):
     pairs = keep ** (2.0 * np.abs(np.subtract.outer(np.arange(count), np.arange(count))))
     # Isserlis: Var(s^2) = 2 sigma^4 / count^2 times the sum of all squared correlations
     assert one.freedom("x", count) == pytest.approx(count**2 / pairs.sum(), rel=1e-7)
+
+
+def test_a_pose_of_rest_is_reached_by_newton_or_left_to_another_method():
+    """A root to rounding; no pose where it does not go straight."""
+    bent = _by_newton(lambda q: np.array([q[0] * q[1] - 2.0, q[0] - q[1] + 1.0]), np.array([0.8, 1.7]))
+    assert bent == pytest.approx([1.0, 2.0], abs=1e-14)
+    assert _by_newton(lambda q: q**2 + 1.0, np.array([0.3])) is None
+    assert _by_newton(lambda q: 0.0 * q + 1.0, np.array([0.3])) is None
+    assert _by_newton(np.sin, np.array([1.9])) is None  # it would end four half turns away
