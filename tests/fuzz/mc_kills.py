@@ -67,7 +67,7 @@ def kill_studies(project: Project, folder: Path, number: int, count: int) -> dic
     for turn in range(count):
         kind, out = kinds[turn % len(kinds)], folder / f"killed{turn}"
         # most of a short command is its start and its page: most kills come while samples are measured
-        at_work = chance.random() < _AT_WORK
+        at_work = kind in _LOCAL and chance.random() < _AT_WORK
         wait_s = chance.uniform(0.0, sampling if at_work else length)
         counts[kind] += (
             _cluster(kind, words, out, folder, wait_s)
