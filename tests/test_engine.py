@@ -272,16 +272,16 @@ from cosim.tolerance import engine, worker_pool
 if __name__ == "__main__":
     started, start = [], SpawnProcess.start
     SpawnProcess.start = lambda self: (started.append(self), start(self))
-    assert worker_pool.prepare_pool() is False
+    copies = worker_pool.prepare_pool()
     engine.run(job(sys.argv[1], 40, deadly=(17,)), Path(sys.argv[1]) / "mc", workers=2, chunk=8)
-    print(len(started))
+    print(int(copies), len(started))
 """
 
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("why", ["another system", "a long path"])
 def test_where_no_process_can_be_copied_workers_are_started_anew(tmp_path, why):
-    """A socket's path has 108 bytes at most: `bind` refuses a longer one."""
+    """A socket's path has 108 bytes at most: `bind` refuses a longer one, where Python does not shorten it."""
     before = "sys.platform = 'darwin'" if why == "another system" else ""
     place = tmp_path / ("x" * 60) / ("y" * 60)
     place.mkdir(parents=True)
@@ -291,8 +291,10 @@ def test_where_no_process_can_be_copied_workers_are_started_anew(tmp_path, why):
     command = [sys.executable, str(tmp_path / "spawned.py"), str(tmp_path / "here")]
     ended = subprocess.run(command, env=env, timeout=120, capture_output=True, text=True)
     assert ended.returncode == 0, ended.stderr
+    copies, started = map(int, ended.stdout.split())
     # both workers, and another for each that the sample took with it
-    assert int(ended.stdout) >= 4
+    assert started == 0 if copies else started >= 4
+    assert not copies or (why == "a long path" and sys.version_info >= (3, 14))  # that takes /tmp instead
     _, failures = run(job(tmp_path / "here", 40), tmp_path / "here" / "mc", workers=1).read()
     assert {k: sorted(each) for k, each in failures.items()} == {17: sorted(NAMES)}
     # what is left of the samples are those of a study by copies of a template
