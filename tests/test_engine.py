@@ -281,7 +281,7 @@ if __name__ == "__main__":
 @pytest.mark.few(1)
 @pytest.mark.parametrize("why", ["another system", "a long path"])
 def test_where_no_process_can_be_copied_workers_are_started_anew(tmp_path, why):
-    """A socket's path has 108 bytes at most: `bind` refuses a longer one, where Python does not shorten it."""
+    """A socket's path has 108 bytes at most: `bind` refuses a longer one, or Python takes another folder."""
     before = "sys.platform = 'darwin'" if why == "another system" else ""
     place = tmp_path / ("x" * 60) / ("y" * 60)
     place.mkdir(parents=True)
