@@ -186,10 +186,8 @@ def replay(plan: Plan, recorded: Outcome, gear: float, room: int = 10_000) -> Re
     s["times"], s["smooth"], s["plain"] = times.ctypes.data, smooth.ctypes.data, plain.ctypes.data
     s["segments"], s["smooths"], s["plains"] = len(times) - 1, smooth.shape[1], plain.shape[1]
     s["marks"], s["mark_count"] = marks.ctypes.data, len(marks)
-    s["steps"]["longest"] = min(plan.scene.solver.max_step_s, plan.scene.computer.period_s)
-    s["steps"]["first"] = min(
-        FIRST_STEP_SHARE * float(s["steps"]["longest"]), plan.scene.computer.dac.settling_s / 3
-    )
+    s["h_max"] = min(plan.scene.solver.max_step_s, plan.scene.computer.period_s)
+    s["h_first"] = min(FIRST_STEP_SHARE * float(s["h_max"]), plan.scene.computer.dac.settling_s / 3)
     s["tiny"] = 1e-12
     names = tuple(name.lower() for name in saved(circuit, _nodes(plan)))
     rows = np.zeros((room, len(names) + 1))
