@@ -294,9 +294,12 @@ class CallLog:
 
     def _check(self) -> None:
         """Make sure that the same work was done: the state ends where that of the run ended."""
-        for field in ("t", "q", "v", "a", "points", "tick", "defect_sum"):
-            if not np.array_equal(self.memory.state[field], self.after[field]):
-                raise RuntimeError(f"the repeated calls ended elsewhere: {field}")
+        ended, wanted = self.memory.state[0], self.after[0]
+        pairs = {name: (ended[name], wanted[name]) for name in ("t", "q", "v", "a", "points", "defect_sum")}
+        pairs["tick"] = (ended["clock"]["tick"], wanted["clock"]["tick"])
+        for name, (got, run) in pairs.items():
+            if not np.array_equal(got, run):
+                raise RuntimeError(f"the repeated calls ended elsewhere: {name}")
 
     def parts(self) -> dict[str, int]:
         """Count the calls of each callback."""
