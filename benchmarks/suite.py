@@ -135,6 +135,8 @@ def growth(repetitions: int) -> list[Figure]:
     walls: dict[int, list[float]] = {n: [] for n in GROWTH_JOINTS}
     with tempfile.TemporaryDirectory(prefix="cosim-bench-") as name, Child() as child:
         plans = {n: chain_plan(n, Path(name) / str(n), GROWTH_S) for n in GROWTH_JOINTS}
+        for plan in plans.values():
+            plan.stated()  # read by a process of its own, which the confined child could not start
         for repetition in range(repetitions + 1):
             for n, plan in plans.items():
                 payload = {"plan": plan, "count": repetition == 0}
