@@ -3,8 +3,8 @@
 Where the model `linear` carries the scene, its loop is the twin of a lockstep with ngspice: it shares neither
 the integrator of the circuit nor the coupling, and costs a small part. What the tolerances of its own circuit
 may hide (fit, reduction, gains that are not quite proportional) is added as a share of the value. A scene
-that only ngspice carries is its own twin, with tolerances ten times tighter and half the steps, behind a jump
-as well.
+that only ngspice carries is its own twin, with tolerances ten times tighter (of charges a hundred times) and
+half the longest step, or a quarter of a period.
 
 The difference of run and twin is the error of the run plus the twin's own, which is smaller: the bound is the
 difference times a margin.
