@@ -4,7 +4,7 @@ Where the model `linear` carries the scene, its loop is the twin of a lockstep w
 the integrator of the circuit nor the coupling, and costs a small part. What the tolerances of its own circuit
 may hide (fit, reduction, gains that are not quite proportional) is added as a share of the value. A scene
 that only ngspice carries is its own twin, with tolerances ten times tighter (of charges a hundred times) and
-half the longest step, or a quarter of a period.
+half the longest step, of those allowed and of those taken, or a quarter of a period.
 
 The difference of run and twin is the error of the run plus the twin's own, which is smaller: the bound is the
 difference times a margin.
@@ -12,9 +12,12 @@ difference times a margin.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from cosim.accuracy.noise_paths import noisy
 from cosim.accuracy.solver_settings import carries
@@ -67,8 +70,15 @@ class Twin:
     words: str
 
 
-def twin_of(plan: Plan, *, own: bool = False) -> Twin:
+def twin_of(plan: Plan, *, own: bool = False, taken_s: float = math.inf) -> Twin:
     """Return the twin of a plan; with `own` the same model, more tightly solved.
+
+    Parameters
+    ----------
+    plan : what was run
+    own : whether the twin has the run's model although another carries the scene
+    taken_s : the longest step [s] that the run took: bounds that are not the scene's (a shaft's oscillation,
+        the back-EMF's) hold for run and twin alike
 
     Raises
     ------
@@ -78,9 +88,10 @@ def twin_of(plan: Plan, *, own: bool = False) -> Twin:
     scene, solver = plan.scene, plan.scene.solver
     model = "linear" if plan.model == "spice" and carries(scene, "linear") and not own else plan.model
     if model == "spice":
+        longest_s = min(min(solver.max_step_s, taken_s) / 2.0, scene.computer.period_s / _WITHIN)
         finer = {
             "rtol": max(min(solver.rtol, _USUAL_RTOL) / 10.0, 1e-9),
-            "max_step_s": max(min(solver.max_step_s / 2.0, scene.computer.period_s / _WITHIN), 1e-9),
+            "max_step_s": max(longest_s, 1e-9),
             "coupling_tolerance_rad": max(solver.coupling_tolerance_rad / 10.0, 1e-14),
             "charge_tolerance_c": max(solver.charge_tolerance_c / _LESS_CHARGE, 1e-18),
         }
@@ -110,6 +121,7 @@ def estimator(plan: Plan, child: Child | None) -> Errors:
 
     def errors(done: Simulated, meanwhile: Callable[[], object]) -> dict[str, dict[str, Any]]:
         why, drawn_anew = "", noisy(plan.scene)
+        taken_s = float(np.diff(done.signals["time"]).max()) if plan.model == "spice" else math.inf
 
         def beside() -> None:
             meanwhile()
@@ -118,7 +130,7 @@ def estimator(plan: Plan, child: Child | None) -> Errors:
 
         for own in (False, True):
             try:
-                twin = twin_of(plan, own=own)
+                twin = twin_of(plan, own=own, taken_s=taken_s)
                 with collected(forward=False):
                     nominal, others = measures_of(twin.plan, child, beside)
                 break
