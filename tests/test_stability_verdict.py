@@ -352,6 +352,26 @@ def test_such_a_part_hides_no_slip(tmp_path):
     assert 2e6 < value.real < 2.0 * np.pi * 30e6
 
 
+@pytest.mark.parametrize(
+    "number", [6, 12, *(pytest.param(k, marks=pytest.mark.slow) for k in range(24) if k not in (6, 12))]
+)
+def test_a_fit_that_finds_far_poles_in_rounding_takes_nothing_back(tmp_path, number):
+    """A follower behind two lags R C: its poles x/(R C) solve x (1 + 3 x + x^2) + w R C = 0, w of its gain.
+
+    Seen to fail where poles beyond 10 GHz were believed of a fit alone: 6 and 12 passed as stable.
+    """
+    rng = np.random.default_rng(number)
+    gain_hz, lag = 10.0 ** rng.uniform(5, 7), rng.uniform(4.0, 200.0)
+    farad = lag / (2.0 * np.pi * gain_hz * 1e4)
+    lags = f"Rs1 out f1 10k\nCs1 f1 0 {farad!r}\nRs2 f1 f2 10k\nCs2 f2 0 {farad!r}"
+    board, _ = swapped(tmp_path, "angle", "xop wiper out", f"{lags}\nxop wiper f2")
+    values = {"tl072_gbw": repr(gain_hz)}
+    result = judged(load_deck(board, levels={**FINITE, "driver": "voltage"}, overrides=values))
+    expected = np.roots([1.0, 3.0, 1.0, lag]).real.max() / (farad * 1e4)
+    # 1 Ohm of the output against 1.58 kOhm of the differentiator, and a second pole at 10 MHz
+    assert [each.real for each in result.refused] == [pytest.approx(expected, rel=0.05)]
+
+
 def test_a_stuck_output_at_rest_is_reported(tmp_path):
     """Hard case 49: Newton finds an output at its limit, where the loop has no gain and nothing grows."""
     board, _ = swapped(tmp_path, "summer", "xop 0 sum", "xop sum 0")

@@ -171,6 +171,12 @@ def test_the_pole_that_is_told_is_the_true_one_where_two_fits_agree_on_a_faster(
 
 
 @pytest.mark.slow
+def test_a_pole_of_a_board_is_told_where_a_fit_finds_another_far_beyond():
+    """38 krad/s by the independent nodal analysis; in rounding a fit finds 9e13 rad/s."""
+    assert trouble.outcome(drawn(20261215, 621), 20261215, 621, None)["outcome"] == "unstable"
+
+
+@pytest.mark.slow
 def test_a_few_scenes_end_to_end(tmp_path, monkeypatch, capsys):
     out = tmp_path / "trouble.jsonl"
     monkeypatch.setattr("sys.argv", ["trouble", "--seed", "1", "-n", "5", "--out", str(out)])

@@ -17,7 +17,18 @@ import numpy as np
 from cosim.errors import SimulationError
 from cosim.types import Array, Complex
 
-__all__ = ["HELD_OHM", "SWEEP", "Impedances", "alike", "count", "independent", "measure", "pivots", "winding"]
+__all__ = [
+    "HELD_OHM",
+    "SWEEP",
+    "Impedances",
+    "alike",
+    "count",
+    "independent",
+    "measure",
+    "pivots",
+    "winding",
+    "wound",
+]
 
 #: Measures the impedance matrix [F, N, N] over a sweep; returns the frequencies [Hz] and the matrix.
 Ask = Callable[[str], tuple[Array, Complex]]
@@ -48,6 +59,11 @@ class Impedances:
     def of(self, ports: list[int]) -> Impedances:
         """Return those between some of the ports, the others left open."""
         return Impedances(self.hz, self.z[:, ports][:, :, ports])
+
+    def up_to(self, hz: float) -> Impedances:
+        """Return those at frequencies below `hz`."""
+        below = self.hz < hz
+        return Impedances(self.hz[below], self.z[below])
 
     def joined(self, *others: Impedances) -> Impedances:
         """Return all points of several measurements in order, each frequency once."""
@@ -121,8 +137,7 @@ def _before(seen: Impedances, first_hz: float) -> Impedances:
     """Return what was measured clearly below the frequency at which rounding begins."""
     if first_hz < _CLEAR * _NO_PART_HZ:
         raise SimulationError(f"the impedances of the board are lost in rounding at {first_hz:.3g} Hz")
-    clear = seen.hz < first_hz / _CLEAR
-    return Impedances(seen.hz[clear], seen.z[clear])
+    return seen.up_to(first_hz / _CLEAR)
 
 
 def _wide(hz: Array, shown: Complex) -> list[int]:
@@ -140,8 +155,13 @@ def _wide(hz: Array, shown: Complex) -> list[int]:
 
 def count(seen: Impedances) -> int:
     """Return how many poles the network has in the right half plane; `seen` as `measure` leaves it."""
+    return round(wound(seen))
+
+
+def wound(seen: Impedances) -> float:
+    """Return that number as it is measured: no integer where a sweep ends near to a pole."""
     shown = pivots(seen.z)
-    return round(sum(winding(seen.hz, shown[:, k]) for k in range(shown.shape[1])))
+    return sum(winding(seen.hz, shown[:, k]) for k in range(shown.shape[1]))
 
 
 def winding(hz: Array, h: Complex) -> float:

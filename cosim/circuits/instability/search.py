@@ -16,7 +16,7 @@ import numpy as np
 from cosim.circuits.decks import SUPPLY_V
 from cosim.circuits.extraction.testbench import Testbench
 from cosim.circuits.fitting.aaa import poles_of
-from cosim.circuits.instability.encirclements import HELD_OHM, Impedances, alike, count, measure
+from cosim.circuits.instability.encirclements import HELD_OHM, Impedances, alike, count, measure, wound
 from cosim.circuits.instability.loop_ports import Port, loop_ports
 from cosim.circuits.instability.stability_verdict import Instability, Latched, Question, Verdict
 from cosim.errors import CosimError
@@ -163,11 +163,14 @@ class _Court:
 
     def _is_beyond(self, seen: Impedances, loop: list[int]) -> bool:
         """Whether all poles of a loop in the right half plane lie beyond the band of any part."""
+        every = count(seen.of(loop))
+        if wound(seen.of(loop).up_to(_BAND_HZ[1])) > every - 0.5:  # far fits find poles in rounding as well
+            return False
         far = Impedances(*self._ask(_BEYOND)).of(loop)
         fast = 2.0 * np.pi * _BAND_HZ[1]
         counts = (_right(far.hz, far.z[:, k, k], _BEYOND_HZ) for k in range(len(loop)))
         most = max(sum(2 if p.imag else 1 for p in poles if abs(p) > fast) for poles in counts)
-        return most >= count(seen.of(loop)) > 0
+        return most >= every > 0
 
     def _instability(
         self, seen: Impedances, loop: list[int], condition: str, volts: Mapping[str, float]

@@ -22,7 +22,7 @@ from cosim.units import quantity, signed
 __all__ = ["Instability", "Latched", "Question", "Verdict", "keep", "known"]
 
 #: To be raised with every change that may change a verdict.
-_VERSION = 7
+_VERSION = 8
 
 
 @dataclass(frozen=True)
