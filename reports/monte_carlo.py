@@ -293,11 +293,11 @@ def _tornado(findings: "Findings", name: str) -> Drawn:
         f"change of {heading(name.replace('_', ' '), UNITS.get(name, ''))} by one standard deviation"
     )
     axes.grid(axis="y", visible=False)
-    kind = "linear" if not surface.terms else f"linear with {len(surface.terms)} squares and products"
+    more = f" with {len(surface.terms)} squares and products" if surface.terms else ""
     return Drawn(
         drawing,
-        f"The largest {len(order)} of {len(surface.names)}, with 95 % intervals, from a {kind} surface; of "
-        f"samples that it was not fitted to it explains R^2 = {surface.held_out:.5g}.",
+        f"The largest {len(order)} of {len(surface.names)}, with 95 % intervals, from a linear surface{more}; "
+        f"of samples that it was not fitted to it explains R^2 = {surface.held_out:.5g}.",
     )
 
 

@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import shlex
 import shutil
 import subprocess
 from pathlib import Path
@@ -13,6 +14,7 @@ from scipy import stats
 from support import ROOT, SCENES
 
 from cosim import cli
+from cosim.commands.mc import replay, whole
 from cosim.tolerance.distribution_functions import extracted_calls
 from cosim.tolerance.monte_carlo import Study
 from cosim.tolerance.random_variables import Tolerances
@@ -185,6 +187,7 @@ def test_a_tolerance_that_was_edited_makes_another_study(
         # an array job whose variable is not set measured the whole study in each of its processes
         (["--shard", ""], "--shard = '': is empty"),
         (["--cluster", "", "--until", "", "-o", ""], "--out = '': is empty"),
+        (["--set", "seed=1", "--set", "seed=2"], "--set = 'seed=2': is set twice\n"),
         (["--seed", "-1"], "--seed = -1: is not a valid seed"),
         (["--seed", "9" * 30], "is not a valid seed"),
     ],
@@ -194,6 +197,15 @@ def test_no_option_is_ignored_in_silence(
 ) -> None:
     assert cli.main(["mc", PRESS, "--measure", "k_max", *words]) == 2
     assert reason in capsys.readouterr().err
+
+
+def test_a_command_to_replay_grants_what_the_study_was_granted() -> None:
+    """Without --include the command of a worst device was refused."""
+    typed = ["mc", PRESS, "--trust", "--include", "/vendor parts", "--include", "b"]
+    args = cli.build_parser(["mc"]).parse_args(typed)
+    for command in (f"{replay(args, 4)} 2", whole(args)):
+        again = cli.build_parser(["mc"]).parse_args(shlex.split(command)[1:])
+        assert (again.trust, again.include) == (True, ["/vendor parts", "b"])
 
 
 @pytest.mark.slow

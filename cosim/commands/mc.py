@@ -230,6 +230,11 @@ def _same_devices(args: argparse.Namespace) -> list[str]:
     words += [word for name in args.measure for word in ("--measure", name)]
     words += [word for text in args.spec for word in ("--spec", text)]
     words += ["--model", args.model] if args.model else []
+    # what the netlists needed then, they need again
+    words += [
+        *(["--trust"] if args.trust else []),
+        *(w for each in args.include for w in ("--include", each)),
+    ]
     return words + (["--seed", str(args.seed)] if args.seed is not None else [])
 
 
