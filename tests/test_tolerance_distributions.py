@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from cosim.ngspice.flatten import including
 from cosim.tolerance.distribution_functions import extracted_calls
 from cosim.tolerance.distributions import Shape
 from cosim.tolerance.eseries import SERIES, preferred
-from cosim.tolerance.grammar import Wrong, begins, parse
+from cosim.tolerance.grammar import Wrong, begins, parse, shape_before
 
 U = (np.arange(200_000) + 0.5) / 200_000
 
@@ -89,6 +90,41 @@ def test_a_histogram_is_drawn_by_its_inverse(tmp_path: Path) -> None:
 def test_what_cannot_be_is_refused(text: str, tmp_path: Path) -> None:
     with pytest.raises(Wrong):
         parse(text, tmp_path)
+
+
+def test_a_histogram_lies_in_the_project_or_where_the_user_says(tmp_path: Path) -> None:
+    """A board or a scene read any file, and the error repeated a row of one that was no histogram."""
+    inner, outer = tmp_path / "project", tmp_path / "outside"
+    inner.mkdir()
+    outer.mkdir()
+    (outer / "lot.csv").write_text("percent\n-1\n1\n")
+    (inner / "link.csv").symlink_to(outer / "lot.csv")
+    for name in ("../outside/lot.csv", str(outer / "lot.csv"), "link.csv"):
+        with pytest.raises(Wrong, match=f"--include {outer} or --trust allows it"):
+            parse(f"histogram={name}", inner)
+        assert parse(f"histogram={name}", inner, [outer]) == parse(f"histogram={name}", inner, None)
+        with including([outer]):
+            assert parse(f"histogram={name}", inner).own is not None
+    (inner / "secret.csv").write_text("percent\nthe password\n")
+    with pytest.raises(Wrong) as caught:
+        parse("histogram=secret.csv", inner)
+    assert "password" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("comment", "shape"),
+    [
+        ("sorted(inner=1%) tol=5%", "sorted(inner=1%)"),
+        ("Ohm, uniform tol=5%", "uniform"),
+        ("sigmas=2, lot=5% dev=1%", "sigmas=2"),
+        ("tol=5% uniform", ""),
+        ("flat pack; tol=5%", ""),
+        ("Ohm, non-uniform tol=5%", ""),
+        ("uniform", ""),
+    ],
+)
+def test_a_shape_before_the_tolerance_is_seen(comment: str, shape: str) -> None:
+    assert shape_before(comment) == shape
 
 
 def test_words_for_people_stand_behind_a_semicolon() -> None:

@@ -243,6 +243,38 @@ def test_all_that_is_wrong_is_reported_with_file_and_line(tmp_path: Path) -> Non
         assert each in text
 
 
+def test_a_shape_before_its_tolerance_is_refused(tmp_path: Path) -> None:
+    """It was taken for words: a sorted resistor came out as one whose middle is there."""
+    with pytest.raises(InputError) as caught:
+        read(tmp_path, (SUMMER, "24.3k $ tol=1%", "24.3k $ sorted(inner=0.1%) tol=1%"))
+    assert [(Path(p.file or "").name, p.line) for p in caught.value.problems] == [("summer.cir", 3)]
+    assert "stands before the tolerance" in str(caught.value)
+
+
+def test_a_histogram_outside_the_project_takes_trust(tmp_path: Path) -> None:
+    (tmp_path / "lot.csv").write_text("percent\n-1\n1\n")
+    rows = (SUMMER, "24.3k $ tol=1%", f"24.3k $ histogram={tmp_path / 'lot.csv'}")
+    with pytest.raises(InputError, match="lies outside the project's folder"):
+        read(tmp_path, rows)
+    scene = load_scene(PRESS, [f"device.board={tmp_path / 'netlists' / 'board2.cir'}"])
+    assert np.unique(np.sign(deviation(tolerances(scene, trust=True), "rsp11"))).tolist() == [-1.0, 1.0]
+
+
+def test_of_a_function_in_a_formula_no_unit_is_told(tmp_path: Path) -> None:
+    """A hundredth was told to be 0.01 Ohm of 10 kOhm."""
+    for number, (value, text) in enumerate(
+        (
+            ("{10k*(1+flat(0.01))}", "uniform +-0.01 in its formula"),
+            ("{mc(10k,0.01)}", "uniform +-100 Ohm"),
+            ("aunif(10k,100)", "uniform +-100 Ohm"),
+        )
+    ):
+        drawn = read(tmp_path / str(number), (SUMMER, "r_sum_fb=10.0k $ tol=1%", f"r_sum_fb={value} $"))
+        one = drawn.components[drawn.keys.index("xsum1.r31")]
+        assert one.distribution == text
+        assert np.abs(deviation(drawn, "xsum1.r31")).max() == pytest.approx(0.01, rel=0.01)
+
+
 def test_five_per_cent_of_a_millihenry_is_a_share(tmp_path: Path) -> None:
     """Taken as an absolute sigma it once made 47 % of all inductors negative."""
     result = read(

@@ -50,7 +50,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         for subject in subjects:
             with collected(subject.label):
                 checks.append(check(subject, child=child))
-    varies = [_varies(subject) for subject in subjects]
+    varies = [_varies(subject, args.trust) for subject in subjects]
     texts = []
     for done, (_, lines) in zip(checks, varies, strict=True):
         sections, _, counts = describe(done).rpartition("\n")
@@ -61,14 +61,14 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     return {"checks": records}, text
 
 
-def _varies(subject: "Subject") -> tuple[dict[str, Any], str]:
+def _varies(subject: "Subject", trust: bool) -> tuple[dict[str, Any], str]:
     """Return what varies of a built device, or what is wrong with its tolerances."""
     from cosim.errors import InputError
     from cosim.tolerance.listing import CONVENTION, component_rows, table
     from cosim.tolerance.scene_variables import tolerances
 
     try:
-        varied = tolerances(subject.scene, board=subject.board)
+        varied = tolerances(subject.scene, board=subject.board, trust=trust)
     except InputError as error:
         wrong = [problem.as_dict() for problem in error.problems]
         lines = [f"  problem: {problem}" for problem in error.problems]

@@ -16,7 +16,7 @@ from cosim.ngspice.lax_forms import put_right, read_over
 from cosim.ngspice.lines import Line, lines_of, text_of
 from cosim.ngspice.values import as_meant
 
-__all__ = ["Reader", "including", "sections"]
+__all__ = ["Reader", "including", "readable", "sections"]
 
 _granted: ContextVar[tuple[Path, ...]] = ContextVar("granted", default=())
 """Folders outside the project that netlists may include files of."""
@@ -40,6 +40,12 @@ def including(folders: Iterable[str | Path]) -> Iterator[None]:
         yield
     finally:
         _granted.reset(before)
+
+
+def readable(path: Path, folders: Iterable[Path]) -> bool:
+    """Whether a file lies in one of these folders, or in one that `including` allows, wherever links lead."""
+    place = path.resolve()
+    return any(place.is_relative_to(folder.resolve()) for folder in (*folders, *_granted.get()))
 
 
 MOST_LINES = 200_000

@@ -6,18 +6,23 @@ import csv
 import io
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
+from cosim.ngspice.flatten import readable
 from cosim.ngspice.lines import number
 from cosim.storage.bounded_read import read_regular
 from cosim.tolerance.distributions import SIGMAS, Histogram, Kind, Shape
 
-__all__ = ["Stated", "Wrong", "begins", "parse"]
+__all__ = ["Stated", "Wrong", "begins", "parse", "shape_before"]
 
 _BEGIN = re.compile(r"(?<![\w.])(tol|lot|dev|match|histogram)\s*=", re.IGNORECASE)
+_SHAPE_BEFORE = re.compile(
+    r"(?<![\w.-])(uniform|flat|gauss|gaussian|normal|truncated|sorted\s*\([^)]*\)|sigmas\s*=\s*[^\s;,]+)[\s,]*$",
+    re.IGNORECASE,
+)
 _WORD = re.compile(r"[^\s(=]+\s*\([^)]*\)|[^\s=]+\s*=\s*[^\s]+|\S+")
 _SHAPES: dict[str, Kind] = {
     "gauss": "gauss", "gaussian": "gauss", "normal": "gauss", "truncated": "truncated", "uniform": "uniform",
@@ -61,7 +66,20 @@ def begins(comment: str) -> str | None:
     return comment[match.start() :].partition(";")[0].strip() if match else None
 
 
-def parse(text: str, folder: Path | None = None) -> Stated:
+def shape_before(comment: str) -> str:
+    """Return the shape that stands right before a comment's tolerance, where nothing reads it; else nothing.
+
+    Examples
+    --------
+    >>> shape_before('uniform tol=5%'), shape_before('tol=5% uniform'), shape_before('flat pack; tol=5%')
+    ('uniform', '', '')
+    """
+    tolerance = _BEGIN.search(comment)
+    shape = _SHAPE_BEFORE.search(comment[: tolerance.start()]) if tolerance else None
+    return shape[1] if shape else ""
+
+
+def parse(text: str, folder: Path | None = None, inside: Sequence[Path] | None = ()) -> Stated:
     """Read a tolerance.
 
     Parameters
@@ -70,6 +88,8 @@ def parse(text: str, folder: Path | None = None) -> Stated:
         As it stands in the comment, or in the scene, where a bare "1%" is ``tol=1%``.
     folder
         Folder that a histogram's file is in; none: there can be no file.
+    inside
+        Folders besides it that the file may lie in; none: anywhere.
 
     Raises
     ------
@@ -100,10 +120,12 @@ def parse(text: str, folder: Path | None = None) -> Stated:
                 f"'{word}' is no part of a tolerance ({keys}, uniform, gauss, truncated, "
                 "sorted(inner=1%)); words for people stand behind a semicolon"
             )
-    return _built(words, shape or ("truncated", 0.0), folder)
+    return _built(words, shape or ("truncated", 0.0), folder, inside)
 
 
-def _built(words: dict[str, str], shape: tuple[Kind, float], folder: Path | None) -> Stated:
+def _built(
+    words: dict[str, str], shape: tuple[Kind, float], folder: Path | None, inside: Sequence[Path] | None
+) -> Stated:
     sigmas = number(words["sigmas"]) if "sigmas" in words else SIGMAS
     if sigmas is None or not 0.0 < sigmas <= MOST_SIGMAS:
         raise Wrong(f"sigmas = {words['sigmas']} (allowed: > 0 and <= {MOST_SIGMAS:g})")
@@ -115,7 +137,7 @@ def _built(words: dict[str, str], shape: tuple[Kind, float], folder: Path | None
     if "histogram" in words:
         if {"tol", "lot", "dev"} & words.keys():
             raise Wrong("a histogram stands instead of tol, lot and dev")
-        return Stated(own=_measured(words["histogram"], folder))
+        return Stated(own=_measured(words["histogram"], folder, inside))
     if "match" in words:
         if words["match"].rpartition(":")[0] not in ("", "board") or not words["match"].rpartition(":")[2]:
             raise Wrong(f"match = {words['match']} (allowed: the name of a network, or board: and the name)")
@@ -178,20 +200,26 @@ def _tight(text: str) -> str:
     return re.sub(r"\s+%", "%", re.sub(r"\s*([=,/])\s*", r"\1", text))
 
 
-def _measured(name: str, folder: Path | None) -> Shape:
-    """Read a histogram: CSV with the columns ``percent`` or ``value``, or ``from,to,count`` in per cent."""
+def _measured(name: str, folder: Path | None, inside: Sequence[Path] | None) -> Shape:
+    """Read a histogram: CSV with the column ``percent``, or with ``from,to,count`` in per cent."""
     if folder is None:
         raise Wrong("a histogram has no file here")
     file = folder / name
+    if inside is not None and not readable(file, (folder, *inside)):
+        raise Wrong(
+            f"the histogram {file} lies outside the project's folder "
+            f"(--include {file.resolve().parent} or --trust allows it)"
+        )
     try:
         rows = list(csv.reader(io.StringIO(read_regular(file, _MOST_BYTES).decode("utf-8-sig"))))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise Wrong(f"cannot read the histogram {file}: {error}") from None
+    # what is in a file that is no histogram is not repeated: it may be anything
     head = [cell.strip().lower() for cell in rows[0]] if rows else []
     try:
         data = [[float(cell) for cell in row] for row in rows[1:] if row]
-    except ValueError as error:
-        raise Wrong(f"{file}: {error}") from None
+    except ValueError:
+        raise Wrong(f"{file}: what follows the heading must be rows of numbers") from None
     if any(len(row) != len(head) for row in data) or any(
         abs(x) > 1e30 or x != x for row in data for x in row
     ):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections import ChainMap
-from collections.abc import Iterable, Iterator, Mapping, MutableMapping
+from collections.abc import Iterable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -24,7 +24,7 @@ from cosim.ngspice.netlist import Block, Instance, Netlist
 from cosim.ngspice.values import as_meant
 from cosim.tolerance.distribution_functions import extracted_calls
 from cosim.tolerance.distributions import SIGMAS, Shape
-from cosim.tolerance.grammar import Stated, Wrong, begins, parse
+from cosim.tolerance.grammar import Stated, Wrong, begins, parse, shape_before
 
 __all__ = ["Board", "NetlistComponent", "Param", "Place"]
 
@@ -85,12 +85,20 @@ class Board:
         Netlist, and the board's name.
     components
         Tolerances by name before all that the netlist says.
+    inside
+        Folders that the files of its histograms may lie in, besides that of the netlist; none: anywhere.
     """
 
-    def __init__(self, net: Netlist, name: str, components: Mapping[str, Stated]) -> None:
+    def __init__(
+        self,
+        net: Netlist,
+        name: str,
+        components: Mapping[str, Stated],
+        inside: Sequence[Path] | None = (),
+    ) -> None:
         self.problems: list[Problem] = []
         self.used: set[str] = set()
-        self._net, self._name, self._components = net, name, components
+        self._net, self._name, self._components, self._inside_of = net, name, components, inside
         self.top: dict[str, Param] = {}
         self._models = _models(net.top)
         for line in net.top:
@@ -257,8 +265,16 @@ class Board:
         words = begins(line.comment)
         if words is None or line.keyword == ".csparam":
             return None
+        unread = shape_before(line.comment)
+        if unread:
+            self._problem(
+                f"{unread} stands before the tolerance, where it does not count: write it behind, or end "
+                "words for people with a semicolon",
+                line,
+            )
+            return None
         try:
-            return parse(words, Path(line.file).parent if line.file else None)
+            return parse(words, Path(line.file).parent if line.file else None, self._inside_of)
         except Wrong as wrong:
             self._problem(str(wrong), line)
             return None

@@ -166,9 +166,9 @@ def prepare(asked: Asked) -> Prepared:
     check_blocks(names, (plan.board,))
     if scene.tolerance.calibration == "gains" and plan.model == "spice" and needs_a_run(names):
         file = str(scene.file) if scene.file else None
-        fail("runs on the models linear and ideal only: give --model linear", file=file,
+        fail("runs on the models linear and ideal only: set solver.model to linear", file=file,
              key="tolerance.calibration", value="gains")  # fmt: skip
-    variables = tolerances(scene, board=plan.board)
+    variables = tolerances(scene, board=plan.board, trust=asked.trust)
     for name in variables.idle:
         warn(
             Caution(
@@ -192,7 +192,7 @@ def _with_trimmers(plan: Plan, variables: Tolerances) -> Tolerances:
     named = {**table.components, **dict.fromkeys(missing, "1%")}
     scene = plan.scene.model_copy(update={"tolerance": table.model_copy(update={"components": named})})
     try:
-        every = tolerances(scene, board=plan.board)
+        every = tolerances(scene, board=plan.board, trust=plan.trust)
     except InputError as error:
         raise InputError(
             replace(problem, key=(problem.key or "").replace("components", "trim"))

@@ -45,7 +45,7 @@ def tolerances(scene: Scene | None, *, board: Deck | None = None, trust: bool = 
     board
         Its flat deck, where it is at hand.
     trust
-        Whether control blocks and file access may pass.
+        Whether control blocks and file access may pass, and files of histograms lie anywhere.
 
     Raises
     ------
@@ -56,14 +56,15 @@ def tolerances(scene: Scene | None, *, board: Deck | None = None, trust: bool = 
         if scene is None:
             raise ValueError("neither scene nor board")
         board = resolve(scene, trust=trust).board
-    return _Reader(board, scene).read()
+    return _Reader(board, scene, trust).read()
 
 
 class _Reader:
     """Collects components, random variables and problems."""
 
-    def __init__(self, board: Deck, scene: Scene | None) -> None:
+    def __init__(self, board: Deck, scene: Scene | None, trust: bool) -> None:
         self._deck, self._scene = board, scene
+        self._inside = None if trust else (board.path.parent,)
         self._text = _text(scene)
         self._problems: list[Problem] = []
         self._variables: dict[str, int] = {}
@@ -78,7 +79,7 @@ class _Reader:
 
     def read(self) -> Tolerances:
         """Return the tolerances, or raise with every problem."""
-        board = Board(netlist(self._deck), self._deck.board, self._named)
+        board = Board(netlist(self._deck), self._deck.board, self._named, self._inside)
         seen: list[str] = []
         classes: set[str] = set()
         for place in board.components():
@@ -258,7 +259,7 @@ class _Reader:
         for name, value in table.items():
             text = f"{100.0 * value:.12g}%" if isinstance(value, float) else value
             try:
-                stated_by_key[name] = parse(text, file.parent if file is not None else None)
+                stated_by_key[name] = parse(text, file.parent if file is not None else None, self._inside)
             except Wrong as wrong:
                 where, line = self._scene_place(prefix + name)
                 key = f"tolerance.{prefix}{name}"

@@ -87,4 +87,12 @@ class Recipe:
     def text(self, unit: str) -> str:
         """Return its deviations in words."""
         about = "" if self.centre is None else f" about {self.centre:g}"
-        return " and ".join(dict.fromkeys(term.shape.text(unit) + about for term in self.used()))
+        formula = len(self.words) > 1  # 0.01 of 10k*(1+flat(0.01)) is no resistance
+        inner = (term for recipe in self.names.values() for term in recipe.used())
+        texts = [
+            f"{each.shape.text()} in its formula" if formula and not each.shape.relative
+            else each.shape.text(unit) + about
+            for each in inner
+        ]  # fmt: skip
+        texts += [term.shape.text(unit) + about for term in self.terms]
+        return " and ".join(dict.fromkeys(texts))
