@@ -75,8 +75,8 @@ class Variant:
     label: str
 
 
-def parse_settings(texts: Iterable[str]) -> tuple[Setting, ...]:
-    """Parse the texts of ``--set``.
+def parse_settings(texts: Iterable[str], *, several: bool = True) -> tuple[Setting, ...]:
+    """Parse the texts of ``--set``; `several` says whether a name may have several values there.
 
     Raises
     ------
@@ -98,7 +98,8 @@ def parse_settings(texts: Iterable[str]) -> tuple[Setting, ...]:
         elif len(set(setting.values)) < len(setting.values):
             problems.append(Problem("has the same value twice", key="--set", value=text))
         elif any(setting.name == other.name for other in settings):
-            problems.append(Problem("is set twice; write all values in one --set", key="--set", value=text))
+            hint = "; write all values in one --set" if several else ""
+            problems.append(Problem("is set twice" + hint, key="--set", value=text))
         settings.append(setting)
     if problems:
         raise InputError(problems)
@@ -160,7 +161,7 @@ def overrides(texts: Iterable[str]) -> tuple[str, ...]:
     InputError
         As `parse_settings`, and where a name has several values.
     """
-    settings = parse_settings(texts)
+    settings = parse_settings(texts, several=False)
     problems = [
         Problem("takes one value here", key="--set", value=f"{setting.name}={','.join(setting.values)}")
         for setting in settings

@@ -90,3 +90,10 @@ def test_slips_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert "not a possible number of devices" in call(
         capsys, "sweep", PRESS, "seed=1,2", "--mc", "0", *out, code=2
     )
+    # neither is ignored in silence
+    assert "--tol = '1e-3'" in call(
+        capsys, "sweep", PRESS, "seed=1,2", "--mc", "4", "--tol", "1e-3", *out, code=2
+    )
+    assert "--most = 4" in call(
+        capsys, "compare", PRESS, "--set", "seed=1,2", "--mc", "4", "--most", "4", *out, code=2
+    )

@@ -67,6 +67,30 @@ def test_a_study_comes_out_again_and_a_changed_number_is_found(
         assert expected in call(capsys, "verify", str(out), code=2)
 
 
+def test_damaged_unfinished_and_partial_studies_say_what_to_do(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They advised -o, which `verify` does not have, and called an unfinished study none."""
+    out, shard, words = tmp_path / "mc", tmp_path / "shard", ["--workers", "1", "-n", "4"]
+    asked = ["mc", DROP, "--model", "linear", "--measure", "k_max"]
+    call(capsys, *asked, *words, "-o", str(out))
+    call(capsys, *asked, *words, "--shard", "1/2", "-o", str(shard))
+    told = call(capsys, "verify", str(shard), code=2)
+    assert "an unfinished study, or a shard" in told
+    kept = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
+    for folder, again in ((out, ["verify", str(out)]), (shard, [*asked, "-n", "4", "--merge", str(shard)])):
+        file = folder / "samples.parquet"
+        file.write_bytes(file.read_bytes()[:900])
+        told = call(capsys, *again, *(["-o", str(tmp_path / "all")] if "--merge" in again else []), code=2)
+        assert f"{file}: is damaged" in told
+        assert " -o" not in told
+    assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == kept | {
+        "samples.parquet": kept["samples.parquet"][:900]
+    }
+    (out / "study.json").unlink()  # what is damaged is not taken for another's
+    assert "is damaged, or not what" in call(capsys, "verify", str(out), code=2)
+
+
 def test_slips_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "holds neither a run" in call(capsys, "verify", str(tmp_path), code=2)
     assert "not a possible number of samples" in call(

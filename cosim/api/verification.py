@@ -74,9 +74,16 @@ def verify(
     if os.path.isfile(place / RECORD):
         return _run_again(place, trust)
     from cosim.tolerance.replay import repeat_samples
+    from cosim.tolerance.sample_store import is_named
     from cosim.tolerance.scene_study import RECORD as STUDY
 
     if not os.path.isfile(place / STUDY):
+        if is_named(place):
+            fail(
+                "holds an unfinished study, or a shard of one: what can be verified is there once `cosim mc` "
+                "has ended; repeat that command, which goes on, or put shards together by `cosim mc --merge`",
+                file=str(place),
+            )
         fail(
             f"holds neither a run ({RECORD}) nor a study of tolerances ({STUDY})"
             + results_below(place, (RECORD, STUDY)),

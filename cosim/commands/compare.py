@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 #: Results of `cosim run SCENE` without a folder of their own.
 _USUAL = Path("out")
+#: Figures that are printed where nothing else is asked for.
+_MOST_SHOWN = 40
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,7 +45,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         "-o", "--out", metavar="FOLDER", help="folder for the runs and a page (default: out/compare)"
     )
     measure_argument(parser, "measure to compare, and nothing else: no check, no page")
-    parser.add_argument("--most", type=int, default=40, metavar="N", help="figures to show (default: 40)")
+    parser.add_argument("--most", type=int, metavar="N", help=f"figures to show (default: {_MOST_SHOWN})")
     arguments(parser)
     trust_arguments(parser)
 
@@ -83,7 +85,13 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
     sides, rows = comparison.sides, comparison.changes
     page = write_comparison(sides, rows, out / "report")
-    text = "\n".join([*_table(sides, rows, args.most), *_descriptions(sides), f"wrote {page}"])
+    text = "\n".join(
+        [
+            *_table(sides, rows, _MOST_SHOWN if args.most is None else args.most),
+            *_descriptions(sides),
+            f"wrote {page}",
+        ]
+    )
     result = {
         "boards": [side.label for side in sides],
         "measures": [dict(side.run.measures) for side in sides],
@@ -103,6 +111,8 @@ def _distributions(
 
     if last is not None:
         fail("a stored run is one device: give boards or values", key="--last", value=str(last))
+    if args.most is not None:
+        fail("counts figures of single devices: it has no meaning beside --mc", key="--most", value=args.most)
     designs = [(each.label, each.overrides) for each in sides_of(args.boards, values, None)]
     out = Path(args.out) if args.out else _USUAL / "compare-mc"
     return by_distributions(args, args.scene, designs, out)

@@ -53,7 +53,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         own = name != args.measure
         wanted = OF_A_RUN if own or name in OF_A_RUN else (name,)
 
-        settings = parse_settings(args.set)
+        settings = parse_settings(args.set, several=False)
         if any(len(setting.values) > 1 for setting in settings):
             fail("a ledger is of one scene: give each name one value", key="--set", value=args.set)
         overrides = tuple(setting.override(setting.values[0]) for setting in settings)

@@ -49,7 +49,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         from cosim.variants import parse_settings, variants
         from reports.sweep import FILES, MANIFEST, write_sweep
 
-        fixed = parse_settings(args.set)
+        fixed = parse_settings(args.set, several=False)
         if any(len(setting.values) > 1 for setting in fixed):
             fail("is for all points: give the values to sweep as NAME=RANGE", key="--set", value=args.set)
         overrides = tuple(setting.override(setting.values[0]) for setting in fixed)
@@ -60,6 +60,9 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         if args.spec and args.mc is None:
             fail("is of devices that vary: give their number with --mc", key="--spec", value=args.spec[0])
         if args.mc is not None:
+            if args.tol:
+                fail("chooses settings of single runs: it has no meaning beside --mc", key="--tol",
+                     value=" ".join(args.tol))  # fmt: skip
             designs = [(each.label, (*overrides, *each.overrides)) for each in variants(settings)]
             where = Path(args.out) if args.out else Path("out/sweep-mc")
             return by_distributions(args, args.scene, designs, where)

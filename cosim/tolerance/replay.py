@@ -137,7 +137,7 @@ def repeat_samples(
     if not (folder / SAMPLES).is_file():
         fail("keeps no samples", file=str(folder))
     job = prepared.job(how, how.n)
-    kept, failures = Samples(folder, job.digest, prepared.names, 0, how.n).read()
+    kept, failures = Samples(folder, job.digest, prepared.names, 0, how.n, made=True).read()
     chosen = np.random.default_rng(seed).choice(how.n, min(count, how.n), replace=False)
     numbers = sorted(map(int, chosen))
     work, different = job.make(), list[str]()

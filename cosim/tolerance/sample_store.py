@@ -26,7 +26,7 @@ from cosim.storage.staging import atomic_file, disk_errors, sweep_folder
 from cosim.tolerance.missing import Missing, Reasons, reasons_of, text_of
 from cosim.types import Array
 
-__all__ = ["LEVELS", "SAMPLES", "Samples"]
+__all__ = ["LEVELS", "SAMPLES", "Samples", "is_named"]
 
 
 SAMPLES, STUDY, PARTS = "samples.parquet", "study.json", "parts"
@@ -61,6 +61,8 @@ class Samples:
         Measures.
     first, last
         Samples that are wanted here: all, or those of a shard.
+    made
+        Whether the study is there, and its samples are only read: nothing is written.
 
     Raises
     ------
@@ -68,13 +70,18 @@ class Samples:
         For a folder that holds another study or samples without one, or that cannot be written.
     """
 
-    def __init__(self, folder: Path, digest: str, names: Sequence[str], first: int, last: int) -> None:
+    def __init__(
+        self, folder: Path, digest: str, names: Sequence[str], first: int, last: int, *, made: bool = False
+    ) -> None:
         self.folder, self.digest, self.names = folder, digest, tuple(names)
         self.first, self.last = first, last
         self._parts = folder / PARTS
         self._seen: dict[tuple[Any, ...], bool] = {}
         self._tidy = False
         about = self._about = {"digest": digest, "names": list(names), "first": first, "last": last}
+        if made:
+            self._check_made()
+            return
         with disk_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
             known = _read(folder / STUDY)
@@ -89,6 +96,19 @@ class Samples:
             if known != about:
                 with atomic_file(folder / STUDY) as file:
                     file.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+
+    def _check_made(self) -> None:
+        """Refuse a folder whose samples are not those that its study wrote."""
+        known = _read(self.folder / STUDY)
+        if known is not None and known != self._about:
+            fail("holds another study than its record tells", file=str(self.folder))
+        samples = self.folder / SAMPLES
+        if os.path.lexists(samples) and (known is None or not self._complete()):
+            fail(
+                "is damaged, or not what the study of this folder wrote; to have it measured again, move it "
+                "away and repeat the study's command",
+                file=str(samples),
+            )
 
     def _refuse(self) -> NoReturn:
         fail("holds another study; choose another folder with -o, or remove it", file=str(self.folder))
@@ -185,7 +205,7 @@ class Samples:
         first, last = known["first"], known["last"]
         if not (self.first <= first < last <= self.last and known["names"] == list(self.names)):
             fail("holds no samples of this study", file=str(other))
-        source = Samples(other, self.digest, self.names, first, last)
+        source = Samples(other, self.digest, self.names, first, last, made=True)
         samples = source.folder / SAMPLES
         tables: Iterator[Any] = (
             (pa.Table.from_batches([batch]) for batch in pq.ParquetFile(samples).iter_batches(_GROUP))
@@ -258,6 +278,11 @@ class Samples:
         measures = np.stack([table[name].to_numpy() for name in self.names], axis=1)
         words = table[_MISSING].to_pylist()
         return measures, {self.first + k: reasons_of(text) for k, text in enumerate(words) if text}
+
+
+def is_named(folder: Path) -> bool:
+    """Whether a folder is one of samples: of a study, finished or not, or of a shard."""
+    return fits(_read(folder / STUDY), _About)
 
 
 def _regrouped(tables: Iterator[Any]) -> Iterator[Any]:

@@ -148,7 +148,8 @@ class Verdict:
             raise InputError(
                 Problem(
                     f"the board is {each}; look for positive feedback there, or declare a block that is "
-                    "meant to do so (*@ stability=bistable or oscillating); --allow-unstable runs it anyway",
+                    "meant to do so (*@ stability=bistable or oscillating); solver.allow_unstable = true "
+                    "runs it anyway",
                     file=file,
                     key=each.loop[0],
                 )
