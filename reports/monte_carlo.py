@@ -296,8 +296,8 @@ def _tornado(findings: "Findings", name: str) -> Drawn:
     more = f" with {len(surface.terms)} squares and products" if surface.terms else ""
     return Drawn(
         drawing,
-        f"The largest {len(order)} of {len(surface.names)}, with 95 % intervals, from a linear surface{more}; "
-        f"of samples that it was not fitted to it explains R^2 = {surface.held_out:.5g}.",
+        f"The largest {len(order)} of {len(surface.names)}, with 95 % intervals, from a linear surface{more}"
+        f"; of samples that it was not fitted to it explains R^2 = {surface.held_out:.5g}.",
     )
 
 
