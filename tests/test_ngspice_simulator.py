@@ -505,7 +505,7 @@ def test_a_library_that_pyspice_cannot_open_is_not_tried_under_another_name(
     monkeypatch.setattr(library, "_candidates", lambda: ["libc.so.6", "libm.so.6"])
     monkeypatch.setattr(library.ctypes, "CDLL", lambda name: SimpleNamespace(ngSpice_Init_Sync=None))
     with pytest.raises(InputError, match="cannot be opened by PySpice: too many open files"):
-        library.Library._open(failing)
+        library.Library._open(failing, None)
     assert tried == ["libc.so.6"]
 
 
@@ -520,6 +520,28 @@ def test_every_node_that_ngspice_names_can_be_read() -> None:
     assert any(name.startswith("x1.e_gain_int") for name in names)
     assert all(np.isfinite(simulator.vector(name)).all() for name in names)
     assert float(np.real(simulator.vector("b")[0])) == pytest.approx(2.0, rel=1e-9)
+
+
+def test_a_library_whose_interface_is_declared_already_opens():
+    """PySpice declares it once a process and refuses a second time, as it did in one of thousands of runs."""
+    from PySpice.Spice.NgSpice.Shared import NgSpiceShared, ffi
+
+    class Opened(NgSpiceShared):
+        def _init_ngspice(self, send_data):
+            pass
+
+    first = library.opened()
+    again = library.Library._open(Opened, ffi)
+    assert ffi.cast("void *", again.ngSpice_Circ) == ffi.cast("void *", first.api.ngSpice_Circ)
+
+
+def test_an_interface_that_was_declared_in_part_is_refused():
+    from cffi import FFI, CDefError
+
+    part = FFI()
+    part.cdef("int ngSpice_Circ(char **);")
+    with pytest.raises(CDefError, match="in part only"):
+        library._declared(part, library._candidates()[0])
 
 
 def test_a_library_that_did_not_open_says_why_ever_after(monkeypatch):

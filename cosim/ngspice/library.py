@@ -15,6 +15,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+from cffi import CDefError
+
 from cosim.errors import InputError, SimulationError
 from cosim.ngspice.forked import refuse_ngspice
 from cosim.ngspice.messages import worth_quoting
@@ -63,7 +65,7 @@ class Library:
                 """Leave the initialisation to us: PySpice's would switch off what we need."""
 
         self.ffi = ffi
-        self.api = self._open(Opened)
+        self.api = self._open(Opened, ffi)
         self.echo = "COSIM_NGSPICE_ECHO" in os.environ
         self.lines: list[str] = []
         self.recent: deque[str] = deque(maxlen=20)
@@ -94,7 +96,7 @@ class Library:
         self.version = self._version()
 
     @staticmethod
-    def _open(opened: Any) -> Any:
+    def _open(opened: Any, ffi: Any) -> Any:
         tried = _candidates()
         if "NGSPICE_LIBRARY_PATH" not in os.environ:
             path = ctypes.util.find_library("ngspice") if sys.platform != "linux" else None
@@ -109,7 +111,10 @@ class Library:
                 raise InputError(f"{name} is not the shared library of ngspice")
             opened.LIBRARY_PATH = name
             try:
-                return opened()._ngspice_shared  # sets the C locale for numbers, as ngspice wants it
+                try:
+                    return opened()._ngspice_shared  # sets the C locale for numbers, as ngspice wants it
+                except CDefError:  # in one of thousands of processes the interface is declared by then
+                    return _declared(ffi, name)
             except OSError as error:
                 raise InputError(f"{name} cannot be opened by PySpice: {error}") from error
         raise InputError(
@@ -277,6 +282,20 @@ class Library:
         self.failure = self.failure or SimulationError(f"nothing answers the external source {source}")
         value[0] = 0.0
         return 0
+
+
+def _declared(ffi: Any, name: str) -> Any:
+    """Open the library by an interface that was declared before; PySpice declares it, then opens.
+
+    Raises
+    ------
+    CDefError
+        Where the declaration was not finished.
+    """
+    api = ffi.dlopen(name)
+    if not hasattr(api, "ngSpice_SetBkpt"):  # the last one
+        raise CDefError("the interface of ngspice was declared in part only")
+    return api
 
 
 _library: Library | None = None
