@@ -243,6 +243,20 @@ def test_all_that_is_wrong_is_reported_with_file_and_line(tmp_path: Path) -> Non
         assert each in text
 
 
+def test_what_the_scene_says_wrong_is_reported_at_the_scene(tmp_path: Path) -> None:
+    """It named the netlist's line, where nothing is wrong, and a blank in the place of a unit."""
+    scene = tmp_path / "press.toml"
+    text = PRESS.read_text().replace("../netlists", (ROOT / "netlists").as_posix())
+    rows = '[tolerance]\nk_t = "120% uniform"\n[tolerance.components]\nrsp11 = "match=net tol=1%"\n'
+    scene.write_text(text + rows)
+    with pytest.raises(InputError) as caught:
+        tolerances(load_scene(scene))
+    first = text.count("\n") + 2
+    assert {(p.file, p.line) for p in caught.value.problems} == {(str(scene), first), (str(scene), first + 2)}
+    assert "alone in the network" in str(caught.value)
+    assert "motor_k = 0.04, uniform" in str(caught.value)
+
+
 def test_a_shape_before_its_tolerance_is_refused(tmp_path: Path) -> None:
     """It was taken for words: a sorted resistor came out as one whose middle is there."""
     with pytest.raises(InputError) as caught:

@@ -153,7 +153,8 @@ class _Reader:
         chance = recipe.not_positive() if positive else 0.0
         if chance > MOST_NEGATIVE:
             self._problem(
-                f"more tolerance than value: {key} = {recipe.nominal:.6g} {unit}, {recipe.text(unit)}, "
+                f"more tolerance than value: {key} = {f'{recipe.nominal:.6g} {unit}'.strip()}, "
+                f"{recipe.text(unit)}, "
                 f"is not positive with a probability of {chance:.2g}",
                 where,
             )
@@ -306,10 +307,12 @@ class _Reader:
                 others = [other for other in networks if other != name]
                 near = nearest(name, others)
                 key, file, line = members[0]
+                named = next((each for each in (key, key.rpartition(".")[2]) if each in self._named), None)
+                where = self._scene_place(f"components.{named}") if named else (file, line)
                 self._problem(
                     f"{key} is alone in the network {name.removeprefix('match:')}"
                     + (f"; nearest is {near.removeprefix('match:')}" if near else ""),
-                    (file, line),
+                    where,
                 )
 
 
