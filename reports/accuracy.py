@@ -71,7 +71,7 @@ def write_accuracy(study: Accuracy, folder: Path) -> Path:
 
 
 def words(study: Accuracy) -> list[str]:
-    """Return the findings in sentences, the recommendation first."""
+    """Return the findings in sentences, the recommendation first, with its lines as the scene takes them."""
     share = f"{study.tolerance:g}"
     own = [row for row in study.rows if row.setting.model != "peer" and row.errors]
     if study.cheapest is None:
@@ -83,11 +83,11 @@ def words(study: Accuracy) -> list[str]:
         sentences = [f"No setting is known to be within {share}: {why}."]
     else:
         cost = quantity(study.cheapest.seconds, "s")
-        lines = "; ".join(study.cheapest.setting.lines())
+        lines = "\n".join(study.cheapest.setting.lines())
         worst = study.cheapest.worst(study.quantities)
         label = study.cheapest.setting.label
         sentences = [
-            f"Cheapest within {share}: {label}, {cost}, worst error {worst:.1e}; put into the scene: {lines}"
+            f"Cheapest within {share}: {label}, {cost}, worst error {worst:.1e}; put into the scene:\n{lines}"
         ]
     sentences.append(
         f"Errors are shares of the largest value, against {study.references[0]}; the floor is what "

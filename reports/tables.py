@@ -64,7 +64,7 @@ def _measures(view: View) -> Table:
             "step; it is no error of a result, and may be far smaller or larger than one."
         )
     numbers = frozenset({1, 2} if fooled else {1})
-    notes = [note] if estimated else []
+    notes = [note, *_why_not(view, "no_error", "bound")] if estimated else []
     return Table("measures", "Measures", head, tuple(rows), " ".join([*notes, *_of_noise(view)]), numbers)
 
 
@@ -74,9 +74,16 @@ def _of_noise(view: View) -> list[str]:
     notes = []
     if any(row.get("noise") for row in rows.values()):
         notes.append("Noise: 95 % of all paths lie so close to their mean, by the linear model.")
-    for why in dict.fromkeys(str(row["no_noise"]) for row in rows.values() if "no_noise" in row):
-        names = [plain_name(name) for name, row in rows.items() if row.get("no_noise") == why]
-        notes.append(f"No interval of the noise for {', '.join(names)}: {why}.")
+    return [*notes, *_why_not(view, "no_noise", "interval of the noise")]
+
+
+def _why_not(view: View, key: str, what: str) -> list[str]:
+    """Return which measures lack something, a sentence for each reason that their rows give by a key."""
+    rows = view.run.measures
+    notes = []
+    for why in dict.fromkeys(str(row[key]) for row in rows.values() if key in row):
+        names = [plain_name(name) for name, row in rows.items() if row.get(key) == why]
+        notes.append(f"No {what} for {', '.join(names)}: {why}.")
     return notes
 
 

@@ -154,6 +154,21 @@ def test_what_cannot_be_estimated_says_why(tmp_path: Path, monkeypatch: pytest.M
     assert rows["peak_force"]["no_error"] == "no such thing"
 
 
+def test_a_measure_without_a_bound_is_named_beside_those_that_have_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Amplifiers have no outputs in the twin's model: `headroom` stood there bare, as if it were exact."""
+    scene_of(tmp_path, THROWN, "effects.opamp=gbw")
+    out = tmp_path / "out"
+    assert main(["run", str(tmp_path / "scene.toml"), "--model", "spice", "-o", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "no bound, headroom: the model linear" in printed
+    assert "no bound, peak_force" not in printed
+    assert main(["report", str(out)]) == 0
+    page = (out / "report" / "report.html").read_text(encoding="utf-8")
+    assert "No bound for headroom: the model linear" in page
+
+
 def test_the_circuits_own_doubt_is_the_worst_that_its_certificate_states() -> None:
     class Circuit:
         certificate = {"error": 1e-7, "fit_error": 3e-5, "measured_error": "none", "sentence": "words"}  # noqa: RUF012
@@ -200,6 +215,21 @@ def test_tolerances_are_read() -> None:
     ):
         with pytest.raises(InputError, match="--tol"):
             parse_tolerances([text])
+
+
+@pytest.mark.parametrize(
+    ("texts", "said"),
+    [
+        (["1e-2", "1e-3"], "second share"),
+        (["heat=1%", "heat = 2 %"], "second tolerance of this measure"),
+        (["rendered_stiffness=5"], "not an amount"),  # 5 N/m, with its unit forgotten, was 500 %
+        (["headroom=1%"], "no setting of the solver"),  # and "nearest is headroom" was told
+        (["ledger_closure=1%"], "no setting of the solver"),
+    ],
+)
+def test_a_tolerance_that_can_be_misread_is_refused(texts: list[str], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        parse_tolerances(texts)
 
 
 def test_what_misses_its_tolerance_is_named() -> None:

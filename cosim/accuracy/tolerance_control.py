@@ -84,7 +84,7 @@ def parse_tolerances(texts: Sequence[str]) -> Wanted:
     Raises
     ------
     InputError
-        For anything else, all of it at once.
+        For anything else, and for what is given twice, all of it at once.
     """
     by_name: dict[str, Tolerance] = {}
     every: float | None = None
@@ -96,15 +96,21 @@ def parse_tolerances(texts: Sequence[str]) -> Wanted:
         if not given:
             if amount is None or not amount.relative or amount.size > 1.0:
                 problems.append(_problem("is not a share", text))
+            elif every is not None:
+                problems.append(_problem("is a second share for every measure", text))
             else:
                 every = amount.size
-        elif name not in OF_A_RUN or name in _WITHOUT:
+        elif name in _WITHOUT:
+            problems.append(_problem("no setting of the solver makes this measure more accurate", text))
+        elif name not in OF_A_RUN:
             near = nearest(name, OF_A_RUN)
             problems.append(
                 _problem(f"no such measure of a run{f'; nearest is {near}' if near else ''}", text)
             )
         elif amount is None:
             problems.append(_problem("is not an amount of this measure", text))
+        elif name in by_name:
+            problems.append(_problem("is a second tolerance of this measure", text))
         else:
             by_name[name] = amount
     if problems:
@@ -113,12 +119,12 @@ def parse_tolerances(texts: Sequence[str]) -> Wanted:
 
 
 def _amount(text: str, unit: str) -> Tolerance | None:
-    """Return an amount; a number alone is a share."""
+    """Return an amount; a number alone is a share, and above 1 an amount whose unit was forgotten: None."""
     try:
         size = float(text)
     except ValueError:
         return amount(text, unit)
-    return Tolerance(size, True) if 0.0 < size < math.inf else None
+    return Tolerance(size, True) if 0.0 < size <= 1.0 else None
 
 
 def _problem(message: str, text: str) -> Problem:

@@ -239,23 +239,24 @@ def _estimated(finished: "list[tuple[Variant, Path, Run]]") -> list[str]:
         lines.append(
             "±: bound of the solver's error (95 %), from a closer run; what the scene leaves out is not in it"
         )
+        lines += [f"no bound, {names}: {why}" for names, why in _why_not(finished, "no_error")]
     elif why := next((str(row["no_error"]) for row in rows if "no_error" in row), ""):
         lines.append(f"errors are not estimated: {why}")
     if any(row.get("noise") for row in rows):
         lines.append(
             "noise ±: 95 % of all paths of the noise lie so close to their mean, by the linear model"
         )
-    lines += [f"no interval of the noise, {name}: {why}" for name, why in _without_noise(finished)]
+    lines += [f"no interval of the noise, {name}: {why}" for name, why in _why_not(finished, "no_noise")]
     return lines
 
 
-def _without_noise(finished: "list[tuple[Variant, Path, Run]]") -> list[tuple[str, str]]:
-    """Return the measures of noisy runs that have no interval, the first of many, by reason."""
+def _why_not(finished: "list[tuple[Variant, Path, Run]]", key: str) -> list[tuple[str, str]]:
+    """Return the measures whose rows say by a key why something is missing, the first of many, by reason."""
     by_reason: dict[str, dict[str, None]] = {}
     for _, _, run in finished:
         for name, row in run.measures.items():
-            if "no_noise" in row:
-                by_reason.setdefault(str(row["no_noise"]), {})[name] = None
+            if key in row:
+                by_reason.setdefault(str(row[key]), {})[name] = None
     return [
         (", ".join([*names][:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else ""), why)
         for why, names in by_reason.items()
