@@ -72,8 +72,8 @@ def _small(value: float) -> str:
 
 def _row(each: Outcome) -> list[str]:
     case = each.case
-    got = "-" if each.got is None else f"{each.got:.9g}"
+    got = "-" if each.got is None else each.written(each.got)
     off = "-" if each.got is None else _small(abs(each.got - case.expected))
     verdict = "holds" if each.held else each.failed or "MISSED"
-    return [str(case.row), case.name, each.model, case.what, f"{case.expected:.9g}", got, off,
+    return [str(case.row), case.name, each.model, case.what, each.written(case.expected), got, off,
             _small(case.bound[each.model]), case.reason, f"{each.seconds:.2g}", verdict]  # fmt: skip

@@ -38,6 +38,7 @@ def test_hard_case(runner: CaseRunner, case: HardCase, model: str) -> None:
 
 def test_every_case_says_what_it_is() -> None:
     assert len({case.name for case in CASES}) == len(CASES)
+    assert {case.row for case in CASES} == set(range(1, 62))  # no row of the list is left out
     for case in CASES:
         assert 1 <= case.row <= 61
         assert case.what
@@ -56,6 +57,15 @@ def test_a_miss_is_reported_and_no_number_is_one() -> None:
         assert not replace(good, got=got).held
 
 
+def test_a_number_is_written_to_the_digit_of_its_bound() -> None:
+    """The follower's 0.999999000001 was 0.999999, beside a bound of 1e-14."""
+    (case,) = chosen(["follower of gain 1e6"], slow=False)
+    assert Outcome(case, "spice", None, "", 0.0).written(case.expected) == "0.999999000001"
+    rough = replace(case, expected=2.0 / 3.0, bound={"spice": 0.01})
+    assert Outcome(rough, "spice", None, "", 0.0).written(rough.expected) == "0.666666667"
+    assert Outcome(replace(rough, expected=0.0), "spice", None, "", 0.0).written(1e-12) == "1e-12"
+
+
 def test_cases_are_chosen_by_name_and_number() -> None:
     assert {case.row for case in chosen(["bouncing"], slow=False)} == {17}
     assert {case.row for case in chosen(["22", "54"], slow=False)} == {22, 54}
@@ -63,6 +73,8 @@ def test_cases_are_chosen_by_name_and_number() -> None:
     assert len(chosen([], slow=True)) == len(CASES)
     with pytest.raises(InputError, match="nearest is bouncing ball"):
         chosen(["bouncing bal, first impact"], slow=False)
+    with pytest.raises(InputError, match="a number from 1 to 61"):  # each was listed as often as it has cases
+        chosen(["99"], slow=False)
 
 
 @pytest.fixture(scope="module")

@@ -60,9 +60,9 @@ def _table(outcomes: "list[Outcome]") -> list[str]:
         case = each.case
         rows.append(
             [
-                "" if each.held else "MISS", str(case.row), case.name, each.model, f"{case.expected:.9g}",
-                f"{each.got:.9g}" if each.got is not None else "-", f"{case.bound[each.model]:.2g}",
-                f"{each.seconds:.2g} s",
+                "" if each.held else "MISS", str(case.row), case.name, each.model,
+                each.written(case.expected), "-" if each.got is None else each.written(each.got),
+                f"{case.bound[each.model]:.2g}", f"{each.seconds:.2g} s",
             ]
         )  # fmt: skip
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]

@@ -74,7 +74,7 @@ def chosen(names: Iterable[str], *, slow: bool) -> list[HardCase]:
             near = nearest(name, [case.name for case in CASES])
             fail(
                 "there is no such case" + (f"; nearest is {near}" if near else ""), key="NAME", value=name,
-                allowed="the beginning of a name, or a number: " + ", ".join(str(c.row) for c in CASES),
+                allowed=f"the beginning of a name, or a number from {CASES[0].row} to {CASES[-1].row}",
             )  # fmt: skip
     picked = [case for case in CASES if not asked or any(_is(case, name) for name in asked)]
     return [case for case in picked if slow or not case.slow or asked]

@@ -107,6 +107,12 @@ class Outcome:
         """Whether the answer is right; NaN is wrong."""
         return self.got is not None and abs(self.got - self.case.expected) <= self.case.bound[self.model]
 
+    def written(self, value: float) -> str:
+        """Return a value, expected or got, to the digit of the bound, to nine digits at least."""
+        bound = self.case.bound[self.model]
+        apart = abs(self.case.expected) / bound if bound else 0.0
+        return f"{value:.{min(max(9, math.ceil(math.log10(apart)) + 1 if apart else 0), 15)}g}"
+
 
 @dataclass(frozen=True)
 class Ran:
