@@ -289,6 +289,70 @@ def test_of_a_function_in_a_formula_no_unit_is_told(tmp_path: Path) -> None:
         assert np.abs(deviation(drawn, "xsum1.r31")).max() == pytest.approx(0.01, rel=0.01)
 
 
+RNOM = ".param grade={third*2} third=0.02 rnom={5k*2}"
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [
+        ("{mc(rnom,grade)}", "{mc(10k,0.04)}"),
+        ("{mc(10k,{grade/4})}", "{mc(10k,0.01)}"),
+        ("gauss(rnom,grade,3)", "gauss(10k,0.04,3)"),
+        ("agauss(10k,grade*rnom,3)", "agauss(10k,400,3)"),
+        ("aunif(10k,third*rnom)", "aunif(10k,200)"),
+        ("{unif(rnom,third)}", "{unif(10k,0.02)}"),
+        ("limit(rnom,third*rnom)", "limit(10k,200)"),
+        ("{10k*(1+flat(third))}", "{10k*(1+flat(0.02))}"),
+        ("{10k*(1+gauss(grade/4))}", "{10k*(1+gauss(0.01))}"),
+    ],
+)
+@pytest.mark.parametrize("behind", [False, True])
+def test_a_function_s_argument_may_be_a_constant_parameter(
+    tmp_path: Path, written: str, meant: str, behind: bool
+) -> None:
+    """LTspice's usual {mc(10k,tol)}, wherever the parameter stands: as the number written out."""
+
+    def drawn(name: str, value: str) -> Tolerances:
+        line = f".param r_sum_fb={value}"
+        rows = f"{line}\n{RNOM}" if behind else f"{RNOM}\n{line}"
+        return read(tmp_path / name, (SUMMER, ".param r_sum_fb=10.0k $ tol=1%", rows))
+
+    one, other = drawn("written", written), drawn("meant", meant)
+    told, expected = ([(c.key, c.nominal, c.distribution) for c in of.components] for of in (one, other))
+    assert told == expected
+    assert "xsum1.r31" in one.keys
+    assert {k: v.tobytes() for k, v in values(one).items()} == {
+        k: v.tobytes() for k, v in values(other).items()
+    }
+
+
+def test_a_function_s_parameter_is_that_of_its_subcircuit_and_of_set(tmp_path: Path) -> None:
+    """An instance's value counts before a default, that before the board's; ``--set`` sets the board's."""
+    part = ".param tol=0.05\n.subckt pulled a b rnom=20k tol=0.5\nR1 a b {mc(rnom,tol)}\n.ends\n"
+    placed = (
+        "Xone cmd1 0 pulled tol=0.01\nXtwo cmd1 0 pulled tol={tol}\nXthree cmd1 0 pulled\n"
+        "Rfour cmd1 0 {mc(10k,tol)}\n"
+    )
+    edits = [(first, more + first) for first, more in ((".subckt board2 ", part), ("Rcmd1 cmd1 ", placed))]
+    read(tmp_path, *(("board2.cir", old, new) for old, new in edits))
+    found = []
+    for more in ([], ["device.values.tol=0.1"]):
+        scene = load_scene(PRESS, [f"device.board={tmp_path / 'netlists' / 'board2.cir'}", *more])
+        of = {c.key: c.distribution for c in tolerances(scene).components}
+        found.append([of[key] for key in ("xone.r1", "xtwo.r1", "xthree.r1", "rfour")])
+    amounts = [["200", "1000", "1e+04", "500"], ["200", "2000", "1e+04", "1000"]]
+    assert found == [[f"uniform +-{amount} Ohm" for amount in row] for row in amounts]
+
+
+@pytest.mark.parametrize("varying", ["0.05 $ tol=10%", "{unif(0.05,0.1)}", "{2*inner}", "{nowhere}"])
+def test_a_function_of_what_is_drawn_is_refused(tmp_path: Path, varying: str) -> None:
+    rows = f".param r_sum_fb={{mc(10k,grade/2)}}\n.param inner={{flat(0.1)}}\n.param grade={varying}"
+    with pytest.raises(InputError, match="or made of parameters that do not vary") as caught:
+        read(tmp_path, (SUMMER, ".param r_sum_fb=10.0k $ tol=1%", rows))
+    assert {Path(p.file or "").name for p in caught.value.problems} == {"summer.cir"}
+    assert all(p.line for p in caught.value.problems)
+
+
 def test_five_per_cent_of_a_millihenry_is_a_share(tmp_path: Path) -> None:
     """Taken as an absolute sigma it once made 47 % of all inductors negative."""
     result = read(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 
 from cosim.ngspice.lines import number
 from cosim.tolerance.distributions import Shape
@@ -12,12 +13,24 @@ __all__ = ["extracted_calls"]
 _CALL = re.compile(r"(?<![\w.])(agauss|gauss|aunif|unif|limit|mc|flat)\s*\(([^()]*)\)", re.IGNORECASE)
 
 
-def extracted_calls(text: str) -> tuple[str, dict[str, tuple[float, Shape]], str]:
+_NO_NUMBER = "its arguments must be numbers to be drawn, or made of parameters that do not vary"
+
+
+def extracted_calls(
+    text: str, constant: Callable[[str], float | None] = number
+) -> tuple[str, dict[str, tuple[float, Shape]], str]:
     """Put a name in the place of every call of a distribution function.
 
     ngspice: agauss(nominal, deviation, sigmas), gauss(nominal, share, sigmas), aunif(nominal, deviation),
     unif(nominal, share), limit(nominal, deviation). LTspice: mc(nominal, share), flat(deviation), and gauss
     of a standard deviation alone.
+
+    Parameters
+    ----------
+    text
+        Value, as it is written.
+    constant
+        Gives the number that an argument stands for; ``None`` where it is none, or varies.
 
     Returns
     -------
@@ -29,10 +42,10 @@ def extracted_calls(text: str) -> tuple[str, dict[str, tuple[float, Shape]], str
 
     def put(match: re.Match[str]) -> str:
         nonlocal wrong
-        shape = _shape(match[1].lower(), [part.strip(" {}'") for part in match[2].split(",")])
+        shape = _shape(match[1].lower(), [constant(part.strip(" {}'")) for part in match[2].split(",")])
         if isinstance(shape, str):
             wrong = wrong or f"{match[0]}: {shape}"
-            return "0"
+            return "drawn__wrong"  # no number: what depends on it is none either
         name = f"drawn__{len(calls) + 1}"
         calls[name] = shape
         return name
@@ -40,14 +53,13 @@ def extracted_calls(text: str) -> tuple[str, dict[str, tuple[float, Shape]], str
     text = _CALL.sub(put, text)
     left = re.search(r"(?<![\w.])(agauss|aunif|mc|flat)\s*\(", text, re.IGNORECASE)
     if left and not wrong:
-        wrong = f"{left[1]}: its arguments must be numbers to be drawn"
+        wrong = f"{left[1]}: {_NO_NUMBER}"
     return text, calls, wrong
 
 
-def _shape(name: str, arguments: list[str]) -> tuple[float, Shape] | str:
-    numbers = [number(argument) for argument in arguments]
+def _shape(name: str, numbers: list[float | None]) -> tuple[float, Shape] | str:
     if any(value is None for value in numbers):
-        return "its arguments must be numbers to be drawn"
+        return _NO_NUMBER
     n = [value or 0.0 for value in numbers]
     if name in ("agauss", "gauss") and len(n) == 3:
         if n[2] <= 0.0:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections import ChainMap
-from collections.abc import Iterable, Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -101,9 +101,10 @@ class Board:
         self._net, self._name, self._components, self._inside_of = net, name, components, inside
         self.top: dict[str, Param] = {}
         self._models = _models(net.top)
-        for line in net.top:
-            if line.keyword in (".param", ".params"):
-                self.top |= self._stated(line, self.top)
+        for _ in self._twice():
+            for line in net.top:
+                if line.keyword in (".param", ".params"):
+                    self.top |= self._stated(line, self.top)
 
     def components(self) -> Iterator[NetlistComponent]:
         """Yield every element outside the parts, and every parameter of a part with a tolerance."""
@@ -122,6 +123,24 @@ class Board:
         self, block: Block, instance: Instance | None, outside: MutableMapping[str, Param]
     ) -> MutableMapping[str, Param]:
         env: ChainMap[str, Param] = ChainMap({}, self.top)
+        for _ in self._twice():
+            self._fill(env, block, instance, outside)
+        return env
+
+    def _twice(self) -> Iterator[None]:
+        """Read parameters twice: a distribution function may name one that stands behind it."""
+        before = len(self.problems)
+        yield
+        del self.problems[before:]
+        yield
+
+    def _fill(
+        self,
+        env: ChainMap[str, Param],
+        block: Block,
+        instance: Instance | None,
+        outside: Mapping[str, Param],
+    ) -> None:
         defaults = self._params(block.header, dict(block.params), env)
         given: dict[str, Param] = {}
         if instance is not None:
@@ -134,7 +153,6 @@ class Board:
         for line in block.body:
             if line.keyword in (".param", ".params"):
                 env |= self._stated(line, env)
-        return env
 
     def _bought(self, given: Param | None, default: Param) -> Param:
         """Return a subcircuit's parameter: another value in place of its default keeps the grade of that."""
@@ -170,7 +188,7 @@ class Board:
     ) -> Param:
         """Return the value of an element whose words from the value on are given."""
         bare = words[0].removeprefix("r=").removeprefix("c=").removeprefix("l=")
-        text, calls, wrong = extracted_calls(bare)
+        text, calls, wrong = extracted_calls(bare, self._constants(line, env))
         self._problem(wrong, line)
         stated = self._named(key, line.keyword)
         if stated is None:
@@ -248,11 +266,26 @@ class Board:
         written = self._parse(line) if texts else None
         params = {}
         for name, value in texts.items():
-            text, calls, wrong = extracted_calls(value.lower())
+            text, calls, wrong = extracted_calls(value.lower(), self._constants(line, env))
             self._problem(wrong, line)
             stated = self._named(name) or (None if calls else written)
             params[name] = Param(name, text.strip("{}'"), env, _place(line), stated, calls, line.comment)
         return params
+
+    def _constants(self, line: Line, env: Mapping[str, Param]) -> Callable[[str], float | None]:
+        """Return what gives the number that an expression of parameters which do not vary comes to.
+
+        A function of a distribution's name that the file itself defines takes numbers only: it is no draw.
+        """
+        if not line.drawn:
+            return number
+
+        def constant(text: str) -> float | None:
+            if any(param.varies for param in self._reached(text, env)):
+                return None
+            return value_of(Param("", text, env, Place()))
+
+        return constant
 
     def _named(self, *names: str) -> Stated | None:
         for name in names:
