@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from support import SCENES, merge, quick, shared_child, simulate, slider
+from toleranced_boards import PRESS, SUMMER, board
 
+from cosim import cli
 from cosim.effects import EFFECTS
 from cosim.loop.noise import no_noise, potentiometer_noise
 from cosim.plan import Plan, resolve
@@ -413,3 +415,19 @@ def test_plan_tells_every_effect_once() -> None:
     assert sorted(rows) == sorted(effect.name for effect in EFFECTS)
     assert {row["name"] for row in plan["effects"]} == {"motor", "pot_noise"}
     assert plan["predicted"]["noise_points"] > 0
+
+
+@pytest.mark.parametrize("granted", ["--include", "--trust", ""])
+def test_effects_takes_the_permissions_that_its_refusal_names(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], granted: str
+) -> None:
+    """It named --include and --trust, and the command had neither."""
+    outside = tmp_path / "vendor"
+    edit = ("board2.cir", "'blocks/summer.cir'", f"'{outside / 'summer.cir'}'")
+    scene = f"device.board={board(tmp_path, edit)}"
+    outside.mkdir()
+    (tmp_path / "netlists" / SUMMER).rename(outside / "summer.cir")
+    words = [granted, *([str(outside)] if granted == "--include" else [])] if granted else []
+    code = cli.main(["effects", str(PRESS), "--measure", "curl", "--set", scene, *words])
+    captured = capsys.readouterr()
+    assert (code, "--include" in captured.err) == ((0, False) if granted else (2, True))

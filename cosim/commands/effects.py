@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.commands.command import Command, tolerance_argument
+from cosim.commands.command import Command, tolerance_argument, trust_arguments
 from cosim.commands.progress import progress
 from cosim.units import measured, quantity, signed
 
@@ -30,6 +30,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         help="measure of the table and the picture; of your own: file.py:Class",
     )
     tolerance_argument(parser, "choose each run's solver settings so that the measure is this right")
+    trust_arguments(parser)
     parser.add_argument("-o", "--out", metavar="FOLDER", help="folder for the picture and the table (CSV)")
 
 
@@ -59,7 +60,7 @@ def _run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         overrides = tuple(setting.override(setting.values[0]) for setting in settings)
         if own:
             overrides = (*overrides, f"measures.names={json.dumps([args.measure])}")
-        how: dict[str, Any] = {"measures": wanted, "child": child}
+        how: dict[str, Any] = {"measures": wanted, "child": child, "trust": args.trust}
         if args.tol:
             from cosim.accuracy.tolerance_control import measurer_within, parse_tolerances
 

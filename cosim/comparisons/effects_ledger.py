@@ -85,6 +85,7 @@ def effects_ledger(
     child: Child | None = None,
     on_progress: Callable[[int, int, str], None] | None = None,
     measurer: Measurer = measure,
+    trust: bool = False,
 ) -> EffectsLedger:
     """Measure what each effect changes and costs in a scene.
 
@@ -100,13 +101,15 @@ def effects_ledger(
         Called with (runs done, runs in all, name) before every run.
     measurer
         What measures one choice of effects.
+    trust
+        Whether the netlists may hold commands and name files.
 
     Raises
     ------
     InputError, SimulationError
         When one of the two baselines cannot be run; a single effect that fails says so in its row.
     """
-    runner = _Runner(path, overrides, measures, child, on_progress, measurer)
+    runner = _Runner(path, overrides, measures, child, on_progress, measurer, trust)
     try:
         return _measured(runner)
     finally:
@@ -211,8 +214,9 @@ class _Runner:
         child: Child | None,
         on_progress: Callable[[int, int, str], None] | None,
         measurer: Measurer,
+        trust: bool,
     ) -> None:
-        self._measurer = measurer
+        self._measurer, self._trust = measurer, trust
         self.path, self.overrides, self._names = path, overrides, measures
         self.done = self.total = 0
         self.lacking: dict[str, str] = {}
@@ -240,6 +244,7 @@ class _Runner:
                 at = (*levels(scene).items(), features(scene), temperature_c(scene))
                 plan = resolve(
                     scene.model_copy(update={"tolerance": scene.tolerance.without_measures()}),
+                    trust=self._trust,
                     board=self._boards.get(at),
                 )
                 self._boards[at] = plan.board
