@@ -94,6 +94,15 @@ def test_a_study_its_files_and_one_of_its_devices_again(
         (["--set", "tolerance.components.rsp99=1%"], "nearest is rsp"),
         (["--set", "tolerance.trim.rsp11=curl of 3"], "is not a trim"),
         (
+            ["--set", 'tolerance.trim."xder1.c21"="curl to 3"'],
+            "xder1.c21 is no resistor (allowed: a resistor",
+        ),
+        (["--set", "tolerance.trim.rsp11=k_max to -3 N/m"], "k_max is never negative (allowed: > 0 N/m)"),
+        (
+            ["--list", "--set", "tolerance.trim.rsp11=rendered_stiffness to -100 N/m"],
+            "'rendered_stiffness to -100 N/m': rendered_stiffness is never negative (allowed: > 0 N/m)",
+        ),
+        (
             [
                 "--set",
                 "tolerance.components.rsp11=tol=1% match=board:bag",

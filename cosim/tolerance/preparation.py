@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import cosim
 from cosim.caution import Caution, warn
 from cosim.comparisons.measure_values import check_blocks, check_measures, needs_a_run
-from cosim.errors import InputError, fail
+from cosim.errors import InputError, Problem, fail
 from cosim.plan import Plan, resolve
 from cosim.scene import load_scene
 from cosim.scene.load import SceneLike
@@ -187,7 +187,7 @@ def _with_trimmers(plan: Plan, variables: Tolerances) -> Tolerances:
     """Return what varies and what is trimmed: a trimmer without a tolerance begins at its nominal value."""
     missing = [trim.resistor for trim in trims(plan.scene) if not _columns(trim.resistor, variables)]
     if not missing:
-        return variables
+        return _resistors(plan, variables)
     table = plan.scene.tolerance
     named = {**table.components, **dict.fromkeys(missing, "1%")}
     scene = plan.scene.model_copy(update={"tolerance": table.model_copy(update={"components": named})})
@@ -203,7 +203,24 @@ def _with_trimmers(plan: Plan, variables: Tolerances) -> Tolerances:
         for each in every.components
         if each.key not in variables.keys
     ]
-    return replace(variables, components=(*variables.components, *still))
+    return _resistors(plan, replace(variables, components=(*variables.components, *still)))
+
+
+def _resistors(plan: Plan, variables: Tolerances) -> Tolerances:
+    """Return what varies, or refuse a trimmer that is another kind of part: those are resistors."""
+    file = str(plan.scene.file) if plan.scene.file else None
+    problems = [
+        Problem(
+            f"{each.key} is no resistor", file, f"tolerance.trim.{name}", text,
+            allowed="a resistor, or a parameter in Ohm",
+        )
+        for name, text in plan.scene.tolerance.trim.items()
+        for each in (variables.components[place] for place in _columns(name.lower(), variables))
+        if each.unit in ("F", "H")
+    ]  # fmt: skip
+    if problems:
+        raise InputError(problems)
+    return variables
 
 
 def _columns(name: str, variables: Tolerances) -> tuple[int, ...]:

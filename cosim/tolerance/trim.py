@@ -23,6 +23,12 @@ _RANGE = 3.0
 #: A device is trimmed when its measure is within this share of the target.
 _CLOSE = 1e-4
 _ROUNDS = 8
+#: Measures that are never negative: sizes, shares of time, numbers of samples, and the stiffness of a wall.
+_NOT_NEGATIVE = frozenset(
+    {"peak_force", "contact_share", "rendered_stiffness", "tangential_ratio",
+     "force_ripple", "peak_current", "rated_share", "over_rated", "heat", "dac_saturations",
+     "unreachable_samples", "k_max", "force_noise"}
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -40,7 +46,7 @@ def trims(scene: Scene) -> tuple[Trim, ...]:
     Raises
     ------
     InputError
-        For what is not ``"NAME to VALUE UNIT"``, an unknown measure, a wrong unit.
+        For what is not ``"NAME to VALUE UNIT"``, an unknown measure, a wrong unit, a sign that it never has.
     """
     out, problems = [], []
     for name, text in scene.tolerance.trim.items():
@@ -54,6 +60,8 @@ def trims(scene: Scene) -> tuple[Trim, ...]:
             reason, allowed = "no such measure" + (f"; nearest is {near}" if near else ""), ALL_NAMES
         elif match[3] and match[3] != measure.unit:
             reason, allowed = "is not the measure's unit", measure.unit or "no unit"
+        elif value < 0.0 and measure.name in _NOT_NEGATIVE:
+            reason, allowed = f"{measure.name} is never negative", f"> 0 {measure.unit}".rstrip()
         if reason:
             file = str(scene.file) if scene.file else None
             problems.append(Problem(reason, file, f"tolerance.trim.{name}", text, allowed=allowed))
