@@ -37,6 +37,8 @@ _PART = re.compile(r"(\d{12})-(\d+)\.parquet")
 _MISSING = "missing"
 #: Samples of a group of rows in the file.
 _GROUP = 1 << 16
+#: A bit that flips on disk is found: pages have a CRC, which older files lack.
+_CHECKED: dict[str, Any] = {"write_page_checksum": True}
 
 
 class _About(TypedDict):
@@ -149,7 +151,7 @@ class Samples:
                 sweep_folder(self._parts)
                 self._tidy = True
             with atomic_file(place, tidy=False) as file:
-                pq.write_table(rows, file)
+                pq.write_table(rows, file, **_CHECKED)
 
     def _schema(self) -> pa.Schema:
         measures = [(name, pa.float64()) for name in self.names]
@@ -183,7 +185,7 @@ class Samples:
             with (
                 disk_errors(self.folder),
                 atomic_file(target) as file,
-                pq.ParquetWriter(file, self._schema()) as writer,
+                pq.ParquetWriter(file, self._schema(), **_CHECKED) as writer,
             ):
                 for table in _regrouped(self._ordered()):
                     writer.write_table(table, row_group_size=_GROUP)
@@ -208,7 +210,7 @@ class Samples:
         source = Samples(other, self.digest, self.names, first, last, made=True)
         samples = source.folder / SAMPLES
         tables: Iterator[Any] = (
-            (pa.Table.from_batches([batch]) for batch in pq.ParquetFile(samples).iter_batches(_GROUP))
+            (pa.Table.from_batches([batch]) for batch in _opened(samples).iter_batches(_GROUP))
             if samples.exists()
             else source._ordered()
         )
@@ -218,14 +220,14 @@ class Samples:
             with disk_errors(self.folder):
                 self._parts.mkdir(exist_ok=True)
                 with atomic_file(place) as file:
-                    pq.write_table(table.cast(self._schema()), file)
+                    pq.write_table(table.cast(self._schema()), file, **_CHECKED)
 
     def _ordered(self) -> Iterator[Any]:
         """Yield the parts in order, no sample twice."""
         at = self.first
         for first, count, path in self._listed():
             if first + count > at:
-                yield pq.read_table(path, schema=self._schema()).slice(max(at - first, 0))
+                yield _opened(path).read().slice(max(at - first, 0))
                 at = first + count
 
     def _listed(self) -> list[tuple[int, int, Path]]:
@@ -253,8 +255,8 @@ class Samples:
             about = path.stat()
             seen = (path, about.st_size, about.st_mtime_ns, first, count)
             if seen not in self._seen:
-                self._seen[seen] = not path.is_symlink() and self._holds(pq.ParquetFile(path), first, count)
-        except (OSError, pa.ArrowException):
+                self._seen[seen] = not path.is_symlink() and self._holds(_opened(path), first, count)
+        except (OSError, pa.ArrowException, UnicodeDecodeError):
             return False
         return self._seen[seen]
 
@@ -262,22 +264,28 @@ class Samples:
         if file.metadata.num_rows != count or not file.schema_arrow.equals(self._schema()):
             return False
         at = first
-        for batch in file.iter_batches(_GROUP):
-            if any(column.null_count for column in batch.columns):
+        for group in range(file.num_row_groups):
+            rows = file.read_row_group(group)
+            if any(column.null_count for column in rows.columns):
                 return False
-            if not np.array_equal(batch["sample"].to_numpy(), np.arange(at, at + len(batch))):
+            if not np.array_equal(rows["sample"].to_numpy(), np.arange(at, at + len(rows))):
                 return False
-            if any(np.isinf(batch[name].to_numpy()).any() for name in self.names):  # lacking ones are NaN
+            if any(np.isinf(rows[name].to_numpy()).any() for name in self.names):  # lacking ones are NaN
                 return False
-            at += len(batch)
-        return True
+            at += len(rows)
+        return at == first + count
 
     def read(self) -> tuple[Array, dict[int, Reasons]]:
         """Return all measures (n, measures) of a finished study, and sample -> measure -> why it has none."""
-        table = pq.read_table(self.folder / SAMPLES)
+        table = _opened(self.folder / SAMPLES).read()
         measures = np.stack([table[name].to_numpy() for name in self.names], axis=1)
         words = table[_MISSING].to_pylist()
         return measures, {self.first + k: reasons_of(text) for k, text in enumerate(words) if text}
+
+
+def _opened(path: Path) -> pq.ParquetFile:
+    """Open a file whose pages are held against their checksums as they are read."""
+    return pq.ParquetFile(path, page_checksum_verification=True)
 
 
 def is_named(folder: Path) -> bool:
