@@ -190,12 +190,14 @@ def _caption(study: Accuracy) -> str:
 def _panel(axes: Axes, study: Accuracy, name: str, clock: str) -> None:
     floor = max(study.floor.get(name, 0.0), _ROUNDING)
     shown: list[tuple[float, float]] = []
+    unseen: list[object] = []
     for row in study.rows:
         if name not in row.errors:
             continue
         times = getattr(row, clock)
         middle = statistics.median(times)
         if middle <= 0.0:
+            unseen.append(row.setting)
             continue  # no place on a logarithmic axis
         error = max(row.errors[name], _ROUNDING)
         spread = [[middle - min(times)], [max(times) - middle]]
@@ -230,7 +232,11 @@ def _panel(axes: Axes, study: Accuracy, name: str, clock: str) -> None:
         high = max(high, 2.0 * gone[1])
     axes.axhline(study.tolerance, color=FAINT, linewidth=0.7, zorder=1)
     axes.set_ylim(low, max(high, 2.0 * _scatter(axes, study, name)))
-    if study.cheapest is not None and name in study.cheapest.errors:
+    lost = study.cheapest is not None and study.cheapest.setting in unseen
+    if unseen:
+        told = f"not drawn, 0 s by this clock: {len(unseen)}" + ", the recommended one too" * lost
+        axes.set_title(told, loc="right", fontsize="small")
+    if study.cheapest is not None and name in study.cheapest.errors and not lost:
         at = statistics.median(getattr(study.cheapest, clock)), max(study.cheapest.errors[name], _ROUNDING)
         axes.plot(*at, "o", markersize=11, markerfacecolor="none", color=LIMIT, zorder=6, label="_cheapest")
 
@@ -276,8 +282,7 @@ def _key(study: Accuracy) -> list[object]:
         handles.append(Line2D([], [], color=INK, linestyle="--", label="effects a model leaves out"))
     gone = _drawn_neglect(study)
     if gone is not None:
-        label = f"scene leaves out {gone[0]}"
-        handles.append(Line2D([], [], color=LIMIT, linestyle=":", label=label))
+        handles.append(Line2D([], [], color=LIMIT, linestyle=":", label=f"scene leaves out {gone[0]}"))
     if any(not resolved(row, name, study.floor) for row in study.rows for name in row.errors):
         handles.append(Line2D([], [], color=INK, marker="o", linestyle="", markerfacecolor="none",
                               label="bounded only: within 10x the floor"))  # fmt: skip

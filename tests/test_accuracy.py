@@ -3,6 +3,8 @@
 import csv
 import json
 import math
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -69,6 +71,47 @@ def test_no_point_is_known_within_ten_times_the_floor(thrown):
     (band,) = (each for each in axes.patches if each.get_label() == "_floor")
     assert band.get_y() + band.get_height() == pytest.approx(floor)
     assert any("bounded, not known" in line for line in words(study))
+
+
+def test_runs_that_the_clock_reads_as_nothing_are_counted_where_they_are_missing(thrown):
+    """A processor clock of 4 ms steps reads 0 s for a short run, the recommended one among them.
+
+    Broken once: such points were left out of the right column without a word in it.
+    """
+
+    def row(label, cpu):
+        setting = Setting("linear", "longest step", label, ())
+        return Row(setting, (0.001,), (cpu,), (0.1,), errors={"force": 1e-5})
+
+    rows = row("short", 0.0), row("shorter", 0.0), row("long", 0.008)
+    scene = load_scene(thrown)
+    for best, told in ((0, "2, the recommended one too"), (2, "2"), (None, "2")):
+        study = Accuracy(
+            scene, ("force",), ("one", "other"), {"force": 1e-9}, {}, rows, {}, {}, {}, 1e-3,
+            None if best is None else rows[best],
+        )  # fmt: skip
+        drawn = draw(study)
+        wall, cpu = drawn.figure.axes
+        assert wall.get_title("right") == ""
+        assert cpu.get_title("right") == f"not drawn, 0 s by this clock: {told}"
+        rings = [line for line in cpu.lines if line.get_label() == "_cheapest"]
+        assert len(rings) == (best == 2)  # none at 0, where a logarithmic axis has no place
+        assert "2 took less processor time than its clock tells" in drawn.caption
+
+
+def test_a_limit_of_processor_time_leaves_its_clock_fine():
+    """Broken once: `time.process_time` there steps by 4 ms, and short runs took 0 s."""
+    code = """if True:
+        import time
+        from cosim.ngspice.sandbox import limit_cpu, processor_s
+        limit_cpu(60.0)
+        end, seen = time.perf_counter() + 0.1, set()
+        while time.perf_counter() < end:
+            seen.add(processor_s())
+        print(len(seen))
+    """
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert int(shown.stdout) > 500
 
 
 def test_errors_fall_with_the_tolerance_and_the_references_agree(tmp_path, thrown, monkeypatch):

@@ -149,6 +149,7 @@ def run_decks(payload: dict[str, Any], report: Any) -> dict[str, Any]:
     import time
 
     from cosim.errors import CosimError
+    from cosim.ngspice.sandbox import processor_s
     from cosim.ngspice.simulator import Simulator
 
     out: dict[str, Any] = {}
@@ -161,10 +162,10 @@ def run_decks(payload: dict[str, Any], report: Any) -> dict[str, Any]:
             for _ in range(payload["repeats"]):
                 simulator = Simulator(on_time=lambda reached: report({"time_s": reached}))
                 simulator.load(kept)
-                wall, cpu = time.perf_counter(), time.process_time()
+                wall, cpu = time.perf_counter(), processor_s()
                 simulator.command(command)
                 walls.append(time.perf_counter() - wall)
-                cpus.append(time.process_time() - cpu)
+                cpus.append(processor_s() - cpu)
             names = {*simulator.vector_names()}
             signals = {name: np.real(simulator.vector(name)) for name in ("time", *AXES) if name in names}
         except CosimError as error:
