@@ -10,7 +10,16 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from cosim.accuracy.hard_cases.hard_case import ALL, OWN, RADIUS, CaseRunner, HardCase, slider
+from cosim.accuracy.hard_cases.hard_case import (
+    ALL,
+    OWN,
+    RADIUS,
+    CaseRunner,
+    HardCase,
+    Ran,
+    crossings,
+    slider,
+)
 
 __all__ = ["CASES"]
 
@@ -75,16 +84,30 @@ def _flips(period: float) -> Any:
     return find
 
 
-def _relay(runner: CaseRunner, model: str) -> float:
-    """Swing of x' = -2 sgn(x_k), T = 0.1 s, by a carriage that takes 1 ms to follow."""
+def _relay_run(runner: CaseRunner, model: str) -> Ran:
+    """Run x' = -2 sgn(x_k), T = 0.1 s, by a carriage that takes 1 ms to follow."""
     tau, b = 1e-3, 0.01
     tables = slider(
         duration_s=2.0, computer={"law": "law.py:Relay"}, effects={"viscous": True},
         device={"slider": {"mass_kg": tau * b / RADIUS**2, "viscous_n_m_s": b}, "start": {"q_rad": [0.05]}},
         solver={"max_step_s": 2e-4},
     )  # fmt: skip
-    signals = runner.run(tables, model, _RELAY).signals
+    return runner.run(tables, model, _RELAY)
+
+
+def _relay(runner: CaseRunner, model: str) -> float:
+    """Return the swing of that cycle."""
+    signals = _relay_run(runner, model).signals
     return float(np.ptp(np.asarray(signals["q1"])[np.asarray(signals["time"]) > 0.5]))
+
+
+def _relay_period(runner: CaseRunner, model: str) -> float:
+    """Return the period of that cycle over T: between crossings in one direction."""
+    signals = _relay_run(runner, model).signals
+    t, q, v = (np.asarray(signals[name]) for name in ("time", "q1", "v1"))
+    passed = crossings(t, q, v, 0.0)
+    up = passed[passed > 0.5][::2]
+    return float(np.mean(np.diff(up))) / 0.1
 
 
 def _first_seen(runner: CaseRunner, model: str) -> float:
@@ -148,6 +171,49 @@ def _quantised(share: float) -> HardCase:
     )  # fmt: skip
 
 
+def _sampled_wall(share: float) -> HardCase:
+    """Return the case of a large swing within a wall, whose steps are far below what friction holds.
+
+    A sample later by half a period on average, the spring gives pi w A^2 K T/2 a cycle, the damper takes
+    pi w A^2 b and friction 4 f_c A: beyond K = 2 b/T any swing above some millimetres grows.
+    """
+    mass, b, period, swing, depth = 0.2, 0.2, 1e-3, 6e-3, 10e-3
+    step = RADIUS * 2 * math.pi / (4 * 5000 * 8.0)
+    wall = share * 2 * b / period
+    friction = 2 * b / period * step  # K is half of 2 f_c/D or less
+
+    def find(runner: CaseRunner, model: str) -> float:
+        tables = slider(
+            duration_s=1.5,
+            device={
+                "slider": {"mass_kg": mass, "viscous_n_m_s": b * RADIUS**2, "coulomb_n_m": friction * RADIUS,
+                           "coulomb_speed_rad_per_s": 1e-4},
+                "start": {"q_rad": [(swing - depth) / RADIUS]},
+            },
+            computer={
+                "period_s": period, "method": "discrete", "discrete_stiffness_n_per_m": wall,
+                "analog_stiffness_n_per_m": 0.0, "encoder": {"pulses_per_rev": 5000, "decoding": 4},
+            },
+            wall={"point_m": [0.0, 0.0], "normal": [0.0, 1.0]},
+            operator={
+                "type": "hand", "mass_kg": 0.0, "stiffness_n_per_m": 0.0, "damping_n_s_per_m": 0.0,
+                "waypoints_s_m": [[0.0, 0.0, 0.0]], "force_s_n": [[0.0, 0.0, -wall * depth]],
+            },
+            effects={"viscous": True, "coulomb": True, "encoder": True},
+            solver={"coupling_tolerance_rad": 1e-7},
+        )  # fmt: skip
+        samples = runner.run(tables, model).samples
+        t, beside = np.asarray(samples["time"]), np.asarray(samples["pen"]) - depth
+        early, late = (float(np.abs(beside[part]).max()) for part in (t < 0.3, t > 1.2))
+        return float(late > early)
+
+    return HardCase(
+        f"quantised wall, K = {share:g} of 2 b/T", 31, "a swing of 6 mm grows (1) or dies (0)",
+        float(share > 1.0), dict.fromkeys(ALL, 0.0), "it dies on one side of the border, grows on the other",
+        find, broken="viscosity half as large" if share < 1.0 else "viscosity twice as large",
+    )  # fmt: skip
+
+
 _PERIODS = (0.003, 0.1)
 CASES = (
     *(HardCase(f"undamped sampled spring, T = {1e3 * T:g} ms", 21, "growth a sample",
@@ -161,10 +227,14 @@ CASES = (
     HardCase("sampled relay", 23, "peak to peak [rad]", 2.0 * (0.1 - 2e-3 * math.log(2)),
              dict.fromkeys(ALL, 2e-5), "rows 0.2 ms apart miss the top by M h^2/(8 tau), 1e-5", _relay,
              broken="viscosity 0.1 % too large"),
+    HardCase("sampled relay, period", 23, "period over T", 2.0, dict.fromkeys(ALL, 1e-6),
+             "a ramp crosses zero between two rows: interpolation is exact", _relay_period,
+             broken="a relay that answers a sample later: 6"),
     HardCase("wall seen at samples", 24, "mean first depth over v T", 0.5, dict.fromkeys(ALL, 1e-9),
              "free flight at constant speed: rounding", _first_seen,
              broken="wall 1 um off"),
     HardCase("clock of 1000 periods", 29, "samples beside k T", 0.0, dict.fromkeys(ALL, 0.0),
              "integer ticks: the very float", _ticks, broken="a period one ulp too long"),
     *(_quantised(share) for share in (0.9, 1.1)),
+    *(_sampled_wall(share) for share in (0.8, 1.2)),
 )  # fmt: skip
