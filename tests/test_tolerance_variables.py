@@ -353,6 +353,22 @@ def test_a_function_of_what_is_drawn_is_refused(tmp_path: Path, varying: str) ->
     assert all(p.line for p in caught.value.problems)
 
 
+@pytest.mark.parametrize(
+    "value",
+    [
+        "gauss(10k,(0.05),3)",
+        "unif(10k,(1+1)/100)",
+        "limit(10k,min(1k,2k))",
+        "agauss(10k,(1k),3)",
+        "mc(10k,(0.1))",
+    ],
+)
+def test_a_function_that_would_keep_its_nominal_value_is_refused(tmp_path: Path, value: str) -> None:
+    """ngspice's reader takes the first argument of each; three of these were drawn as nothing, in silence."""
+    with pytest.raises(InputError, match="or made of parameters that do not vary"):
+        read(tmp_path, (SUMMER, ".param r_sum_fb=10.0k $ tol=1%", f".param r_sum_fb={{{value}}}"))
+
+
 def test_five_per_cent_of_a_millihenry_is_a_share(tmp_path: Path) -> None:
     """Taken as an absolute sigma it once made 47 % of all inductors negative."""
     result = read(

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 
 from cosim.ngspice.lines import number
+from cosim.ngspice.values import nominal
 from cosim.tolerance.distributions import Shape
 
 __all__ = ["extracted_calls"]
@@ -17,7 +18,7 @@ _NO_NUMBER = "its arguments must be numbers to be drawn, or made of parameters t
 
 
 def extracted_calls(
-    text: str, constant: Callable[[str], float | None] = number
+    text: str, constant: Callable[[str], float | None] = number, every: bool = False
 ) -> tuple[str, dict[str, tuple[float, Shape]], str]:
     """Put a name in the place of every call of a distribution function.
 
@@ -31,6 +32,8 @@ def extracted_calls(
         Value, as it is written.
     constant
         Gives the number that an argument stands for; ``None`` where it is none, or varies.
+    every
+        Whether `gauss`, `unif` and `limit` are draws as well, not functions of the user's.
 
     Returns
     -------
@@ -51,9 +54,10 @@ def extracted_calls(
         return name
 
     text = _CALL.sub(put, text)
-    left = re.search(r"(?<![\w.])(agauss|aunif|mc|flat)\s*\(", text, re.IGNORECASE)
+    known = re.search(r"(?<![\w.])(agauss|aunif|mc|flat)\s*\(", text, re.IGNORECASE)
+    left = [known[1]] if known else nominal(text)[1] if every else []
     if left and not wrong:
-        wrong = f"{left[1]}: {_NO_NUMBER}"
+        wrong = f"{left[0]}: {_NO_NUMBER}"
     return text, calls, wrong
 
 

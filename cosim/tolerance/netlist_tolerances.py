@@ -188,7 +188,7 @@ class Board:
     ) -> Param:
         """Return the value of an element whose words from the value on are given."""
         bare = words[0].removeprefix("r=").removeprefix("c=").removeprefix("l=")
-        text, calls, wrong = extracted_calls(bare, self._constants(line, env))
+        text, calls, wrong = extracted_calls(bare, self._constants(line, env), bool(line.drawn))
         self._problem(wrong, line)
         stated = self._named(key, line.keyword)
         if stated is None:
@@ -266,7 +266,7 @@ class Board:
         written = self._parse(line) if texts else None
         params = {}
         for name, value in texts.items():
-            text, calls, wrong = extracted_calls(value.lower(), self._constants(line, env))
+            text, calls, wrong = extracted_calls(value.lower(), self._constants(line, env), bool(line.drawn))
             self._problem(wrong, line)
             stated = self._named(name) or (None if calls else written)
             params[name] = Param(name, text.strip("{}'"), env, _place(line), stated, calls, line.comment)
