@@ -134,32 +134,51 @@ def _ticks(runner: CaseRunner, model: str) -> float:
     return float(np.count_nonzero(times != np.arange(len(times)) * 0.1)) + abs(len(times) - 1000.0)
 
 
+def _pressed(
+    wall: float, b: float, friction: float, counts: int, at_m: float, depth_m: float, duration_s: float
+) -> dict[str, Any]:
+    """Return the scene of a carriage pressed into a quantised wall, T = 1 ms.
+
+    Parameters
+    ----------
+    wall, b, friction : stiffness [N/m], viscosity [N s/m] and dry friction [N] at the tip
+    counts : of the encoder, a turn of the motor
+    at_m, depth_m : where it starts, below the wall, and where the push is in balance
+    duration_s : of the run
+    """
+    return slider(
+        duration_s=duration_s,
+        device={
+            "slider": {"viscous_n_m_s": b * RADIUS**2, "coulomb_n_m": friction * RADIUS,
+                       "coulomb_speed_rad_per_s": 1e-4},
+            "start": {"q_rad": [-at_m / RADIUS]},
+        },
+        computer={
+            "period_s": 1e-3, "method": "discrete", "discrete_stiffness_n_per_m": wall,
+            "analog_stiffness_n_per_m": 0.0, "encoder": {"pulses_per_rev": counts, "decoding": 1},
+        },
+        wall={"point_m": [0.0, 0.0], "normal": [0.0, 1.0]},
+        operator={
+            "type": "hand", "mass_kg": 0.0, "stiffness_n_per_m": 0.0, "damping_n_s_per_m": 0.0,
+            "waypoints_s_m": [[0.0, 0.0, 0.0]], "force_s_n": [[0.0, 0.0, -wall * depth_m]],
+        },
+        effects={"viscous": True, "coulomb": True, "encoder": True},
+        solver={"coupling_tolerance_rad": 1e-7},
+    )  # fmt: skip
+
+
+def _count_m(counts: int) -> float:
+    """Return one count at the tip [m]: the board's gear is 8."""
+    return RADIUS * 2 * math.pi / (counts * 8.0)
+
+
 def _quantised(share: float) -> HardCase:
     """Return the case of a push between two steps of a wall: friction holds it, or it never rests."""
-    step = RADIUS * 2 * math.pi / (500 * 8.0)  # one count at the tip, decoding 1, gear of the board
-    friction, b, period = 0.02, 0.2, 1e-3
+    friction, step = 0.02, _count_m(500)
     wall = share * 2 * friction / step
 
     def find(runner: CaseRunner, model: str) -> float:
-        tables = slider(
-            duration_s=0.6,
-            device={
-                "slider": {"viscous_n_m_s": b * RADIUS**2, "coulomb_n_m": friction * RADIUS,
-                           "coulomb_speed_rad_per_s": 1e-4},
-                "start": {"q_rad": [-20 * step / RADIUS]},
-            },
-            computer={
-                "period_s": period, "method": "discrete", "discrete_stiffness_n_per_m": wall,
-                "analog_stiffness_n_per_m": 0.0, "encoder": {"pulses_per_rev": 500, "decoding": 1},
-            },
-            wall={"point_m": [0.0, 0.0], "normal": [0.0, 1.0]},
-            operator={
-                "type": "hand", "mass_kg": 0.0, "stiffness_n_per_m": 0.0, "damping_n_s_per_m": 0.0,
-                "waypoints_s_m": [[0.0, 0.0, 0.0]], "force_s_n": [[0.0, 0.0, -wall * step * 20.5]],
-            },
-            effects={"viscous": True, "coulomb": True, "encoder": True},
-            solver={"coupling_tolerance_rad": 1e-7},
-        )  # fmt: skip
+        tables = _pressed(wall, 0.2, friction, 500, 20 * step, 20.5 * step, 0.6)
         samples = runner.run(tables, model).samples
         late = np.asarray(samples["time"]) > 0.3
         return float(np.count_nonzero(np.diff(np.asarray(samples["pen"])[late])) > 10)
@@ -177,31 +196,12 @@ def _sampled_wall(share: float) -> HardCase:
     A sample later by half a period on average, the spring gives pi w A^2 K T/2 a cycle, the damper takes
     pi w A^2 b and friction 4 f_c A: beyond K = 2 b/T any swing above some millimetres grows.
     """
-    mass, b, period, swing, depth = 0.2, 0.2, 1e-3, 6e-3, 10e-3
-    step = RADIUS * 2 * math.pi / (4 * 5000 * 8.0)
-    wall = share * 2 * b / period
-    friction = 2 * b / period * step  # K is half of 2 f_c/D or less
+    b, swing, depth = 0.2, 6e-3, 10e-3
+    border = 2 * b / 1e-3
+    wall, friction = share * border, border * _count_m(20_000)  # 2 f_c/D is twice the border
 
     def find(runner: CaseRunner, model: str) -> float:
-        tables = slider(
-            duration_s=1.5,
-            device={
-                "slider": {"mass_kg": mass, "viscous_n_m_s": b * RADIUS**2, "coulomb_n_m": friction * RADIUS,
-                           "coulomb_speed_rad_per_s": 1e-4},
-                "start": {"q_rad": [(swing - depth) / RADIUS]},
-            },
-            computer={
-                "period_s": period, "method": "discrete", "discrete_stiffness_n_per_m": wall,
-                "analog_stiffness_n_per_m": 0.0, "encoder": {"pulses_per_rev": 5000, "decoding": 4},
-            },
-            wall={"point_m": [0.0, 0.0], "normal": [0.0, 1.0]},
-            operator={
-                "type": "hand", "mass_kg": 0.0, "stiffness_n_per_m": 0.0, "damping_n_s_per_m": 0.0,
-                "waypoints_s_m": [[0.0, 0.0, 0.0]], "force_s_n": [[0.0, 0.0, -wall * depth]],
-            },
-            effects={"viscous": True, "coulomb": True, "encoder": True},
-            solver={"coupling_tolerance_rad": 1e-7},
-        )  # fmt: skip
+        tables = _pressed(wall, b, friction, 20_000, depth - swing, depth, 1.5)
         samples = runner.run(tables, model).samples
         t, beside = np.asarray(samples["time"]), np.asarray(samples["pen"]) - depth
         early, late = (float(np.abs(beside[part]).max()) for part in (t < 0.3, t > 1.2))
